@@ -1509,6 +1509,24 @@ MUTANTS = (
         "another member of a mixture acts than is asked for", ("policies/test_pure.py",),
     ),
     Mutant(
+        "monitor-missing-of-values", "runs/compared.py", "self.of(what)[:, -1] if what.marked",
+        "self.of(what)[:, 0] if what.marked",
+        "the share of missing cells is that of values", ("runs/test_compared.py",),
+    ),
+    Mutant(
+        "explain-units-by-place", "runs/explain.py", 'return [known.get(name, known.get(name.rpartition(", ")[0], ""))',
+        'return [next(iter(known.values()), "")', "actions have the unit of the first column", ("runs/test_explain.py",),
+    ),
+    Mutant(
+        "start-reads-by-names", "runs/started.py", 'read_like(known.get("name", str(source)), read, source)',
+        'read_like(known.get("name", str(source)), Read(), source)', "a table is read again without its schema",
+        ("runs/test_fine_tuned.py",),
+    ),
+    Mutant(
+        "words-of-actions", "data/formats/words.py", "names = [name for name in empty if held[name]]", "names = empty",
+        "a column of numbers that misses all is one of texts", ("data/formats/test_dialects.py",),
+    ),
+    Mutant(
         "explain-never-exchanged", "runs/explain.py", "other[:, dimensions] = x[rng.permutation(len(x))][:, dimensions]",
         "other[:, dimensions] = x[:, dimensions]", "no column seems to matter", ("runs/test_explain.py",),
     ),

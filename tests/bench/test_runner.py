@@ -7,6 +7,7 @@ import os
 import re
 import signal
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pyarrow as pa
@@ -40,6 +41,21 @@ rows = 600
 BC = { agent = "bc", fields = { hidden = [8], batch_size = 16 } }
 TD3 = { agent = "td3", fields = { hidden = [8], batch_size = 16 } }
 """
+
+
+class Noted:
+    """A tracker that keeps what it is told."""
+
+    points: ClassVar[list] = []
+
+    def start(self, config):
+        pass
+
+    def log(self, step, seed, metrics):
+        self.points.append((step, metrics))
+
+    def finish(self, files):
+        pass
 
 
 @pytest.fixture
@@ -85,7 +101,9 @@ def test_jobs_are_done_once_though_a_process_is_killed_and_a_job_fails(suite, tm
     assert events == []  # nothing is done twice
 
     # The numbers are those of the same job in this process, which has other threads.
-    [again] = perform(Program((jobs[0],)), tmp_path / "again")
+    [again] = perform(Program((jobs[0],)), tmp_path / "again", track=("tests.bench.test_runner:Noted",))
+    tracked = {step for step, metrics in Noted.points if {"train/behavior_nll", "evaluation/score"} <= metrics.keys()}
+    assert tracked == {point["step"] for point in again.curves}
     mine = found.filter(np.asarray(found["method"]) == "BC")
     assert [row["score"] for row in again.rows] == pytest.approx(mine["score"].to_pylist(), rel=1e-4)
 
@@ -282,5 +300,13 @@ def test_the_command_lists_plans_and_refuses(suite, tmp_path, capsys):
     assert main(["bench", "quik"]) == 2
     assert "did you mean quick" in capsys.readouterr().err
     assert main(["bench", "quick", "--workers", "0"]) == 2
+    assert main(["bench", "quick", "--track", "tensorbord"]) == 2
+    assert "unknown tracker 'tensorbord': did you mean tensorboard?" in capsys.readouterr().err
+    parts = '[methods]\nA = { agent = "tests.bench.test_runner:made" }\n[metrics]\nx = { words = "x" }\n'
+    (tmp_path / "study.toml").write_text(f'kind = "study"\nseeds = 1\ncases = ["a"]\n{parts}')
+    assert main(["bench", str(tmp_path / "study.toml"), "--track", "tests.bench.test_runner:Noted"]) == 2
+    assert "suites of the kinds learn, online), and these are of: study" in capsys.readouterr().err
+    assert main(["bench", "quick", "--gpu", "--for", "1m", "--track", "mlflow"]) == 2
+    assert "--track does not go with --gpu" in capsys.readouterr().err
     assert main(["bench", "show", "quick", "--out", str(tmp_path / "out"), "--format", "markdown"]) == 0
     assert "without a result yet: 12 of 12 cells" in capsys.readouterr().out

@@ -136,7 +136,7 @@ def test_what_cannot_be_run_is_refused_before_anything_is(written, old, new, mes
 
 @pytest.mark.parametrize(
     ("agent", "steps", "message"),
-    [("bc", 20_000, "method 'A': bc does not learn online"), ("sac", 300, "more steps")],
+    [("bc", 20_000, "method 'A': bc does not learn online"), ("sac", 300, "too few: .* or more")],
 )
 def test_an_online_suite_needs_agents_that_act_and_steps_enough(written, agent, steps, message):
     told = f'kind = "online"\ntasks = ["inverted-pendulum"]\nsteps = {steps}\n[methods]\nA = {{ agent = "{agent}" }}\n'
@@ -168,7 +168,7 @@ def test_a_method_may_act_otherwise_than_its_agent(written):
     [
         ("{ copys = 5 }", "unknown key of acting of method 'B' 'copys': did you mean copies"),
         ("{ copies = 2.5 }", "copies of acting of method 'B' must be a whole number, got 2.5"),
-        ("{ block = 60 }", "block \\(60\\) and explore \\(10000\\) must be multiples of copies"),
+        ("{ block = 60 }", "block, .*, must be a multiple of copies .*, got 60, such as 56 or 64"),
     ],
 )
 def test_acting_that_cannot_be_is_refused(written, acting, message):

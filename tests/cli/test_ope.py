@@ -5,6 +5,7 @@ import shutil
 import numpy as np
 import pytest
 
+import deadreckon as dr
 from deadreckon.agents.bc import BC
 from deadreckon.cli.main import main
 from deadreckon.cli.ope import use
@@ -75,6 +76,17 @@ def test_what_is_deployed_is_used_as_it_was_judged(made):
     assert use({"file": file}, [], False) == f"{plain}, rng, greedy=False)"
     assert use({"file": "dope.pkl"}, [], True) == "deadreckon.policies.load_dope('dope.pkl')(observations)"
     assert use({"file": None, "run": "hopper snapshot-01", "seed": None}, ["hopper"], True) is None
+
+
+def test_a_policy_of_a_table_is_used_by_predict(tmp_path):
+    frame = {"x": np.arange(30.0), "action": ["mail", "call", "none"] * 10, "reward": np.arange(30.0)}
+    log = dr.Dataset.from_frame(frame, action="action", reward="reward")
+    run = dr.train(dr.agents.BC(hidden=(4,), batch_size=8), log, steps=2, task=False, out=tmp_path / "a run")
+    file = str(run.path / "policies" / "seed0.npz")
+    command, call = use({"file": file}, [], False).split(", in Python ")
+    assert command == f"deadreckon predict '{file}' TABLE --out actions.csv --sampled"
+    assert call == f"deadreckon.load_policy({file!r}).predict(rows, greedy=False)"
+    assert set(eval(call, {"deadreckon": dr, "rows": {"x": [1.0, 2.0]}})) <= {"mail", "call", "none"}
 
 
 @pytest.mark.slow

@@ -146,7 +146,7 @@ def leaves(fit):
 
 
 @pytest.mark.parametrize(("changes", "words"), [
-    ({"model_train_freq": 25}, r"model_train_freq \(25\) must be a multiple of block \(10\)"),
+    ({"model_train_freq": 25}, r"model_train_freq, .* a multiple of block \(10 .*\), got 25"),
     ({"retain_steps": 50}, r"retain_steps \(50\) must be a multiple of model_train_freq \(20\)"),
     ({"rollout_length": (1, 2, 3, 3)}, r"MBPO.rollout_length takes first, last >= first, .* got \(1, 2, 3, 3\)"),
     ({"rollout_length": (15, 1, 20, 100)}, r"MBPO.rollout_length takes first, last >= first, .* got \(15, 1, 20, 100\)"),

@@ -17,7 +17,7 @@ from deadreckon.data.batch import BatchSpec
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
-from deadreckon.online.exploration import Exploration, Online
+from deadreckon.online import Exploration, Online
 from deadreckon.online.rows import replay_log, row_width
 from deadreckon.policies import library
 from deadreckon.policies.policy import NormalizedPolicy
@@ -154,15 +154,17 @@ def parts(rows):
 
 
 @pytest.mark.parametrize(("change", "words"), [
-    ({"copies": 0}, "must be above 0, and explore 0 or more, got 0, 64, 1.0 and 10000"),
-    ({"explore": -1}, "explore 0 or more"),
-    ({"block": -64}, "must be above 0"),
-    ({"updates_per_step": 0.0}, "must be above 0"),
-    ({"updates_per_step": float("nan")}, "must be above 0"),
-    ({"copies": 3}, r"block \(64\) and explore \(10000\) must be multiples of copies \(3\)"),
-    ({"copies": 64}, r"block \(64\) and explore \(10000\) must be multiples of copies \(64\)"),
-    ({"updates_per_step": 0.3}, r"block \* updates_per_step must be a whole number, got 64 \* 0.3"),
-    ({"updates_per_step": 0.001}, "must be a whole number"),
+    ({"copies": 0}, "copies, the number of environments .* must be 1 or more, got 0"),
+    ({"explore": -1}, "explore, .* with random actions .* must be 0 or more, got -1"),
+    ({"block": -64}, "block, .* between two blocks of updates, must be 1 or more, got -64"),
+    ({"updates_per_step": 0.0}, "must be above 0, got 0.0"),
+    ({"updates_per_step": float("nan")}, "must be above 0, got nan"),
+    ({"updates_per_step": float("inf")}, "must be above 0, got inf"),
+    ({"copies": 3}, r"block, .*, must be a multiple of copies \(3 environments .*\), got 64, such as 63 or 66"),
+    ({"copies": 64}, r"explore, .*, must be a multiple of copies \(64 environments .*\), got 10000, such as 9984 or 10048"),
+    ({"copies": 128}, r"block, .*, got 64, such as 128$"),
+    ({"updates_per_step": 0.3}, "a whole number of updates for each block of 64 .*, got 0.3; 0.296875 gives 19$"),
+    ({"updates_per_step": 0.001}, "got 0.001; 0.015625 gives 1$"),
 ])  # fmt: skip
 def test_settings_that_make_no_sense_are_told(change, words):
     with pytest.raises(UserError, match=words):
@@ -182,7 +184,7 @@ def test_updates_and_steps_are_each_others_inverse():
             # The rows of a block are there before the first of its updates.
             assert settings.steps(updates + 1) == steps + settings.block
         assert settings.steps(0) == 0
-        with pytest.raises(UserError, match=rf"more steps than explore \+ block = {settings.explore + settings.block}, got "):
+        with pytest.raises(UserError, match=f"too few: .* give {settings.explore + settings.block} or more"):
             settings.updates(settings.explore + settings.block - 1)
 
 

@@ -13,7 +13,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import STD_FLOOR
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
-from deadreckon.online.exploration import Exploration, Online
+from deadreckon.online import Exploration, Online
 from deadreckon.online.mixed import MixedReplay, Returns
 from deadreckon.policies.policy import NormalizedPolicy
 from deadreckon.training.fit import Fit
@@ -232,5 +232,5 @@ def test_refuses_what_does_not_fit(change, words):
 
 
 def test_without_a_log_something_must_be_explored_first():
-    with pytest.raises(UserError, match="explore must be above 0 where no log is learned from, got 0"):
+    with pytest.raises(UserError, match="must be 1 or more where no log is learned from, got 0"):
         Exploration(TASK, Counter(), [0], UPDATES, SETTINGS)

@@ -12,6 +12,10 @@ from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.select import Choice
 from deadreckon.report import notebook
+from deadreckon.runs.compared import Compared, Outside, What
+from deadreckon.runs.explain import Explained, Matters
+from deadreckon.runs.explained_tree import Node
+from deadreckon.runs.monitor import Finding, Monitored
 from deadreckon.runs.offline import Judged
 
 EVIL = "<img src=x onerror=alert(1)>"
@@ -29,7 +33,7 @@ class Checked(html.parser.HTMLParser):
     def handle_starttag(self, tag, attrs):
         assert tag not in ("script", "img", "link", "iframe", "button"), tag
         assert not [name for name, value in attrs if name.startswith("on") or "://" in (value or "")]
-        if tag not in ("br", "hr", "meta", "input"):
+        if tag not in ("br", "hr", "meta", "input", "wbr"):
             self.open.append(tag)
 
     def handle_endtag(self, tag):
@@ -111,6 +115,27 @@ def test_what_judge_gives_shows_the_card_of_the_page():
     assert "held-out episodes" in told
     unjudged = results | {"results": [], "choice": results["choice"] | {"deploy": False, "gain": [None, None, None]}}
     assert "Do not deploy" in words(Judged([], found, unjudged))
+
+
+def test_an_explanation_shows_its_tree_and_columns():
+    tree = Node("age <= 50 years", 1.0, Node(EVIL, 0.25), Node("mail", 0.75))
+    columns = (Matters("blood_pressure", 0.5, 0.4, 0.6),)
+    told = words(Explained("bc seed 0", EVIL, True, 90, 1, 0.95, 0.9, 0.99, 0.6, True, tree, columns))
+    assert all(each in told for each in ("age <= 50 years?", EVIL, "75% of rows", "does what the policy does in 95.0%"))
+
+
+def test_what_monitoring_found_is_shown_with_missing_cells_and_new_levels():
+    what = What("observation", EVIL, "category", (0, 1), ("a", "b"))
+    column = Compared(what, 0.25, np.nan, 0.5, 0.25, "a", (0.1, 0.3), (EVIL,), (40, 20))
+    findings = (Finding("observation", EVIL, True, "drift"),)
+    outside = Outside(0.5, ((EVIL, "a level that the log does not have", 3, True),))
+    found = Monitored("bc", "log", "new", 80, 40, "compared: all rows", 0.05, (column,), outside, "not compared: x", findings)
+    told = words(found)
+    assert "Alarm: " in told
+    assert f"1 finding: observation {EVIL}." in told
+    assert "found after 40 new episodes, in the last 20 of them" in told
+    assert "10.0\N{NO-BREAK SPACE}% \N{RIGHTWARDS ARROW} 30.0" in told
+    assert repr(EVIL) in told
 
 
 def test_proposals_show_the_best_first():

@@ -49,3 +49,18 @@ def test_of_a_long_episode_rows_at_regular_distances_are_looked_at():
     assert set(np.diff(rows[3:]).tolist()) == {2, 3}
     assert compared.rows_of(log, np.arange(2), True)[0].tolist() == [0, 3]
     assert log.lengths.tolist() == lengths
+
+
+def test_shares_of_missing_cells_stand_beside_the_differences():
+    def log(gaps):
+        x = np.arange(40.0)
+        x[:gaps] = np.nan
+        kind = np.array(["a", "b"] * 20, object)
+        kind[20 : 20 + gaps] = None
+        frame = pd.DataFrame({"x": x, "kind": kind, "y": 1.0 * np.arange(40), "action": ["a", "b"] * 20, "reward": 0.0})
+        return dr.Dataset.from_frame(frame, action="action", reward="reward")
+
+    old, new = log(4), log(10)
+    found = compared.drifts(compared.sample(old, np.arange(40), False), new, compared.whats(old), False, 0.05)
+    shares = {each.what.name: each.missing for each in found}
+    assert shares == {"x": (0.1, 0.25), "kind": (0.1, 0.25), "y": (0.0, 0.0), "action": (0.0, 0.0)}

@@ -6,6 +6,7 @@ import pytest
 
 import deadreckon as dr
 from deadreckon.cli.main import main
+from deadreckon.data.schema import Column, Schema
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
@@ -103,11 +104,31 @@ def test_what_it_needs_is_said(log, tmp_path):
     path = saved(linear((0, 0, 0), (0, 1, 0)), tmp_path / "p.npz")
     with pytest.raises(UserError, match="image observations"):
         explain(path, image)
-    with pytest.raises(UserError, match="does not say where its log lies; name it"):
+    with pytest.raises(UserError, match="does not say where its log lies; name it with a second argument"):
         explain(path)
 
 
+def test_thresholds_and_actions_have_the_units_of_the_schema(tmp_path):
+    rng = np.random.default_rng(2)
+    table = {"age": rng.normal(size=ROWS), "dose": rng.uniform(-1, 1, ROWS), "reward": np.zeros(ROWS)}
+    schema = Schema((
+        Column("age", "observation", unit="years"), Column("dose", "action", low=-5.0, high=5.0, unit="mg"),
+        Column("reward", "reward"),
+    ))  # fmt: skip
+    data = dr.Dataset.from_frame(table, schema=schema)
+    inner = Deterministic(MLP((jnp.asarray([[50.0]]),), (jnp.zeros(1),)))
+    store.save(tmp_path / "p.npz", EnvPolicy(inner, None, None, -5 * jnp.ones(1), 5 * jnp.ones(1)))
+    found = explain(tmp_path / "p.npz", data)
+    assert found.tree is not None
+    lines = list(found.tree.lines())
+    assert lines[0].startswith("age <= ")
+    assert lines[0].endswith(" years?")
+    assert all(" mg (" in line for line in lines if "dose" in line)
+    assert sum("dose = " in line for line in lines) >= 2
+
+
 def test_the_tree_is_drawn_with_all_its_texts():
+    assert "blood_<wbr>pressure &lt; 3" in drawing(Node("blood_pressure < 3", 1.0), "long names may be broken")
     root = Node("age <= 50", 1.0, Node("a & b", 0.25), Node("c <= 1", 0.75, Node("d", 0.5), Node("e", 0.25)))
     text = drawing(root, "what it does")
     assert all(part in text for part in ("age &lt;= 50?", "a &amp; b", "25% of rows", "yes", "no"))
@@ -137,6 +158,13 @@ def test_a_run_keeps_it_and_the_report_shows_it(table, capsys):
     page = (folder / "page.html").read_text()
     assert "What the policy does" in page
     assert "share of fresh rows that get another action" in page
+
+
+@pytest.mark.parametrize("option", ["--policy-seed", "--seed"])
+def test_the_seed_of_the_policy_is_called_as_in_predict_and_may_have_its_old_name(table, capsys, option):
+    for words in (["explain"], ["export", "--format", "numpy", "--out", "x"], ["monitor", "new.csv"]):
+        assert main([words[0], str(table[1].path), *words[1:], f"{option}=7"]) == 2
+        assert "has no policy of seed 7; its seeds are 0" in capsys.readouterr().err
 
 
 def test_depths_are_few():

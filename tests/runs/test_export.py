@@ -74,6 +74,7 @@ def test_the_card_tells_what_it_is_and_what_it_cannot(place, numpys):
     for text in (
         "# run seed 0", "No estimates are known", "| age | observation | number |", "bc, seed 0, 150 updates",
         "The export takes deterministic (greedy) actions", "- jax: ", "call, mail, wait",
+        "actions: one of 3 discrete actions (type `Discrete(n=3)`)", "type `Categorical`: A choice among discrete actions",
     ):  # fmt: skip
         assert text in card, text
 
@@ -152,6 +153,7 @@ def test_an_onnx_graph_takes_the_columns_themselves(place):
 
     folder = export(place / "run", "onnx", place / "onnx")
     session = runtime.InferenceSession(str(folder / "policy.onnx"))
+    assert "- `age`: one number of 32 bits a row (`tensor(float)`, shape ['rows'])" in (folder / "card.md").read_text()
     kinds = {each.name: each.type for each in session.get_inputs()}
     assert kinds == {
         "age": "tensor(float)", "kind": "tensor(string)", "lab": "tensor(float)", "grade": "tensor(double)",

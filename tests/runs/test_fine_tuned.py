@@ -19,7 +19,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.data.normalizer import STD_FLOOR
 from deadreckon.files import read_json
-from deadreckon.online.exploration import Online
+from deadreckon.online import Online
 from deadreckon.report.entries import read
 from deadreckon.report.provenance import command, section
 from deadreckon.runs import online as module
@@ -212,7 +212,7 @@ def test_one_of_several_runs_that_shared_a_program_goes_on(offline, tmp_path):
     ({"demonstrations": LOG}, "give one of them"),
     ({"start": None, "data": None}, "train_online needs an agent, or a run on a log to go on from"),
     ({"start": None, "agent": "ppo"}, "PPO does not learn online with a log in its replay; these agents do: "),
-    ({"start": None, "agent": "sac", "data": None}, "explore must be above 0 where no log is learned from, got 0"),
+    ({"start": None, "agent": "sac", "data": None}, "must be 1 or more where no log is learned from, got 0"),
 ])  # fmt: skip
 def test_what_does_not_fit_is_told_before_anything_is_written(offline, change, words, tmp_path):
     options = OPTIONS | {"task": HOPPER, "start": offline, "data": LOG} | change
@@ -262,6 +262,29 @@ def test_from_the_command_line(tmp_path, home, capsys):
     assert f"is a run of {agent}, sac cannot go on from it; leave --agent out" in capsys.readouterr().err
     assert main(["train", "--from", str(tmp_path / "a"), "--data", str(path)]) == 2
     assert "--from goes on in a simulator with a run on a log: say --online --task TASK" in capsys.readouterr().err
+
+
+def test_a_table_whose_columns_were_named_on_the_command_line_is_read_again_by_its_schema(tmp_path, home, capsys):
+    rows = np.concatenate([LOG.observations, LOG.actions, LOG.rewards[:, None]], 1)
+    trip = np.repeat(np.arange(12), 10)
+    ends = np.stack([LOG.terminals, LOG.timeouts], 1).astype(int)
+    names = [*(f"seen {i}" for i in range(11)), "hip", "knee", "foot", "gain", "trip", "fell", "stopped"]
+    lines = [";".join([*(f"{x:.4f}" for x in row), str(k), *map(str, end)]) for row, k, end in zip(rows, trip, ends)]
+    (tmp_path / "hops.csv").write_text("\n".join([";".join(names), *lines]))
+    columns = ["--action", "hip", "knee", "foot", "--reward", "gain", "--episode", "trip", "--terminal", "fell"]
+    agent = "tests.runs.test_fine_tuned:Returned"
+    words = ["train", "--agent", agent, "--data", str(tmp_path / "hops.csv"), *columns, "--timeout", "stopped"]
+    words += ["--task", "hopper", "--steps", "4", "--episodes", "1"]
+    assert main([*words, "--out", str(tmp_path / "a")]) == 0
+    turns = ["--copies", "4", "--block", "16", "--updates-per-step", "0.5", "--evaluate-every", "16", "--threads", "1"]
+    words = ["train", "--from", str(tmp_path / "a"), "--online", "--task", "hopper", "--steps", "32", "--episodes", "1", *turns]
+    assert main([*words, "--out", str(tmp_path / "b")]) == 0, capsys.readouterr().err
+    config = read_json(tmp_path / "b" / "run.json")
+    assert config["log"]["episodes"] == 12
+    assert module.reopened(tmp_path / "b").source.experience.log.episodes == 12
+    shutil.copy(tmp_path / "hops.csv", tmp_path / "copy.csv")
+    (tmp_path / "hops.csv").write_text("gone")
+    assert module.reopened(tmp_path / "b", tmp_path / "copy.csv").source.experience.log.episodes == 12
 
 
 # A log of actions in [-0.5, 0]: nobody has seen what moves to the right brings, so what is left of the middle stays there or

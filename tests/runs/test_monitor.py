@@ -129,11 +129,14 @@ def test_a_new_level_is_outside_the_log_and_a_new_action_is_refused(place):
     found = of_reference(place, "levels.csv")
     assert found.outside.share >= 0.5
     assert any(each.about == "outside" and each.alarm and "level" in each.text for each in found.findings)
+    assert sum("'unheard of'" in each.text for each in found.findings) == 2  # outside, and beside the shares of the levels
     gaps = table(250, 5)
     gaps.loc[gaps.index % 3 == 0, "age"] = np.nan
     gaps.to_csv(place / "gaps.csv", index=False)
     found = of_reference(place, "gaps.csv")
     assert ("age", "a missing value", 84, True) in found.outside.columns
+    assert found.columns[0].missing == (0.0, 84 / 250)
+    assert any("missing in 0.0% of rows before, 33.6% now" in each.text for each in found.findings)
     assert found.outside.share == pytest.approx(84 / 250, abs=0.02)
     assert abs(found.columns[0].now - found.columns[0].before) < 2  # filled with the mean that was there
     rows["action"] = "shout"
@@ -201,13 +204,13 @@ def test_a_log_that_is_gone_or_has_changed_is_not_compared_with(place, tmp_path)
     table(300, 9).to_csv(tmp_path / "log.csv", index=False)
     run = dr.train(BC, tmp_path / "log.csv", steps=1, task=False, out=tmp_path / "run")
     table(300, 8).to_csv(tmp_path / "log.csv", index=False)
-    with pytest.raises(UserError, match="has changed"):
+    with pytest.raises(UserError, match="has changed .* name a copy of it with --reference"):
         monitor(run, place / "same.csv")
     log = dr.Dataset.from_frame(table(60, 1), action="action", reward="reward")
     unnamed = dr.train(BC, log, steps=1, task=False, out=tmp_path / "unnamed")
-    with pytest.raises(UserError, match="cannot be read again, so name it"):
+    with pytest.raises(UserError, match="cannot be read again, so name it with --reference"):
         monitor(unnamed, place / "same.csv")
     assert monitor(unnamed, place / "same.csv", reference=log).compared.startswith("compared: all rows and logged")
     (tmp_path / "log.csv").unlink()
-    with pytest.raises(UserError, match="is not at .* any more; name it"):
+    with pytest.raises(UserError, match="is not at .* any more; name it with --reference"):
         monitor(run, place / "same.csv")

@@ -53,7 +53,7 @@ def _design(job: Job) -> dict[str, Any]:
 def _ope(job: Job) -> dict[str, Any]:
     from deadreckon.ope import dope
 
-    return dope.revisions_of(estimator_of(job))
+    return dope.estimator_revisions(estimator_of(job))
 
 
 def _study(job: Job) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 import json
 import math
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +18,16 @@ from deadreckon.progress import Progress, unwatched
 from deadreckon.runs.holdout import trial_parts
 
 
-def perform(program: Program, folder: Path, watch: Progress = unwatched) -> list[JobResult]:
+def perform(
+    program: Program, folder: Path, watch: Progress = unwatched, track: Sequence[str] = ()
+) -> list[JobResult]:  # fmt: skip
     """Does a program, or the rest of it.
 
     Args:
         program: the program.
         folder: where its run lies, or its runs.
         watch: called as it goes.
+        track: names of the trackers that show its runs, of the kinds in `TRACKED`.
 
     Returns:
         What was found of each of its jobs.
@@ -42,7 +46,12 @@ def perform(program: Program, folder: Path, watch: Progress = unwatched) -> list
         spent.keep()
         watch(done, total)
 
-    results = _learn_together(program, folder, noted) if others else [_PERFORM[job.kind](job, folder, noted)]
+    if others:
+        results = _learn_together(program, folder, noted, track)
+    elif job.kind in TRACKED:
+        results = [TRACKED[job.kind](job, folder, noted, track)]
+    else:
+        results = [_PERFORM[job.kind](job, folder, noted)]
     spent.keep()
     for row in (row for found in results for row in found.rows):
         row["seconds"] = spent.seconds
@@ -94,33 +103,35 @@ def _log(job: Job) -> Any:
     return trial_parts(log)[0] if job.options.get("divided") else log
 
 
-def _learn(job: Job, folder: Path, watch: Progress) -> JobResult:
+def _learn(job: Job, folder: Path, watch: Progress, track: Sequence[str]) -> JobResult:
     from deadreckon.runs.train import train
 
-    return _result(job, train(agent_of(job), _log(job), out=folder, **_options(job, watch)))
+    return _result(job, train(agent_of(job), _log(job), out=folder, **_options(job, watch, track)))
 
 
-def _learn_together(program: Program, folder: Path, watch: Progress) -> list[JobResult]:
+def _learn_together(program: Program, folder: Path, watch: Progress, track: Sequence[str]) -> list[JobResult]:
     from deadreckon.runs.train import train_together
 
     first = program.jobs[0]
     agents = {job.name: agent_of(job) for job in program.jobs}
     logs = {data: _log(job) for data, job in {job.data: job for job in program.jobs}.items()}
-    runs = train_together(agents, {job.name: logs[job.data] for job in program.jobs}, out=folder, **_options(first, watch))
+    options = _options(first, watch, track)
+    runs = train_together(agents, {job.name: logs[job.data] for job in program.jobs}, out=folder, **options)
     return [_result(job, runs[job.name]) for job in program.jobs]
 
 
-def _options(job: Job, watch: Progress) -> dict[str, Any]:
+def _options(job: Job, watch: Progress, track: Sequence[str]) -> dict[str, Any]:
     """Options of a run on a log."""
     every = job.options["every"]
     return {
         "steps": job.options["steps"], "seeds": len(job.seeds), "seed": job.seeds[0], "evaluate_every": every,
         "episodes": job.options["episodes"], "chunk": min(1000, every), "resume": True,
-        "holdout": 0, "history": job.options.get("history", 1), "watch": lambda progress, steps: watch(progress.step, steps),
+        "holdout": 0, "history": job.options.get("history", 1), "track": track,
+        "watch": lambda progress, steps: watch(progress.step, steps),
     }  # fmt: skip
 
 
-def _online(job: Job, folder: Path, watch: Progress) -> JobResult:
+def _online(job: Job, folder: Path, watch: Progress, track: Sequence[str]) -> JobResult:
     from deadreckon.runs.online import train_online
     from deadreckon.runs.train import train
 
@@ -132,11 +143,12 @@ def _online(job: Job, folder: Path, watch: Progress) -> JobResult:
         if log["use"] == "first":
             before = folder.with_name(f"{folder.name}-offline")
             often = {"evaluate_every": log["offline"], "episodes": options["episodes"], "resume": True, "holdout": 0}
-            start = train(agent, data, steps=log["offline"], task=job.on, out=before, watch=told, **seeds, **often)
+            start = train(agent, data, steps=log["offline"], task=job.on, out=before, watch=told, track=track, **seeds, **often)
             agent = None
     run = train_online(
         agent, job.on, steps=options["steps"], out=folder, settings=turns(job), evaluate_every=options["every"],
-        episodes=options["episodes"], resume=True, start=start, data=data, watch=told, **seeds,
+        episodes=options["episodes"], resume=True, start=start, data=data, watch=told,
+        track=track, **seeds,
     )  # fmt: skip
     return _result(job, run)
 
@@ -252,4 +264,5 @@ def _study(job: Job, folder: Path, watch: Progress) -> JobResult:
     return JobResult(rows, [])
 
 
-_PERFORM = {"learn": _learn, "online": _online, "design": _design, "ope": _ope, "study": _study}
+_PERFORM = {"design": _design, "ope": _ope, "study": _study}
+TRACKED = {"learn": _learn, "online": _online}  # kinds of jobs that have runs, which trackers can show

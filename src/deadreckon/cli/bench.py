@@ -1,17 +1,21 @@
 """`deadreckon bench`: a declared table, run to its end; `bench list`, `bench show SUITE`."""
 
 import dataclasses
+import functools
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from deadreckon.cli.lines import Lines
 from deadreckon.cli.parse import parse
 from deadreckon.errors import UserError
+
+if TYPE_CHECKING:
+    from deadreckon.bench.executor import Work
 
 
 @dataclass
@@ -35,6 +39,8 @@ class Bench:
     cpus: int = 1  # cores per job (ray)
     gpus: float = 0.0  # GPUs per job (ray); a fraction if several jobs share a GPU
     dry_run: bool = False  # print what would be run and the expected time, without running it
+    track: Annotated[tuple[str, ...], tyro.conf.arg(metavar="tensorboard|wandb|mlflow|module:Class ...")] = ()
+    """trackers that show the runs of suites of the kinds learn and online"""
 
 
 @dataclass
@@ -93,6 +99,8 @@ def _fill(options: Bench) -> None:
     from deadreckon.cli.gpu import fill
     from deadreckon.runs.durations import seconds_of
 
+    if options.track:
+        raise UserError("--track does not go with --gpu; `deadreckon train --resume --track NAME` shows a finished run")
     for name, default in (("full", False), ("idle", False), ("executor", "local"), ("address", None)):
         if getattr(options, name) != default:
             raise UserError(f"--{name} does not go with --gpu, which runs local processes and chooses each cell's size itself")
@@ -111,10 +119,11 @@ def _run(options: Bench) -> None:
     from deadreckon.runs.durations import seconds_of
 
     suites = queue(options.suite, options.full)
+    work = _work(suites, options.track)
     seconds = None if options.time is None else seconds_of(options.time)
     store = store_of(suites, Path(options.out))
     plan_all(suites)  # refuses what cannot be run before a cluster is joined
-    executor = _executor(options)
+    executor = _executor(options, work)
     jobs = plan_all(suites, executor.lanes)
     waiting = announce(Path(options.suite).stem, jobs, store, executor, options.dry_run)
     if options.dry_run:
@@ -156,7 +165,25 @@ def announce(name, jobs, store, executor, each: bool):
     return waiting
 
 
-def _executor(options: Bench):
+def _work(suites, track: tuple[str, ...]):
+    """What executors do of a program: with trackers, where some are asked for.
+
+    Raises:
+        UserError: there is no such tracker, or nothing that it could show.
+    """
+    from deadreckon.bench.work import TRACKED, perform
+    from deadreckon.runs.trackers.tracker import trackers_of
+
+    if not track:
+        return perform
+    trackers_of(track, 1)
+    if not any(suite.kind in TRACKED for suite in suites):
+        have = ", ".join(dict.fromkeys(suite.kind for suite in suites))
+        raise UserError(f"--track shows runs of agents (suites of the kinds {', '.join(TRACKED)}), and these are of: {have}")
+    return functools.partial(perform, track=track)
+
+
+def _executor(options: Bench, work: "Work"):
     if options.executor == "ray":
         if options.idle:
             raise UserError("--idle is of --executor local")
@@ -164,13 +191,13 @@ def _executor(options: Bench):
             raise UserError("--workers is of --executor local; a Ray cluster runs as many jobs as --cpus and --gpus let it")
         from deadreckon.bench.cluster import Cluster
 
-        return Cluster(Path(options.out), options.address, options.cpus, options.gpus)
+        return Cluster(Path(options.out), options.address, options.cpus, options.gpus, work)
     from deadreckon.bench.local import Local
 
     for name, default in (("address", None), ("cpus", 1), ("gpus", 0.0)):
         if getattr(options, name) != default:
             raise UserError(f"--{name} is of --executor ray")
-    return Local(Path(options.out), options.workers, idle=options.idle)
+    return Local(Path(options.out), options.workers, work, options.idle)
 
 
 def _page(suite, jobs, store):

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from deadreckon.cli.parse import parse
+from deadreckon.cli.parse import parse, with_policy_seed
 
 
 @dataclass
@@ -19,12 +19,12 @@ class Explain:
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]  # run or cross-fit folder, or policy file
     log: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")] = None
     """log on whose rows the policy is explained; None: the one that it learned from"""
-    seed: int | None = None  # random seed whose policy is explained; None: the run's first
+    policy_seed: int | None = None  # seed of the run whose policy is explained; None: the first that has not failed
 
 
 def explain(args: Sequence[str]) -> None:
     """Prints the tree and the columns."""
-    options = parse(Explain, args, "explain")
+    options = parse(Explain, with_policy_seed(args), "explain")
     from deadreckon.runs.explain import explain as asked
 
-    print(asked(options.run, options.log, seed=options.seed))
+    print(asked(options.run, options.log, seed=options.policy_seed))

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from deadreckon.cli.parse import parse
+from deadreckon.cli.parse import parse, with_policy_seed
 
 
 @dataclass
@@ -20,13 +20,15 @@ class Export:
     log: str | None = None  # log on whose rows the export is checked; None: the one that the policy learned from
     estimates: Annotated[str | None, tyro.conf.arg(metavar="FOLDER")] = None
     """folder of `deadreckon ope --out` or `recommend`, for the card; None: found in the run's folder or beside it"""
-    seed: int | None = None  # random seed whose policy is exported; None: the run's first
+    policy_seed: int | None = None  # seed of the run whose policy is exported; None: the first that has not failed
 
 
 def export(args: Sequence[str]) -> None:
     """Writes the folder and prints its path."""
-    options = parse(Export, args, "export")
+    options = parse(Export, with_policy_seed(args), "export")
     from deadreckon.runs.export import export as write
 
-    folder = write(options.run, options.format, options.out, log=options.log, estimates=options.estimates, seed=options.seed)
+    folder = write(
+        options.run, options.format, options.out, log=options.log, estimates=options.estimates, seed=options.policy_seed
+    )
     print(folder)

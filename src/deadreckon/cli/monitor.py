@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from deadreckon.cli.parse import parse
+from deadreckon.cli.parse import parse, with_policy_seed
 
 
 @dataclass
@@ -27,19 +27,19 @@ class Monitor:
     """folder of `deadreckon ope --out` or `recommend`; None: found in the run's folder or beside it"""
     return_range: tuple[float, float] | None = None
     """least and greatest return of an episode; None: the range in the reference, widened by half of it on each side"""
-    seed: int | None = None  # random seed whose policy is meant; None: the run's first
+    policy_seed: int | None = None  # seed of the run whose policy is monitored; None: the first that has not failed
     greedy: bool | None = None  # whether the policy acts deterministically (greedily) in use; None: as estimated, else yes
     alpha: float = 0.05  # probability of a false alarm, over all looks together
 
 
 def monitor(args: Sequence[str]) -> int:
     """Prints one line per finding; gives the exit code."""
-    options = parse(Monitor, args, "monitor")
+    options = parse(Monitor, with_policy_seed(args), "monitor")
     from deadreckon.runs.monitor import monitor as compare
 
     found = compare(
         options.run, options.log, reference=options.reference, made_by=options.made_by, estimates=options.estimates,
-        return_range=options.return_range, seed=options.seed, greedy=options.greedy, alpha=options.alpha,
+        return_range=options.return_range, seed=options.policy_seed, greedy=options.greedy, alpha=options.alpha,
     )  # fmt: skip
     if options.html is not None:
         from deadreckon.report.monitored import write_monitored

@@ -1,6 +1,7 @@
 """`deadreckon ope`: what policies are worth, from a log alone; `deadreckon ope bench`: how good such estimates are."""
 
 import dataclasses
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,7 +86,7 @@ def ope(args: Sequence[str]) -> None:
 
 
 def use(policy: Mapping[str, Any], given: Sequence[str], greedy: bool) -> str | None:
-    """The call that gives a policy's actions as they were judged; None where it is saved nowhere.
+    """The command or call that gives a policy's actions as they were judged; None where it is saved nowhere.
 
     Args:
         policy: of `estimates.json`.
@@ -104,8 +105,11 @@ def use(policy: Mapping[str, Any], given: Sequence[str], greedy: bool) -> str | 
     if Path(file).suffix in PICKLES:
         call = f"deadreckon.policies.load_dope({file!r})"
         return f"{call}(observations)" if greedy else f"{call}, whose act(step, carry, key, greedy=False) samples actions"
-    more = "" if greedy else ", rng, greedy=False"
     tree = portable.read(file)[0]
+    if "schema" in tree["meta"].get("log", {}).get("extra", {}):  # of a table: rows by names of columns
+        command = f"deadreckon predict {shlex.quote(file)} TABLE --out actions.csv{'' if greedy else ' --sampled'}"
+        return f"{command}, in Python deadreckon.load_policy({file!r}).predict(rows{'' if greedy else ', greedy=False'})"
+    more = "" if greedy else ", rng, greedy=False"
     if tree["policy"]["inner"]["kind"] in ("Mixture", "History"):
         more += ", first=first"
     if tree["meta"].get("log", {}).get("action_space", {}).get("masked"):

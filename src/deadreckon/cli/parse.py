@@ -60,6 +60,11 @@ def chosen(what: str, args: Sequence[str]) -> tuple[str | None, list[str]]:
     return name, rest
 
 
+def with_policy_seed(args: Sequence[str]) -> list[str]:
+    """The arguments of a command that draws nothing at random, in which `--policy-seed` may still be called `--seed`."""
+    return [f"--policy-{a[2:]}" if a == "--seed" or a.startswith("--seed=") else a for a in args]
+
+
 def _parts(kind: type) -> dict[str, type]:
     """What options behind a dot belong to: `agent` -> its class."""
     return {f.name: f.type for f in dataclasses.fields(kind) if isinstance(f.type, type) and dataclasses.is_dataclass(f.type)}

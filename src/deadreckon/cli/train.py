@@ -177,7 +177,10 @@ def summary(run) -> str:
         last = np.asarray(evaluations["step"]) == max(evaluations["step"])
         if "mmd_to_data" in evaluations:
             distance, outside = (np.asarray(evaluations[key])[last].mean() for key in ("mmd_to_data", "outside_range"))
-            lines.append(f"MMD to the log {distance:.3f}, share of actions outside its range {outside:.3f}")
+            lines.append(
+                f"MMD to the log {distance:.3f}: the distance of the policy's actions from those logged in the same states, "
+                f"0 for a copy; {outside:.1%} of its actions are outside the log's range"
+            )
         if "return" in evaluations:
             from deadreckon.stats.crossed import mean_interval
 

@@ -41,11 +41,12 @@ def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafte
     if file is None:
         table, _, lines = with_dates(to_arrow(source, name or "frame"), Dialect.asked(dates=asked.pop("dates", None)).dates)
     else:
-        from deadreckon.data.formats.any_table import read_table
-        from deadreckon.data.formats.kind import READING
+        from deadreckon.data.formats.any_table import table_of_kind
+        from deadreckon.data.formats.kind import READING, sniff
+        from deadreckon.data.formats.words import levels_in
 
         ways = {key: asked.pop(key) for key in READING if key in asked}
-        table, dialect, lines = read_table(file, **ways)
+        table, dialect, lines = table_of_kind(file, sniff(file, ways.get("separator")), ways, levels_in(asked))
         ways = pinned(dialect) | ways
     name = name or (str(file) if file else "frame")
     schema, told = draft(table, Asked(**asked), name, needed=False)

@@ -29,7 +29,8 @@ from deadreckon.data.schema import Column
 from deadreckon.data.scratch import BLOCK, Scratch
 from deadreckon.errors import UserError
 
-_SHOWN = 5  # levels named in a message
+OTHERS = "other_levels"  # the entry of `Provenance.extra`: values that are none of a column's levels, by column
+_SHOWN, _KEPT = 5, 50  # unknown levels named in a message, and kept in `extra`
 
 
 class Encoder:
@@ -40,7 +41,7 @@ class Encoder:
         table: the table.
         scratch: where columns are kept that have as many rows as the table.
         warnings: one line each.
-        extra: for the provenance: names of the observation's dimensions, levels of categories.
+        extra: for the provenance: names of the observation's dimensions, levels of categories, and values that are no levels.
         resolved: columns as they were encoded, with their levels and what stands for missing values.
     """
 
@@ -172,6 +173,7 @@ class Encoder:
             if column.role == "action":
                 raise UserError(f"{text}; rename them, or add them to its levels")
             self.warnings.append(f"{text.partition(': ')[2]}; they become no level")
+            self.extra.setdefault(OTHERS, {})[column.name] = [str(level) for level in other[:_KEPT]]
         return codes, column
 
     def _narrow(self, parts: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

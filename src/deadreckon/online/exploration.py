@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -20,57 +19,10 @@ from deadreckon.data.spec import Spec
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.online.rows import row_columns, row_width, unpacked
+from deadreckon.online.turns import Online
 from deadreckon.randomness import key_for, sequence
 from deadreckon.tasks.task import Task
 from deadreckon.training.replay import Replay
-
-
-@dataclass(frozen=True)
-class Online:
-    """How acting and learning take turns.
-
-    Attributes:
-        copies: environments a seed, stepped together with one call of the policy.
-        explore: environment steps of uniform actions before the first update; 0 only with a log.
-        updates_per_step: updates per environment step after that (the update-to-data ratio).
-        block: environment steps between two blocks of updates; the policy does not change in between.
-    """
-
-    copies: int = 8
-    explore: int = 10_000
-    updates_per_step: float = 1.0
-    block: int = 64
-
-    def __post_init__(self):
-        if min(self.copies, self.explore + 1, self.block) < 1 or not self.updates_per_step > 0:
-            raise UserError(
-                "copies, block and updates_per_step must be above 0, and explore 0 or more, "
-                f"got {self.copies}, {self.block}, {self.updates_per_step} and {self.explore}"
-            )
-        if self.block % self.copies or self.explore % self.copies:
-            raise UserError(f"block ({self.block}) and explore ({self.explore}) must be multiples of copies ({self.copies})")
-        if self.updates_per_block < 1 or abs(self.updates_per_block - self.block * self.updates_per_step) > 1e-9:
-            raise UserError(f"block * updates_per_step must be a whole number, got {self.block} * {self.updates_per_step}")
-
-    @property
-    def updates_per_block(self) -> int:
-        """Updates between two turns of acting."""
-        return round(self.block * self.updates_per_step)
-
-    def updates(self, steps: int) -> int:
-        """Updates in a run of `steps` environment steps; whole blocks only.
-
-        Raises:
-            UserError: too few steps for one block.
-        """
-        blocks = (steps - self.explore) // self.block
-        if blocks < 1:
-            raise UserError(f"online runs need more steps than explore + block = {self.explore + self.block}, got {steps}")
-        return blocks * self.updates_per_block
-
-    def steps(self, updates: int) -> int:
-        """Environment steps taken when `updates` are done, a block's before the first of its updates."""
-        return self.explore + -(-updates // self.updates_per_block) * self.block if updates else 0
 
 
 @eqx.filter_jit
@@ -172,7 +124,10 @@ class Exploration:
     def _spec(self) -> Spec:
         """What methods know before they see rows."""
         if self.settings.explore < 1:
-            raise UserError(f"explore must be above 0 where no log is learned from, got {self.settings.explore}")
+            raise UserError(
+                "explore, the number of environment steps with random actions before the first update, must be 1 or more where "
+                f"no log is learned from, got {self.settings.explore}"
+            )
         return Spec.empty(self.task.observation_shape, self.task.action_space, self.task.name)
 
     def _fits(self, agent: Agent) -> bool:

@@ -17,7 +17,8 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.episodes import continued_returns
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
-from deadreckon.online.exploration import Exploration, Online
+from deadreckon.online.exploration import Exploration
+from deadreckon.online.turns import Online
 from deadreckon.tasks.task import Task
 from deadreckon.training.program import layout_of
 from deadreckon.training.replay import read_rows

@@ -29,9 +29,15 @@ class ModelLearning(Exploration):
     def _begin(self, agent: OnlineModelBasedAgent) -> None:
         block = self.settings.block
         if self.settings.explore < FEWEST:
-            raise UserError(f"explore must be {FEWEST} or more, what a model is first fitted to, got {self.settings.explore}")
+            raise UserError(
+                f"explore, the number of random environment steps that the model is first fitted to, must be {FEWEST} or more, "
+                f"got {self.settings.explore}"
+            )
         if agent.model_train_freq % block:
-            raise UserError(f"model_train_freq ({agent.model_train_freq}) must be a multiple of block ({block})")
+            raise UserError(
+                f"model_train_freq, the number of environment steps between two fits of the model, must be a multiple of block "
+                f"({block} environment steps between two blocks of updates), got {agent.model_train_freq}"
+            )
         if agent.termination == self.task.name and agent.over != self.task.ends:
             raise UserError(f"{self.task.name} is the name of another task; register this one under a name of its own")
         self._turns = agent.model_train_freq // block  # blocks between fits

@@ -103,7 +103,7 @@ class DopeOptions(FitOptions, total=False):
     told: Callable[[Result], None]
 
 
-def revisions_of(estimator: Estimator) -> dict[str, Any]:
+def estimator_revisions(estimator: Estimator) -> dict[str, Any]:
     """Of the code that decides an estimator's results beside how its fits are trained; see `training/revisions.py`."""
     return {"method": revisions(estimator), "intervals": interval.REVISION, "protocol": REVISION}
 
@@ -135,7 +135,7 @@ def evaluate_log(
     for estimator in asked:
         identity = {
             "settings": str(estimator), "seed": settings.seed, "log": data.fingerprint, "truth": truth.tolist(),
-            "revisions": of_learning() | revisions_of(estimator),
+            "revisions": of_learning() | estimator_revisions(estimator),
         }  # fmt: skip
         # What a function does is not in its name, so its results are not kept.
         name = f"{type(estimator).__name__}-{digest(identity, 4)}.json"

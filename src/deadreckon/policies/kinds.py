@@ -15,7 +15,7 @@ from deadreckon.policies.policy import NormalizedPolicy
 
 
 class Deterministic(NormalizedPolicy):
-    """a = tanh(net(s))."""
+    """One action for each observation, a = tanh(net(s))."""
 
     net: MLP
 
@@ -52,7 +52,7 @@ class Sampler(NormalizedPolicy):
 
 
 class TanhGaussian(Sampler):
-    """a = tanh(mean + std * noise); greedy is tanh(mean).
+    """A Gaussian bent to bounds by tanh, a = tanh(mean + std * noise); greedy is tanh(mean).
 
     Attributes:
         net: to mean and log-deviation.

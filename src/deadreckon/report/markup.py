@@ -10,7 +10,7 @@ class Markup(str):
     __slots__ = ()
 
 
-_VOID = {"br", "hr", "input", "meta"}
+_VOID = {"br", "hr", "input", "meta", "wbr"}
 
 
 def _text(child: Any) -> str:

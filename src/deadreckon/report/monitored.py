@@ -9,9 +9,9 @@ from deadreckon.report import charts
 from deadreckon.report.charts import Series
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import document
-from deadreckon.report.parts import figure, heads_of, note, scroll
+from deadreckon.report.parts import breakable, figure, heads_of, note, scroll
 from deadreckon.report.text import number, percent
-from deadreckon.runs.monitor import Monitored
+from deadreckon.runs.monitor import Monitored, others_of, since
 from deadreckon.runs.realised import Realised
 from deadreckon.stats.interval import level_in_words
 
@@ -26,26 +26,37 @@ def write_monitored(found: Monitored, out: Path | str) -> Path:
     Raises:
         UserError: the page cannot be written.
     """
-    alarms = [each for each in found.findings if each.alarm]
-    lead = "Nothing was found."
-    if alarms:
-        names = dict.fromkeys(f"{each.about} {each.name}" for each in alarms)
-        lead = f"{len(names)} finding{'' if len(names) == 1 else 's'}: {', '.join(names)}."
-    facts = [
+    text = document(f"Monitoring {found.name}", lead(found), facts(found), sections(found), note(_sentence(found.compared)))
+    with replacing(out) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return Path(out)
+
+
+def lead(found: Monitored) -> str:
+    """What is an alarm, in one sentence."""
+    names = dict.fromkeys(f"{each.about} {each.name}" for each in found.findings if each.alarm)
+    if not names:
+        return "Nothing was found."
+    return f"{len(names)} finding{'' if len(names) == 1 else 's'}: {', '.join(names)}."
+
+
+def facts(found: Monitored) -> list[tuple[str, str]]:
+    """What was compared, as names and values."""
+    return [
         ("policy", found.name), ("new log", found.log), ("rows", f"{found.rows:,}"),
         ("finished episodes", f"{found.episodes:,}"),
         ("reference", found.reference), ("false alarms", f"at most {percent(found.alpha)}, over all looks"),
     ]  # fmt: skip
-    sections = [
+
+
+def sections(found: Monitored) -> list[tuple[str, str, Markup]]:
+    """The parts of the page: an anchor, a heading and what is below it."""
+    return [
         ("findings", "Findings", _findings(found)),
         ("value", "Realised value", _value(found)),
         ("columns", "Observations and actions", _columns(found)),
         ("outside", "Outside the log", _outside(found)),
     ]
-    text = document(f"Monitoring {found.name}", lead, facts, sections, note(_sentence(found.compared)))
-    with replacing(out) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return Path(out)
 
 
 def _findings(found: Monitored) -> Markup:
@@ -62,21 +73,26 @@ def _value(found: Monitored) -> Markup:
     if not isinstance(value, Realised):
         return tag("p", _sentence(value))
     sequence = value.sequence
-    lines = [Series("realised", 0, sequence.counts.astype(float), sequence.means, sequence.low, sequence.high)]
+    late = sequence.counts >= sequence.counts[-1] / 20  # the band of the first few episodes would leave the rest no room
+    x, y, lower, upper = (each[late] for each in (sequence.counts, sequence.means, sequence.low, sequence.high))
+    lines = [Series("realised", 0, x.astype(float), y, lower, upper)]
     least = None if value.estimated is None else value.estimated.low
-    references = [("lower end of the estimate", least)] if least is not None and np.isfinite(least) else []
+    references = [("", least)] if least is not None and np.isfinite(least) else []
     chart = charts.lines(
-        lines, title="realised value", unit="mean return of episodes", size=(480, 300), references=references,
-        across="finished episodes",
+        lines, title="realised value", unit="mean return per episode so far", size=(480, 300), references=references,
+        across="number of finished episodes",
     )  # fmt: skip
     low, high = value.range
     told = (
-        f"The band holds at all looks together with {level_in_words(1 - found.alpha)}; it rests on returns between "
-        f"{number(low)} and {number(high)} ({value.source}). {_sentence(str(value.estimand))}"
+        f"The band is a {level_in_words(1 - found.alpha)} confidence sequence: it covers the mean at all numbers of episodes "
+        f"at once, however often one looks. It rests on returns between {number(low)} and {number(high)} ({value.source}). "
+        f"{_sentence(str(value.estimand))}"
     )
     lost = f" {value.beyond:,} returns lie outside this range, so that the band is open on that side." if value.beyond else ""
-    drawn = figure(chart, "Mean return of the new log's episodes so far")
-    return join(tag("div", drawn, class_="charts two"), note(told, lost))
+    drawn = figure(chart, "Mean return of the new log's episodes, after each of them")
+    line = "lower end of the estimate" if references else None
+    keys = charts.keys([("realised mean, with its confidence sequence", 0)], line)
+    return join(keys, tag("div", drawn, class_="charts two"), note(told, lost))
 
 
 def _columns(found: Monitored) -> Markup:
@@ -85,16 +101,20 @@ def _columns(found: Monitored) -> Markup:
         what, share = each.what, each.what.kind == "category"
         shown = percent if share else number
         level = f"share of {each.level}" if share else "mean"
-        drift = "" if each.found is None else f"yes, since {each.found[0]:,} episodes"
-        cells = [tag("td", text, class_="text") for text in (what.about, drift, level)]
+        drift = "" if each.found is None else since(each.found)
+        cells = [tag("td", text, class_="text") for text in (drift, level)]
         cells += [tag("td", shown(each.before)), tag("td", shown(each.now))]
         cells += [tag("td", "" if share else number(each.shift, signed=True)), tag("td", f"{each.distance:.3f}")]
-        rows.append(tag("tr", tag("th", what.name, scope="row"), cells))
-    heads = ["column", "role", "drift", "of", "reference", "new log", "shift (SD)", "distance"]
+        gone = f"{percent(each.missing[0])} \N{RIGHTWARDS ARROW} {percent(each.missing[1])}" if any(each.missing) else ""
+        cells += [tag("td", gone), tag("td", others_of(each), class_="text")]
+        rows.append(tag("tr", tag("th", breakable(what.name), tag("small", what.about), scope="row"), cells))
+    heads = ["column", "drift", "of", "reference", "new log", "shift (SD)", "distance", "missing", "new levels"]
     told = (
-        "The distance is the largest difference between the shares of rows at most some value (Kolmogorov-Smirnov), or of a "
-        "category the total variation: 0 where both logs agree, 1 where they have nothing in common. Drift is tested by "
-        "exchanging whole episodes, corrected for the number of columns and of looks."
+        "The shift is the change of the mean in standard deviations (SD) of the reference. The distance of numbers is the "
+        "largest difference of the distribution functions, which are the shares of rows up to a value (Kolmogorov-Smirnov); of "
+        "a category it is the share of rows that would need another level for equal shares (total variation distance). It is 0 "
+        "where both logs agree and 1 where they have nothing in common; whether values are missing is compared too. Drift is "
+        "tested by exchanging whole episodes between the logs, corrected for the number of columns and of looks."
     )
     return join(scroll(tag("table", heads_of(heads), tag("tbody", rows), class_="listed")), note(told))
 
@@ -106,6 +126,6 @@ def _outside(found: Monitored) -> Markup:
     rows = []
     for name, how, count, guilty in found.outside.columns:
         cells = [tag("td", how, class_="text"), tag("td", f"{count:,}"), tag("td", "yes" if guilty else "")]
-        rows.append(tag("tr", tag("th", name, scope="row"), cells))
+        rows.append(tag("tr", tag("th", breakable(name), scope="row"), cells))
     heads = heads_of(["column", "side", "rows", "more than chance allows"])
     return join(share, scroll(tag("table", heads, tag("tbody", rows))))

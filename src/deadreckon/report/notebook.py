@@ -13,7 +13,7 @@ from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.select import Choice
-from deadreckon.report import bars, charts, decision, forest
+from deadreckon.report import bars, charts, decision, explained, forest, monitored
 from deadreckon.report.entries import Page, read
 from deadreckon.report.log import columns_table
 from deadreckon.report.markup import Markup, join, tag
@@ -21,6 +21,8 @@ from deadreckon.report.page import asset
 from deadreckon.report.parts import coded, figure, heads_of, note, scroll, tile
 from deadreckon.report.rows import rows
 from deadreckon.report.text import number
+from deadreckon.runs.explain import Explained
+from deadreckon.runs.monitor import Monitored
 from deadreckon.runs.offline import Judged
 from deadreckon.runs.recommend import Recommendation
 from deadreckon.runs.run import Run
@@ -140,6 +142,17 @@ def _judged(judged: Judged) -> Markup:
 @_shown.register
 def _recommended(found: Recommendation) -> Markup:
     return _card(found.results)
+
+
+@_shown.register
+def _explained(found: Explained) -> Markup:
+    return explained.part(found)
+
+
+@_shown.register
+def _monitored(found: Monitored) -> Markup:
+    parts = [join(tag("h3", heading), body) for _, heading, body in monitored.sections(found)]
+    return join(tag("p", monitored.lead(found), class_="lead"), _facts(*monitored.facts(found)), *parts)
 
 
 def _card(told: dict[str, Any]) -> Markup:

@@ -5,7 +5,7 @@ from typing import Any
 
 from deadreckon.report import charts
 from deadreckon.report.entries import Page
-from deadreckon.report.markup import Markup, tag
+from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.text import brackets, score
 from deadreckon.stats.interval import Interval
 
@@ -18,6 +18,12 @@ def note(*text: Any) -> Markup:
 def coded(text: str) -> list[Any]:
     """Text whose parts between backquotes are commands."""
     return [tag("code", part) if i % 2 else part for i, part in enumerate(text.split("`"))]
+
+
+def breakable(text: str) -> Markup:
+    """Text that may be broken after underscores, which names of columns have in place of spaces."""
+    parts = text.split("_")
+    return join(*(join(part, "_", tag("wbr")) for part in parts[:-1]), parts[-1])
 
 
 def figure(chart: Markup, caption: str | None = None, **attributes: Any) -> Markup:

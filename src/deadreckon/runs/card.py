@@ -1,6 +1,7 @@
 """The model card beside an exported policy: what it is made of, what it was judged at, and what it cannot do, in Markdown."""
 
 import datetime
+import inspect
 from collections.abc import Sequence
 from typing import Any
 
@@ -86,21 +87,31 @@ def _log(one: Subject, log: Dataset) -> list[str]:
     facts = [
         ("name", data.get("name", log.name)), ("fingerprint", data.get("fingerprint", log.fingerprint)),
         ("rows", f"{data.get('rows', len(log)):,}"), ("episodes", f"{data.get('episodes', log.episodes):,}"),
-        ("actions", str(log.action_space)),
+        ("actions", _actions(log)),
     ]  # fmt: skip
     if (held := data.get("holdout")) is not None:
         facts.append(("held out", f"{held['held']:,} of {held['held'] + held['learning']:,} episodes, by {held['by']}"))
     return [*(f"- {name}: {value}" for name, value in facts), *(f"- warning: {line}" for line in data.get("warnings", ()))]
 
 
+def _actions(log: Dataset) -> str:
+    """What an action is, in words and as its type."""
+    count = log.action_space.size
+    if log.spec.discrete:
+        return f"one of {count} discrete actions (type `{log.action_space}`)"
+    return f"{count} number{'s' * (count != 1)} within bounds (type `{log.action_space}`)"
+
+
 def _agent(one: Subject) -> list[str]:
     config = one.config
-    kind = type(one.policy.inner).__name__
+    kind = type(one.policy.inner)
+    told = " ".join((inspect.getdoc(kind) or "").partition("\n\n")[0].split())
+    policy = f"The policy has the type `{kind.__name__}`{': ' * bool(told)}{told}"
     if config is None:
-        return [f"{kind}; no run says how it was made."]
-    head = f"{config['agent']['name']}, seed {one.seed}, {config['steps']:,} updates; the policy is a {kind}."
+        return [policy, "", "No run says how it was made."]
+    head = f"{config['agent']['name']}, seed {one.seed}, {config['steps']:,} updates."
     fields = [f"| {name} | {value} |" for name, value in config["agent"].get("fields", {}).items()]
-    return [head, "", "| setting | value |", "|---|---|", *fields]
+    return [head, "", policy, "", "| setting | value |", "|---|---|", *fields]
 
 
 def _columns(log: Dataset) -> list[str]:

@@ -4,17 +4,19 @@ Tests and what makes them safe to repeat are in `stats.drift`; here is what is c
 clusters of them where the log has a group column. Of a long episode `WITHIN` rows at regular distances are looked at.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.encode import OTHERS
 from deadreckon.data.split import clusters, group_of
 from deadreckon.data.told import action_names, columns_of, observation_names, schema_of
 from deadreckon.errors import UserError
 from deadreckon.randomness import generator
+from deadreckon.runs.subject import GAPS
 from deadreckon.stats import drift
 
 WITHIN = 100  # rows of an episode that are looked at
@@ -31,6 +33,7 @@ class What(NamedTuple):
         kind: "number", or "category" where each dimension is the 0/1 number of a level.
         dimensions: of the flattened observation, or of the action.
         levels: their names, of a category.
+        marked: whether the last dimension is 1 where the value is missing.
     """
 
     about: str
@@ -38,6 +41,7 @@ class What(NamedTuple):
     kind: str
     dimensions: tuple[int, ...]
     levels: tuple[str, ...] = ()
+    marked: bool = False
 
 
 @dataclass(frozen=True)
@@ -48,11 +52,13 @@ class Sample:
         observations: (rows, size), flattened.
         actions: (rows, size) numbers, or (rows, actions) 0/1 numbers of discrete ones.
         starts: (units,) the first row of each unit; its rows follow.
+        gaps: (rows,) bool by column: where it had no value, of columns that the reference had complete.
     """
 
     observations: np.ndarray
     actions: np.ndarray
     starts: np.ndarray
+    gaps: Mapping[str, np.ndarray]
 
     @property
     def sizes(self) -> np.ndarray:
@@ -63,6 +69,10 @@ class Sample:
         """(rows, dimensions) of a column, in float64."""
         table = self.observations if what.about == "observation" else self.actions
         return table[:, list(what.dimensions)].astype(np.float64)
+
+    def missing(self, what: What) -> float:
+        """The share of rows in which the table had no value in this column."""
+        return float((self.of(what)[:, -1] if what.marked else self.gaps.get(what.name, np.zeros(1))).mean())
 
 
 @dataclass(frozen=True)
@@ -77,6 +87,8 @@ class Compared:
             vary.
         before, now: mean of the reference and of the new log; of a category the share of the level that differs most.
         level: that level; empty of numbers.
+        missing: share of the rows without a value, in the reference and in the new log.
+        others: values of the new log that are none of the reference's levels, as texts.
         found: after how many new episodes the first test accused the column, and which part of them it had compared; None.
     """
 
@@ -86,6 +98,8 @@ class Compared:
     before: float
     now: float
     level: str
+    missing: tuple[float, float]
+    others: tuple[str, ...]
     found: tuple[int, int] | None
 
 
@@ -99,7 +113,7 @@ def whats(log: Dataset) -> list[What]:
             kind = "category" if each.kind == "category" else "number"
             own = (names[i].removeprefix(f"{each.name}=") for i in each.dimensions)
             levels = tuple(name.replace(f"{each.name}_missing", "missing") for name in own)
-            out.append(What("observation", each.name, kind, each.dimensions, levels))
+            out.append(What("observation", each.name, kind, each.dimensions, levels, each.marked))
             taken |= set(each.dimensions)
     out += [What("observation", name, "number", (i,)) for i, name in enumerate(names) if i not in taken]  # legal actions
     if log.spec.discrete:
@@ -131,7 +145,8 @@ def sample(log: Dataset, episodes: np.ndarray, first: bool) -> Sample:
     """What the log holds in these episodes; see `rows_of`."""
     rows, starts = rows_of(log, episodes, first)
     observations = np.asarray(log.observations[rows], np.float32).reshape(len(rows), -1)
-    return Sample(observations, acted(log, np.asarray(log.actions[rows])), starts)
+    gaps = {name.removeprefix(GAPS): np.asarray(flags)[rows] for name, flags in log.extras.items() if name.startswith(GAPS)}
+    return Sample(observations, acted(log, np.asarray(log.actions[rows])), starts, gaps)
 
 
 def acted(log: Dataset, actions: np.ndarray) -> np.ndarray:
@@ -171,7 +186,8 @@ def drifts(old: Sample, new: Dataset, which: Sequence[What], first: bool, alpha:
             p = drift.test(sums[0], sums[1], (old.sizes, now.sizes), epoch.alpha, generator(0, "permutations", number))
             found |= {left[i]: (epoch.stop, epoch.stop - epoch.start) for i in np.flatnonzero(p <= epoch.alpha)}
     now = sample(new, some(np.arange(new.episodes), "all new episodes"), first)
-    return [_compared(what, old, now, found.get(i)) for i, what in enumerate(which)]
+    others = new.provenance.extra.get(OTHERS, {})
+    return [_compared(what, old, now, tuple(others.get(what.name, ())), found.get(i)) for i, what in enumerate(which)]
 
 
 def _features(what: What, old: Sample, now: Sample) -> tuple[np.ndarray, np.ndarray]:
@@ -183,19 +199,20 @@ def _features(what: What, old: Sample, now: Sample) -> tuple[np.ndarray, np.ndar
     return np.concatenate([part[0] for part in parts], 1), np.concatenate([part[1] for part in parts], 1)
 
 
-def _compared(what: What, old: Sample, now: Sample, found: tuple[int, int] | None) -> Compared:
-    a, b = old.of(what), now.of(what)
+def _compared(what: What, old: Sample, now: Sample, others: tuple[str, ...], found: tuple[int, int] | None) -> Compared:
+    a, b, missing = old.of(what), now.of(what), (old.missing(what), now.missing(what))
     if what.kind == "category":
         before, after = a.mean(0), b.mean(0)
         most = int(np.argmax(np.abs(after - before)))
         rest = abs(before.sum() - after.sum())  # rows of no level
         distance = float(np.abs(after - before).sum() + rest) / 2
-        return Compared(what, distance, np.nan, float(before[most]), float(after[most]), what.levels[most], found)
+        level, share = what.levels[most], (float(before[most]), float(after[most]))
+        return Compared(what, distance, np.nan, *share, level, missing, others, found)
     features = _features(what, old, now)
     distance = float(np.abs(features[0].mean(0) - features[1].mean(0)).max(initial=0.0))
     before, after, spread = float(a[:, 0].mean()), float(b[:, 0].mean()), float(a[:, 0].std())
     shift = (after - before) / spread if spread > 0 else 0.0 if after == before else np.copysign(np.inf, after - before)
-    return Compared(what, distance, float(shift), before, after, "", found)
+    return Compared(what, distance, float(shift), before, after, "", missing, others, found)
 
 
 class Outside(NamedTuple):
@@ -246,7 +263,7 @@ def _extremes(log: Dataset, which: Sequence[What]) -> np.ndarray:
     for what in which:
         if what.about != "observation":
             continue
-        missing = np.asarray(log.extras.get(f"missing {what.name}", np.zeros(len(log), bool)), np.float32)[:, None]
+        missing = np.asarray(log.extras.get(f"{GAPS}{what.name}", np.zeros(len(log), bool)), np.float32)[:, None]
         if what.kind == "category":
             unknown = (flat[:, list(what.dimensions)].sum(1, keepdims=True) < 0.5).astype(np.float32)
             sides += [unknown - missing, missing]

@@ -18,11 +18,12 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.history import stacked
 from deadreckon.data.split import clusters, group_of
-from deadreckon.data.told import action_names, columns_of, observation_names
+from deadreckon.data.told import action_names, columns_of, observation_names, schema_of
 from deadreckon.errors import UserError
 from deadreckon.files import write_json
 from deadreckon.policies.deployed import history_of
 from deadreckon.policies.pure import MEMBER, Pure, pure
+from deadreckon.provided import Shown
 from deadreckon.randomness import generator
 from deadreckon.runs.explained_tree import Node, node_of
 from deadreckon.runs.subject import subject
@@ -55,7 +56,7 @@ class Matters:
 
 
 @dataclass(frozen=True)
-class Explained:
+class Explained(Shown):
     """A tree that imitates a policy, and what it is worth.
 
     Attributes:
@@ -110,12 +111,14 @@ class Explained:
         return f"a tree of depth {self.depth} explains {spread} of the variance of the policy's actions in {rows}"
 
     def __str__(self) -> str:
-        unit = "of rows get another action" if self.discrete else "SD of change"
+        unit = "share of rows that get another action"
+        if not self.discrete:
+            unit = "root mean square change of the actions, in their standard deviations"
         shown = [(each, f"{each.change:.3f} [{each.low:.3f}, {each.high:.3f}]") for each in self.columns]
         width = max((len(each.column) for each, _ in shown), default=0)
         lines = [f"{self.name}: {self.headline}"]
         lines += [] if self.tree is None else ["", *self.tree.lines()]
-        lines += ["", f"columns that matter, when their values are exchanged between rows ({unit})"]
+        lines += ["", f"columns that matter: {unit}, if a column's values are exchanged between rows"]
         return "\n".join([*lines, *(f"  {each.column:<{width}}  {text}" for each, text in shown)])
 
 
@@ -131,7 +134,7 @@ def explain(run: Any, log: Dataset | Path | str | None = None, *, seed: int | No
         UserError: the policy cannot be asked for single rows, or scikit-learn is missing.
     """
     one = subject(run, seed)
-    function, data = pure(one.policy), one.log(log)
+    function, data = pure(one.policy), one.log(log, option="a second argument (in Python log=)")
     if len(data.spec.observation_shape) > 1:
         raise UserError(f"{data.name}: image observations (shape {data.spec.observation_shape}) cannot be explained by columns")
     found = _explained(one.name, function, data, history_of(one.policy))
@@ -169,7 +172,7 @@ def _explained(name: str, function: Pure, data: Dataset, steps: int) -> Explaine
     fidelity = _agreement(own, unit[fresh]) if discrete else _explained_variance(own, plain, unit[fresh])
     still = 1.0 - float(plain.mean()) if discrete else float(plain.mean() < 1e-12)
     said = action_names(data)
-    tree = node_of(trees[depth], names, said, discrete) if explains else None
+    tree = node_of(trees[depth], names, _units_of(data, names), said, _units_of(data, said), discrete) if explains else None
     matters = _matters(ask, x[fresh], done[fresh], unit[fresh], _groups(data, names, steps), scale, discrete, rng)
     ends = fidelity.value, fidelity.low, fidelity.high
     return Explained(name, data.name, discrete, len(own), depth, *ends, still, bool(explains), tree, matters)
@@ -258,6 +261,13 @@ def _names(data: Dataset, steps: int) -> list[str]:
     for back in range(steps - 1, 0, -1):
         out += [f"{name}, {back} back" for name in (*names, *(f"action {name}" for name in acted))]
     return [*out, *names]
+
+
+def _units_of(data: Dataset, names: Sequence[str]) -> list[str]:
+    """The unit of each number or action, empty where the log's schema has none."""
+    schema = schema_of(data)
+    known = {column.name: column.unit for column in schema.columns} if schema else {}
+    return [known.get(name, known.get(name.rpartition(", ")[0], "")) for name in names]  # of a history "age, 1 back"
 
 
 def _groups(data: Dataset, names: Sequence[str], steps: int) -> list[tuple[str, list[int]]]:

@@ -44,13 +44,17 @@ class Node:
         yield from self.no._lines(f"{rest}└─ no:  ", f"{rest}   ")
 
 
-def node_of(tree: Any, names: Sequence[str], actions: Sequence[str], discrete: bool) -> Node:
+def node_of(
+    tree: Any, names: Sequence[str], units: Sequence[str], actions: Sequence[str], of_actions: Sequence[str], discrete: bool
+) -> Node:
     """The root of scikit-learn's tree.
 
     Args:
         tree: fitted.
         names: of the numbers that it asks for.
+        units: theirs, empty where nobody said one.
         actions: names of discrete actions, or of the dimensions of continuous ones.
+        of_actions: units of continuous actions.
         discrete: whether actions are.
     """
     inner = tree.tree_
@@ -60,26 +64,31 @@ def node_of(tree: Any, names: Sequence[str], actions: Sequence[str], discrete: b
         share = float(inner.weighted_n_node_samples[i]) / total
         left, right = int(inner.children_left[i]), int(inner.children_right[i])
         if left < 0:
-            return Node(_action(inner.value[i], tree, actions, discrete), share)
+            return Node(_action(inner.value[i], tree, actions, of_actions, discrete), share)
         yes, no = made(left), made(right)
         if yes.leaf and no.leaf and yes.text == no.text:
             return Node(yes.text, share)  # a question whose answer changes nothing
-        name = str(names[int(inner.feature[i])])
+        which = int(inner.feature[i])
+        name = str(names[which])
         column, equals, level = name.rpartition("=")
         if equals and column:  # a level, or a legal action, is there or not
             return Node(f"{column} is {level}", share, no, yes)
         if name.endswith("_missing"):
             return Node(f"{name.removesuffix('_missing')} is missing", share, no, yes)
-        return Node(f"{name} <= {float(inner.threshold[i]):.4g}", share, yes, no)
+        return Node(_measured(f"{name} <= {float(inner.threshold[i]):.4g}", units[which]), share, yes, no)
 
     return made(0)
 
 
-def _action(value: Any, tree: Any, actions: Sequence[str], discrete: bool) -> str:
+def _measured(text: str, unit: str) -> str:
+    return f"{text} {unit}" if unit else text
+
+
+def _action(value: Any, tree: Any, actions: Sequence[str], units: Sequence[str], discrete: bool) -> str:
     if discrete:
         return str(actions[int(tree.classes_[int(value[0].argmax())])])
     numbers = value.reshape(-1)
     if len(numbers) == 1:
-        return f"{actions[0]} = {numbers[0]:.4g}"
-    shown = ", ".join(f"{name} = {number:.3g}" for name, number in zip(actions[:4], numbers))
+        return _measured(f"{actions[0]} = {numbers[0]:.4g}", units[0])
+    shown = ", ".join(_measured(f"{name} = {number:.3g}", unit) for name, unit, number in zip(actions[:4], units, numbers))
     return shown + (", ..." if len(numbers) > 4 else "")

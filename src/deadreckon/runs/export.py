@@ -58,7 +58,7 @@ def export(
     one = subject(run, seed)
     function = pure(one.policy)
     told = estimates_of(one, estimates)
-    data = one.log(log)
+    data = one.log(log, option="--log (in Python log=)")
     rows = rows_of(one, function, data)
     with building(out) as folder:
         writer = {"onnx": write_onnx, "stablehlo": _stablehlo, "numpy": _numpy, "mlflow": write_mlflow}[format]

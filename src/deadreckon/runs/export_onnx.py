@@ -1,6 +1,7 @@
 """A policy as an ONNX graph in a file, which encodes the columns of the policy's table itself where it can."""
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,11 @@ from deadreckon.runs.exported import Rows, check
 from deadreckon.runs.subject import Subject
 
 FILE = "policy.onnx"
+_WORDS = {
+    "tensor(float)": ("number of 32 bits", "numbers of 32 bits"), "tensor(double)": ("number of 64 bits", "numbers of 64 bits"),
+    "tensor(int32)": ("whole number", "whole numbers"), "tensor(int64)": ("whole number", "whole numbers"),
+    "tensor(string)": ("text", "texts"), "tensor(bool)": ("truth value", "truth values"),
+}  # fmt: skip
 
 
 def write_onnx(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[str]:
@@ -54,13 +60,21 @@ def write_onnx(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[s
         raise UserError("the ONNX graph names other actions than the policy: it is not kept")
     if encoded:
         lines = ["`policy.onnx` takes the columns of the table and encodes them itself:", ""]
-        lines += [f"- `{each.name}`: {each.type}, {each.shape}" for each in session.get_inputs()]
+        lines += map(_line, session.get_inputs())
         lines += ["", "Missing numbers are NaN, missing texts are empty. Its outputs are:", ""]
     else:
         why = "histories of several steps cannot be made in one graph" if encoder.observed else "no table is known"
         lines = [f"`policy.onnx` takes observations as they are encoded ({why}); its metadata has the encoding. Inputs:", ""]
-        lines += [f"- `{each.name}`: {each.type}, {each.shape}" for each in session.get_inputs()] + ["", "Outputs:", ""]
-    return lines + [f"- `{each.name}`: {each.type}, {each.shape}" for each in session.get_outputs()]
+        lines += [*map(_line, session.get_inputs()), "", "Outputs:", ""]
+    return [*lines, *map(_line, session.get_outputs())]
+
+
+def _line(given: Any) -> str:
+    """An input or output, in words and as its type: its shape is (rows, ...)."""
+    one, several = _WORDS.get(given.type, ("value", "values"))
+    count = math.prod(given.shape[1:])
+    words = f"one {one}" if count == 1 else f"{count} {several}"
+    return f"- `{given.name}`: {words} a row (`{given.type}`, shape {given.shape})"
 
 
 def _check_outside(encoder: TableEncoder, inputs: dict[str, np.ndarray], found: np.ndarray) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.policies.deployed import first_actions
+from deadreckon.provided import Shown
 from deadreckon.runs import compared
 from deadreckon.runs.compared import Compared, Outside
 from deadreckon.runs.realised import Realised, finished, realised
@@ -25,6 +26,7 @@ from deadreckon.stats import drift
 from deadreckon.stats.interval import ALPHA, decimals, level_in_words
 
 VALUE, DRIFT, OUTSIDE = 0.5, 0.4, 0.1  # shares of alpha
+SHOWN = 5  # new levels that are named
 MadeBy = Literal["policy", "reference"]
 
 
@@ -48,7 +50,7 @@ class Finding(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Monitored:
+class Monitored(Shown):
     """What `monitor` found.
 
     Attributes:
@@ -122,7 +124,8 @@ def monitor(
         raise UserError(f"made_by is policy or reference, got {made_by!r}")
     one = subject(run, seed)
     told = estimates_of(one, estimates)
-    old, new = one.log(reference), one.log(log, gaps=True)
+    option = "--reference (in Python reference=)"
+    old, new = one.log(reference, option=option), one.log(log, gaps=True, option=option)
     sizes = [(log.spec.observation_shape, log.spec.action_size, log.spec.discrete) for log in (old, new)]
     if sizes[0] != sizes[1]:
         shapes = (f"{log.name} has observations {log.spec.observation_shape}, {log.action_space}" for log in (old, new))
@@ -144,7 +147,7 @@ def monitor(
     tested = "" if new.episodes >= drift.FIRST else f"not tested: {drift.FIRST} finished episodes are needed"
     if len(before.starts) < compared.FEWEST:
         tested = f"not tested: the reference has {len(before.starts)} episodes or clusters, {compared.FEWEST} are needed"
-    findings = [*_of_value(value, alpha), *_of_columns(columns, tested), *_of_outside(outside, len(new))]
+    findings = [*_of_value(value, alpha), *_of_columns(columns, tested), *_of_outside(outside, columns, len(new))]
     findings.sort(key=lambda each: not each.alarm)
     words = _words(by_policy, first, greedy)
     return Monitored(
@@ -171,7 +174,7 @@ def _of_value(value: Realised | str, alpha: float) -> list[Finding]:
     shown = value.interval
     d = decimals(shown.value, *([] if value.estimated is None else [value.estimated.value]))
     level = level_in_words(1 - alpha)
-    text = f"{shown:.{d}f} ({level} at all looks together)"
+    text = f"{shown:.{d}f} ({level} confidence sequence, which holds however often one looks)"
     if value.estimated is not None:
         text += f", estimated {value.estimated:.{d}f}"
     else:
@@ -192,21 +195,39 @@ def _of_columns(columns: Sequence[Compared], tested: str) -> list[Finding]:
     for each in columns:
         what = each.what
         if what.kind == "category":
-            effect = f"total variation {each.distance:.2f}; {each.level} {each.before:.1%}, now {each.now:.1%}"
+            effect = f"{each.distance:.1%} of rows would need another level for equal shares (total variation distance)"
+            effect += f"; most in {each.level}, {each.before:.1%} before, {each.now:.1%} now"
         else:
-            means = f"mean {each.before:.4g}, now {each.now:.4g} ({each.shift:+.2f} SD)"
-            effect = f"{means}; largest difference of shares {each.distance:.2f}"
+            effect = f"mean {each.before:.4g} before, {each.now:.4g} now ({each.shift:+.2f} standard deviations)"
+            effect += f"; largest difference of the distribution functions {each.distance:.2f} (Kolmogorov-Smirnov)"
+        if any(each.missing):
+            effect += f"; missing in {each.missing[0]:.1%} of rows before, {each.missing[1]:.1%} now"
+        if each.others:
+            effect += f"; new levels: {others_of(each)}"
         if each.found is None:
             out.append(Finding(what.about, what.name, False, f"{tested or 'no drift'}; {effect}"))
         else:
-            after, last = each.found
-            part = f"all {after:,}" if after == last else f"the last {last:,} of {after:,}"
-            out.append(Finding(what.about, what.name, True, f"drift, first seen in {part} episodes; {effect}"))
+            out.append(Finding(what.about, what.name, True, f"drift, {since(each.found)}; {effect}"))
     return out
 
 
-def _of_outside(outside: Outside, rows: int) -> list[Finding]:
-    listed = [Finding("outside", name, guilty, f"{count:,} rows {_side(how)}") for name, how, count, guilty in outside.columns]
+def since(found: tuple[int, int]) -> str:
+    """When a test found a drift, and what it compared, in words; see `Compared.found`."""
+    after, last = found
+    return f"found after {after:,} new episodes" + (f", in the last {last:,} of them" if last < after else "")
+
+
+def others_of(each: Compared) -> str:
+    """The levels of the new log that the reference does not have, the first ones by name."""
+    return ", ".join(map(repr, each.others[:SHOWN])) + (", ..." if len(each.others) > SHOWN else "")
+
+
+def _of_outside(outside: Outside, columns: Sequence[Compared], rows: int) -> list[Finding]:
+    by = {each.what.name: each for each in columns if each.others}
+    listed = []
+    for name, how, count, guilty in outside.columns:
+        which = f": {others_of(by[name])}" if how == compared.UNKNOWN and name in by else ""
+        listed.append(Finding("outside", name, guilty, f"{count:,} rows {_side(how)}{which}"))
     return [Finding("outside", "the log", False, f"{outside.share:.1%} of {rows:,} rows"), *listed]
 
 

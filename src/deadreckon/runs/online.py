@@ -22,6 +22,7 @@ from deadreckon.online.experience import experience_of
 from deadreckon.online.mixed import check_agent
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.lanes import agents_of, fields_of, lanes_of
+from deadreckon.runs.reading import Read
 from deadreckon.runs.recorder import Recorder, follow
 from deadreckon.runs.settings import OnlineOptions, OnlineSettings
 from deadreckon.runs.started import Beside, Start, beside, start_of
@@ -105,7 +106,8 @@ def _train_online(
     if asked.evaluate_every is None:
         every = folder.period(asked.resume) or every
     shown = None if asked.demonstrations is None else _demonstrated(asked.demonstrations, task)
-    log = beside(asked.data, None if start is None else start.log, task, asked.log_share)
+    before, read = (None, Read()) if start is None else (start.log, start.read)
+    log = beside(asked.data, before, read, task, asked.log_share)
     if log is not None:
         check_agent(lanes[0])
     if shown is not None and log is not None:
@@ -127,7 +129,7 @@ def _train_online(
         known = {"fingerprint": shown.fingerprint, "rows": len(shown), "episodes": shown.episodes}
         config["demonstrations"] = {"name": shown.name, **known, "return": float(shown.returns().mean())}
     if log is not None:
-        config["log"] = log.told
+        config["log"], config["log_read"] = log.told, log.read
     if start is not None:
         config["start"] = start.told
         job.states = jax.device_put(start.states(job.states))
@@ -199,7 +201,7 @@ def reopened(path: Path | str, data: Dataset | str | Path | None = None) -> Fit:
     settings = OnlineSettings(settings=Online(**config["online"]), chunk=every)
     task, log = of_run(config["task"]), None
     if told := config.get("log"):
-        log = beside(data, told, task, told["share"])
+        log = beside(data, told, Read.of(config.get("log_read"), None, None), task, told["share"])
         settings = dataclasses.replace(settings, log_share=told["share"])
     job = _job(lanes, task, config["seeds"], config["steps"], folder, settings, every, None, log)
     job.resume()

@@ -6,13 +6,18 @@ and whose rows are divided into the same episodes; anything else is refused here
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.io import read as read_file
+from deadreckon.data.formats.kind import TABLES, sniff
 from deadreckon.data.held import HELD
+from deadreckon.data.schema import Schema
 from deadreckon.data.spec import action_space_to_json
 from deadreckon.errors import UserError
 
@@ -58,6 +63,33 @@ def noted(log: Dataset) -> dict[str, Any]:
         extra[HELD] = {name: held for name, held in (told.get(HELD) or {}).items() if name in used}
     spaces = {"observation_shape": log.observations.shape[1:], "action_space": action_space_to_json(log.action_space)}
     return json.loads(json.dumps({"extra": extra, **spaces}, default=str))
+
+
+def schema_for(name: str, read: Read, path: Path | str) -> Schema | None:
+    """The schema by which a file of a table is read as the log of a policy or run was; None of other files, and if unknown.
+
+    Args:
+        name: of the policy or run.
+        read: how its log was read.
+        path: the file, which may be another one.
+    """
+    known = (read.extra or {}).get("schema")
+    if known is None or not Path(path).is_file() or sniff(path) not in TABLES:
+        return None
+    schema = Schema.from_json(known, name)
+    # A file of another kind than the first may have another dialect, and has another name.
+    alike = read.path is not None and Path(path).suffix == Path(read.path).suffix
+    return replace(schema, table=schema.options() if alike else {})
+
+
+def read_like(name: str, read: Read, path: Path | str) -> Dataset:
+    """A log, known by its name or a file, read as the log of a policy or run was: by its schema and horizon.
+
+    Raises:
+        UserError: it cannot be read so.
+    """
+    schema, horizon = schema_for(name, read, path), (read.extra or {}).get(HORIZON)
+    return catalogue.load(path, horizon=horizon) if schema is None else read_file(path, schema=schema, horizon=horizon)
 
 
 def check_encoding(name: str, read: Read, data: Dataset) -> None:

@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadreckon.agents.agent import Agent
-from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.online.mixed import check_bounds, check_sizes
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.holdout import divided
 from deadreckon.runs.lanes import agents_of
+from deadreckon.runs.reading import HORIZON, Read, read_like
 from deadreckon.runs.train import Run, load
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
@@ -54,6 +54,11 @@ class Start(NamedTuple):
         path = (data.get("provenance") or {}).get("path")
         known = {name: data.get(name) for name in ("name", "fingerprint", "holdout")}
         return known | {"path": path, "task": task}
+
+    @property
+    def read(self) -> Read:
+        """How the log was read that it learned from."""
+        return Read.of(self.run.config["data"].get("provenance"), None, None)
 
     @property
     def told(self) -> dict[str, Any]:
@@ -102,15 +107,19 @@ class Beside(NamedTuple):
         log: what is learned from.
         taught, held: `episode_ids` of its episodes, and of those that are held out.
         told: for `run.json`.
+        read: how it was read, for `run.json` too.
     """
 
     log: Dataset
     taught: np.ndarray
     held: np.ndarray
     told: dict[str, Any]
+    read: dict[str, Any]
 
 
-def beside(given: Dataset | str | Path | None, before: dict[str, Any] | None, task: Task, share: float) -> Beside | None:
+def beside(
+    given: Dataset | str | Path | None, before: dict[str, Any] | None, read: Read, task: Task, share: float
+) -> Beside | None:
     """The log in the replay: the one that is named, or the one that is known from before; None where there is neither.
 
     What was held out before stays held out.
@@ -118,6 +127,7 @@ def beside(given: Dataset | str | Path | None, before: dict[str, Any] | None, ta
     Args:
         given: the log, the name of a known one, or a file.
         before: what it must be, as in `Beside.told`; None: any log.
+        read: how it was read before; tables are read by the same schema again, whatever named their columns.
         task: that is learned in.
         share: of each batch.
 
@@ -128,7 +138,7 @@ def beside(given: Dataset | str | Path | None, before: dict[str, Any] | None, ta
         return None
     known = before or {"task": task.name, "holdout": None}
     source = given if given is not None else known["path"] or known["name"]
-    log = source if isinstance(source, Dataset) else catalogue.load(source)
+    log = source if isinstance(source, Dataset) else read_like(known.get("name", str(source)), read, source)
     check_sizes(log, task)
     bounds = known["task"]
     judge = None if bounds is None else task if bounds == task.name else find_task(bounds)
@@ -143,4 +153,5 @@ def beside(given: Dataset | str | Path | None, before: dict[str, Any] | None, ta
         "name": log.name, "fingerprint": log.fingerprint, "rows": len(part.learning), "episodes": part.learning.episodes,
         "path": log.provenance.path, "task": bounds, "holdout": part.told, "share": share,
     }  # fmt: skip
-    return Beside(part.learning, part.taught, part.held, told)
+    extra = {key: value for key, value in log.provenance.extra.items() if key in ("schema", HORIZON)}
+    return Beside(part.learning, part.taught, part.held, told, {"extra": extra, "path": log.provenance.path})

@@ -9,7 +9,6 @@ from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.any_table import read_rows
 from deadreckon.data.formats.io import read
-from deadreckon.data.formats.kind import TABLES, sniff
 from deadreckon.data.held import HELD
 from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
@@ -19,9 +18,10 @@ from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.runs.gather import gather
 from deadreckon.runs.offline import NAME
 from deadreckon.runs.player import CROSS_FIT, chosen
-from deadreckon.runs.reading import HORIZON, Read, check_encoding
+from deadreckon.runs.reading import HORIZON, Read, check_encoding, read_like, schema_for
 from deadreckon.runs.run import Run, load
 
+GAPS = "missing "  # begins the names of extra columns that say where values are missing; the name of the column follows
 OPTIONAL = ("propensity", "cost", "weight", "group", "keep")  # roles of columns that nobody compares
 
 
@@ -59,11 +59,12 @@ class Subject:
         found = (self.read.extra or {}).get("schema")
         return None if found is None else Schema.from_json(found, self.name)
 
-    def log(self, given: Dataset | Path | str | None = None, gaps: bool = False) -> Dataset:
+    def log(self, given: Dataset | Path | str | None = None, gaps: bool = False, *, option: str) -> Dataset:
         """A log, read as the one that the policy learned from; that one itself where none is given.
 
         Args:
             given: the log, or where it is.
+            option: by which a user gives one, for errors.
             gaps: whether values may be missing where the policy's log had all; see `_with_gaps`.
 
         Raises:
@@ -79,25 +80,26 @@ class Subject:
         known = (self.config or {}).get("data", {})
         path = self.read.path
         if path is None and "name" not in known:
-            raise UserError(f"{self.name} does not say where its log lies; name it")
+            raise UserError(f"{self.name} does not say where its log lies; name it with {option}")
+        if "online" in (self.config or {}):
+            raise UserError(f"{self.name} learned in a simulator and has no log of its own; name one with {option}")
         if path is not None and not Path(path).exists():
-            raise UserError(f"the log that {self.name} learned from is not at {path} any more; name it")
+            raise UserError(f"the log that {self.name} learned from is not at {path} any more; name it with {option}")
         try:
             found = self._like(path) if path is not None else catalogue.load(known["name"])
         except UserError as error:
-            raise UserError(f"the log that {self.name} learned from cannot be read again, so name it: {error}") from error
+            text = f"the log that {self.name} learned from cannot be read again, so name it with {option}"
+            raise UserError(f"{text}: {error}") from error
         if "fingerprint" in known and found.fingerprint != known["fingerprint"]:
-            raise UserError(f"the log that {self.name} learned from has changed ({path or known['name']}); name a copy of it")
+            where = path or known["name"]
+            raise UserError(f"the log that {self.name} learned from has changed ({where}); name a copy of it with {option}")
         return found
 
     def _like(self, path: Path | str, gaps: bool = False) -> Dataset:
-        schema, horizon = self.schema, (self.read.extra or {}).get(HORIZON)
-        if schema is None or not Path(path).is_file() or sniff(path) not in TABLES:
-            return catalogue.load(path, horizon=horizon)
-        # A file of another kind than the policy's own may have another dialect, and has another name.
-        alike = self.read.path is not None and Path(path).suffix == Path(self.read.path).suffix
-        schema = replace(schema, table=schema.options() if alike else {})
-        return self._with_gaps(path, schema, horizon) if gaps else read(path, schema=schema, horizon=horizon)
+        schema = schema_for(self.name, self.read, path) if gaps else None
+        if schema is None:
+            return read_like(self.name, self.read, path)
+        return self._with_gaps(path, schema, (self.read.extra or {}).get(HORIZON))
 
     def _with_gaps(self, path: Path | str, schema: Schema, horizon: int | None) -> Dataset:
         """A log in which values are missing that none was in the policy's: they become the mean that was there, or no level.
@@ -115,7 +117,7 @@ class Subject:
         log = read(path, schema=schema.resolved(lenient), horizon=horizon)
         told = dict(log.provenance.extra)
         names = list(told["observation_names"])
-        marks = {f"{column.name}_missing": f"missing {column.name}" for column in complete}
+        marks = {f"{column.name}_missing": f"{GAPS}{column.name}" for column in complete}
         kept = [i for i, name in enumerate(names) if name not in marks]
         flags = {marks[name]: log.observations[:, i] > 0.5 for i, name in enumerate(names) if name in marks}
         following = None if log.successors is None else log.successors[:, kept]

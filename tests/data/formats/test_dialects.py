@@ -9,10 +9,13 @@ from dialect_files import READ
 from deadreckon.cli.main import main
 from deadreckon.cli.train import columns_of
 from deadreckon.data import catalogue
+from deadreckon.data.describe import describe_table
 from deadreckon.data.formats import io
 from deadreckon.data.formats.any_table import read_table
 from deadreckon.data.formats.dialect import Dialect, encoding_of, sniff
 from deadreckon.data.formats.io import convert, read
+from deadreckon.data.formats.stream import convert_table
+from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
 
 REFUSED = {
@@ -257,3 +260,26 @@ def test_what_is_said_of_no_other_cell_is_said_of_the_rows_that_were_looked_at(t
     path.write_text("x;action;reward\n" + "1.234;0;1\n" * 3_000)
     words = "'1.234' is read as 1.234, not as 1234, and no other cell of the first 2,000 rows tells (--thousands point)"
     assert words in read_table(path)[2]
+
+
+def test_an_action_that_is_none_everywhere_is_a_level(tmp_path):
+    """Where the cells are all that pyarrow takes for a column of nothing; an empty column stays one, and so do numbers."""
+    (tmp_path / "log.csv").write_text("x,note,lab,offer,paid\n1,NA,1,none,1\n2,NA,2,none,0\n3,NA,,none,1\n")
+    log = read(tmp_path / "log.csv", action="offer", reward="paid")
+    assert log.provenance.extra["action_levels"] == ["none"]
+    assert any("column note is empty and is left out" in line for line in log.warnings)
+    schema, _ = describe_table(tmp_path / "log.csv", action="offer", reward="paid")
+    assert {column.name: column.levels for column in schema.columns}["offer"] == ("none",)
+    streamed = convert_table(tmp_path / "log.csv", tmp_path / "log", "csv", action="offer", reward="paid")
+    assert streamed.fingerprint == log.fingerprint
+    assert streamed.provenance.extra["action_levels"] == ["none"]
+    # By a schema, too: in later rows one level of several may be all there is, and a column of numbers may miss them all.
+    (tmp_path / "more.csv").write_text("x,lab,offer,paid\n1,1,none,1\n2,2,mail,0\n3,,none,1\n")
+    (tmp_path / "late.csv").write_text("x,lab,offer,paid\n1,NA,none,1\n2,NA,none,0\n")
+    first = read(tmp_path / "more.csv", action="offer", reward="paid")
+    late = read(tmp_path / "late.csv", schema=Schema.from_json(first.provenance.extra["schema"], "more"))
+    assert late.actions.tolist() == [1, 1]
+    assert late.observations[:, 1:].tolist() == [[1.5, 1.0], [1.5, 1.0]]
+    # By its name, where nobody asks.
+    (tmp_path / "named.csv").write_text("x,action,reward\n1,None,1\n2,None,0\n")
+    assert read(tmp_path / "named.csv").provenance.extra["action_levels"] == ["None"]

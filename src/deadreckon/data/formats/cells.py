@@ -31,10 +31,13 @@ class Known(NamedTuple):
     Attributes:
         texts: names of columns that stay texts.
         flags: of columns of truth values.
+        words: of columns of levels, which are not empty where they hold a word of `MISSING` alone; None: those that are named
+            like an action.
     """
 
     texts: frozenset[str] = frozenset()
     flags: frozenset[str] = frozenset()
+    words: frozenset[str] | None = None
 
 
 NOTHING = Known()

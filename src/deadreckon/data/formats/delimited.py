@@ -18,6 +18,7 @@ from deadreckon.data.formats.cells import MISSING, NOTHING, Known, converted, wi
 from deadreckon.data.formats.dialect import HEAD, Dialect, sniff
 from deadreckon.data.formats.marks import LARGEST, of_large
 from deadreckon.data.formats.spool import Spool
+from deadreckon.data.formats.words import with_words
 from deadreckon.errors import UserError, reading
 from deadreckon.files import unpacked
 
@@ -50,7 +51,7 @@ def read_delimited(
         head, whole = _head(source)
         dialect, told = sniff(path, head, whole, asked)
         source.seek(0)
-        table = _parsed(path, source, dialect, spool, known)
+        table = with_words(_parsed(path, source, dialect, spool, known), source, _options(dialect), spool, known)
         told += _of_zeros(source, table, dialect, spool) + _of_large(source, table, dialect)
         told += _of_names(path, table.column_names)
         table = _named(path, table)

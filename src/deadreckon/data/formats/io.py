@@ -1,7 +1,7 @@
 """Reading and converting logs of any format; what a file is, its content says."""
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -51,6 +51,12 @@ def read(
     Raises:
         UserError: one line with the file, and column and row where they apply.
     """
+    path, kind, mapping = _looked_at(path, mapping)
+    return _read(path, kind, mmap, strict, name, horizon, mapping)
+
+
+def _looked_at(path: Path | str, mapping: Mapping[str, Any]) -> tuple[Path | str, str, dict[str, Any]]:
+    """The file that is meant, its format, and the mapping with what a schema says of the file."""
     mapping = {key: value for key, value in mapping.items() if value is not None}
     if _is_schema(path):
         if "schema" in mapping:
@@ -63,7 +69,13 @@ def read(
         ways = schema.options()
     kind = sniff(path, mapping.get("separator", ways.get("separator")))
     # A schema that was drafted for a CSV file is that of the same table in another format too, which needs no dialect.
-    mapping = {key: value for key, value in ways.items() if key not in DIALECT or kind in READING[key]} | mapping
+    return path, kind, {key: value for key, value in ways.items() if key not in DIALECT or kind in READING[key]} | mapping
+
+
+def _read(
+    path: Path | str, kind: str, mmap: bool | None, strict: bool, name: str | None, horizon: int | None, mapping: dict[str, Any]
+) -> Dataset:
+    """See `read`, of a file whose format is known."""
     mapping, told = open_bandit(path, kind, mapping)
     if mmap is None:
         mmap = kind == "folder" and folders.folder_bytes(path) > LARGE
@@ -159,10 +171,10 @@ def convert(
             return convert_table(
                 source, target, table, force=force, strict=strict, horizon=horizon, progress=progress, **given
             )
-    by_schema = _is_schema(source) or mapping.get("schema") is not None
-    kind = "table" if by_schema else sniff(source, mapping.get("separator"))
+    name = mapping.pop("name", None)
+    source, kind, mapping = _looked_at(source, mapping)
     if kind != "hdf5":
-        log = read(source, mmap=kind == "folder", strict=strict, horizon=horizon, **mapping)
+        log = _read(source, kind, kind == "folder", strict, name, horizon, mapping)
         write(log, target, force)
         return log
     no_options(source, kind, mapping)
@@ -178,7 +190,7 @@ def convert(
     except OSError as error:
         raise UserError(f"cannot write {target}: {error.strerror or error}") from error
     with scratch as folder:
-        log = read_hdf5(source, mmap=True, strict=strict, name=mapping.get("name"), horizon=horizon, scratch=folder)
+        log = read_hdf5(source, mmap=True, strict=strict, name=name, horizon=horizon, scratch=folder)
         write(log, target, force)
     return log
 

@@ -26,6 +26,7 @@ from deadreckon.data.formats.open_bandit import open_bandit
 from deadreckon.data.formats.spool import Spool
 from deadreckon.data.formats.spread import from_anybody
 from deadreckon.data.formats.totals import of_totals
+from deadreckon.data.formats.words import levels_in
 from deadreckon.data.schema import as_schema
 from deadreckon.data.scratch import Scratch
 from deadreckon.data.text_dates import with_dates
@@ -163,7 +164,7 @@ def _of_text(
     cells = work / "cells"
     shutil.rmtree(cells, ignore_errors=True)  # of a call that was killed
     cells.mkdir(parents=True)
-    table, _, told = read_delimited(source, Dialect.asked(**ways), Spool(cells, progress))
+    table, _, told = read_delimited(source, Dialect.asked(**ways), Spool(cells, progress), levels_in(mapping))
     return mapping, table, [*known, *told, *of_totals(table)]
 
 

@@ -12,6 +12,7 @@ from deadreckon.data.formats.build import build, columns_of
 from deadreckon.data.formats.header import Header
 from deadreckon.data.formats.kind import READING, sniff
 from deadreckon.data.formats.spread import from_anybody, from_table, shapes_of, to_table, told_shapes
+from deadreckon.data.formats.words import levels_in
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
@@ -45,7 +46,7 @@ def read_tabular(
     """
     ways = {key: mapping.pop(key) for key in READING if key in mapping}
     kind = kind or sniff(path, ways.get("separator"))
-    table, _, told = table_of_kind(path, kind, ways)
+    table, _, told = table_of_kind(path, kind, ways, levels_in(mapping))
     text = (table.schema.metadata or {}).get(_HEADER) if kind == "parquet" else None
     if text is None or any(value is not None for value in mapping.values()):
         columns, extra, warnings, space = from_anybody(path, table, mapping, horizon)

@@ -1,0 +1,60 @@
+"""Words that stand for a missing value among numbers, such as none, where they are all that a column of levels has.
+
+The types of a text file's columns are found by pyarrow, which takes a column of nothing but such words for an empty one. An
+action `none` must not be lost like that, so columns of levels are read once more, as they stand.
+"""
+
+from collections.abc import Mapping
+from typing import Any, BinaryIO
+
+import pyarrow as pa
+from pyarrow import csv
+
+from deadreckon.data import roles
+from deadreckon.data.formats.cells import MISSING, Known
+from deadreckon.data.formats.spool import Spool
+
+
+def levels_in(mapping: Mapping[str, Any]) -> Known:
+    """Which columns of a table hold levels that may be such words, by what is said of its columns.
+
+    Args:
+        mapping: which column is what, as for `from_frame`; a schema is a `Schema`.
+    """
+    if (schema := mapping.get("schema")) is not None:
+        categories = [column for column in schema.columns if column.kind == "category"]
+        return Known(words=frozenset(each.name for each in categories if each.levels is None or {*each.levels} & {*MISSING}))
+    action = mapping.get("action")
+    return Known(words=None if action is None else frozenset([action] if isinstance(action, str) else action))
+
+
+def with_words(
+    table: pa.Table, source: BinaryIO, options: tuple[csv.ReadOptions, csv.ParseOptions], spool: Spool | None, known: Known
+) -> pa.Table:
+    """The table, in which columns of levels that seem to be empty hold their words.
+
+    Args:
+        table: as pyarrow has read it.
+        source: the text file.
+        options: with which it was read.
+        spool: where columns are kept; None: in memory.
+        known: its `words` are the names of such columns; None: those that are named like an action.
+    """
+    empty = [name for name in table.column_names if pa.types.is_null(table.column(name).type)] if _distinct(table) else []
+    held = {name: roles.like("action", name.strip()) if known.words is None else name.strip() in known.words for name in empty}
+    names = [name for name in empty if held[name]]
+    if not names:
+        return table
+    if spool is not None:
+        found = spool.cells.select(names).cast(pa.schema([(name, pa.string()) for name in names]))
+    else:
+        source.seek(0)
+        as_they_stand = csv.ConvertOptions(include_columns=names, column_types=dict.fromkeys(names, pa.string()))
+        found = csv.read_csv(source, *options, as_they_stand)
+    for name in names:
+        table = table.set_column(table.column_names.index(name), name, found.column(name))
+    return table
+
+
+def _distinct(table: pa.Table) -> bool:
+    return len(set(table.column_names)) == table.num_columns
