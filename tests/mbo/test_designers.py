@@ -56,8 +56,8 @@ def test_the_small_budget_changes_fields_that_exist():
 
 
 # Slow are those whose code fast ones share: AutoFocus is CbAS and more, the mean of an ensemble is its least with another
-# reduction, NEMO and DDOM's sampler have tests of their own. All of them have golden numbers.
-SELDOM = ("cbas", "ddom", "ensemble", "nemo", "nemo-adversarial", "mins")
+# reduction, NEMO, DDOM's sampler and Gaussian processes have tests of their own. All of them have golden numbers.
+SELDOM = ("cbas", "ddom", "ensemble", "gp", "nemo", "nemo-adversarial", "mins")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SELDOM else ()) for n in DESIGNERS])

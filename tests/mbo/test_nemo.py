@@ -225,6 +225,7 @@ def test_designs_move_after_every_ratio_updates_of_the_models_and_not_while_thes
     assert np.flatnonzero(moved).tolist() == [4, 7]  # after updates 2, 3, 4 and after 5, 6, 7
 
 
+@pytest.mark.slow
 def test_a_longer_fit_begins_where_a_shorter_one_ended(bowl, tmp_path):
     longer = SMALL.replace(steps=SMALL.steps + 20)
     alone, seen = longer.propose(bowl, 4, seed=1), []

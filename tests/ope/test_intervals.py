@@ -45,14 +45,13 @@ def logs():
     return [partial(make, true.log(behavior, 100, 60, rng)) for _ in range(LOGS)], true.value(target, 0.9)
 
 
-FAST = ("wpdis, bootstrap",)  # Student's intervals of corrected estimates are looked at in test_corrected.py too
 LOGS, FEWER = 400, 200
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in COVERED])
+@pytest.mark.slow  # fast are those of whole episodes, and of corrected estimates in test_corrected.py
+@pytest.mark.parametrize("name", COVERED)
 def test_coverage(logs, name):
     makers, exact = logs
-    makers = makers[:FEWER] if name in FAST else makers
     inside = [found.low[0] <= exact <= found.high[0] for found in (COVERED[name].on(make()) for make in makers)]
     assert 0.92 <= np.mean(inside) <= 0.98, np.mean(inside)
 

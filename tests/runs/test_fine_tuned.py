@@ -264,6 +264,7 @@ def test_from_the_command_line(tmp_path, home, capsys):
     assert "--from goes on in a simulator with a run on a log: say --online --task TASK" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_table_whose_columns_were_named_on_the_command_line_is_read_again_by_its_schema(tmp_path, home, capsys):
     rows = np.concatenate([LOG.observations, LOG.actions, LOG.rewards[:, None]], 1)
     trip = np.repeat(np.arange(12), 10)

@@ -18,7 +18,7 @@ from deadreckon.errors import DivergedError, UserError
 from deadreckon.randomness import key_for
 from deadreckon.training.checkpoint import load_tree, save_tree
 from deadreckon.training.learner import lane_of, lift, stack, unstack
-from deadreckon.training.program import advance, begin, choose, finite, shape_of
+from deadreckon.training.program import PARAMETERS, advance, begin, choose, finite, shape_of
 from deadreckon.training.replay import Experience
 from deadreckon.training.sources import source_of
 
@@ -188,7 +188,7 @@ class Fit:
     def _accept(self, new: Any, means: dict[str, Any], bad: dict[str, Any], stop: int) -> dict[str, np.ndarray]:
         """Takes the new states of the healthy lanes; a failed lane keeps the state from before the chunk."""
         failures = list(self.failures)
-        sound = np.asarray(finite(new))
+        sound = bad.pop(PARAMETERS) < 0 if PARAMETERS in bad else np.asarray(finite(new))
         for lane, already in enumerate(self.failures):
             if already is not None:
                 continue
@@ -197,7 +197,7 @@ class Fit:
                 step, name = min(seen)
                 failures[lane] = Failure(name, step)
             elif not sound[lane]:
-                failures[lane] = Failure("parameters", stop - 1)
+                failures[lane] = Failure(PARAMETERS, stop - 1)
         self.failures = tuple(failures)
         healthy = np.asarray([f is None for f in failures])
         self.states = new if healthy.all() else choose(jnp.asarray(healthy), new, self.states)

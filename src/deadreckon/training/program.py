@@ -19,6 +19,7 @@ from deadreckon.randomness import key_for
 from deadreckon.training.learner import stack, unstack
 
 REVISION = 2  # of the loop: rows drawn, keys, order of updates; raised where numbers change (see bench/identity.py)
+PARAMETERS = "parameters"  # what has failed where no metric has, and a state is not finite
 
 
 class Column(NamedTuple):
@@ -131,7 +132,8 @@ def advance(
     first of its rows and how many there are.
 
     Returns:
-        The states, each metric's mean, and per metric the first step at which it was not finite (-1 if none).
+        The states, each metric's mean, and per metric the first step at which it was not finite (-1 if none); so too, under
+        `PARAMETERS`, whether the states are finite at the end, unless rows are added as it goes.
     """
     single = roots.shape[0] == 1
     logged, known = data.get("logged", ({}, 0))
@@ -177,6 +179,8 @@ def advance(
     sums = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
     bad = jax.tree.map(lambda s: jnp.full(s.shape, -1, jnp.int32), shapes)
     states, sums, bad = jax.lax.fori_loop(start, stop, body, (states, sums, bad))
+    if not plan.grows:  # a chunk of experience is many calls: its end is looked at once
+        bad[PARAMETERS] = jnp.where(finite(states), -1, stop - 1)
     count = jnp.maximum(stop - start, 1)
     return states, jax.tree.map(lambda s: s / count, sums), bad
 
