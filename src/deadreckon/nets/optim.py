@@ -16,8 +16,8 @@ def init_opt(params: Any) -> optax.OptState:
     """Adam's state before the first step, all of it zeros."""
     if _traced(params):
         return ADAM.init(params)
-    zeros = lambda leaf: np.zeros(leaf.shape, leaf.dtype)  # noqa: E731
-    return jax.device_put(jax.tree.map(zeros, jax.eval_shape(ADAM.init, params)))
+    moments = [jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), params) for _ in range(2)]
+    return jax.device_put(optax.ScaleByAdamState(np.zeros((), np.int32), *moments))
 
 
 def apply_gradients(
