@@ -9,7 +9,8 @@ import time
 import pytest
 
 from deadreckon.errors import BusyError, UserError
-from deadreckon.files import LONGEST, alone, file_part, safe_name
+from deadreckon.files import alone
+from deadreckon.names import LONGEST, file_part, safe_name
 
 
 def test_who_waits_for_another_process_says_so_once_and_goes_on_after_it(tmp_path):

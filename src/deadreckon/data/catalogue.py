@@ -12,6 +12,7 @@ from deadreckon.data.formats.io import read
 from deadreckon.data.kitchen import KITCHENS, kitchen_goal
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import home, read_json
+from deadreckon.names import file_part
 
 VERSION = "dr1"  # of our recipes; a log that we collected carries it in its name, so that none passes for the original
 ORIGINAL, TWIN = "d4rl", "minari"  # stand where the version would in the names of downloaded logs
@@ -189,7 +190,7 @@ def cached_path(name: str) -> Path:
     Raises:
         UserError: the name would lead out of the cache.
     """
-    if name in ("", ".", "..") or name.startswith("~") or any(bad in name for bad in "/\\\0"):
+    if name.startswith("~") or file_part(name) != name:
         raise UserError(f"{name!r} is no file here and not the name of a log, such as maze2d-umaze-v1")
     if name in ENTRIES:
         name = ENTRIES[name].collected
