@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, cast
 import platformdirs
 
 from deadreckon.errors import BusyError, UserError
+from deadreckon.names import shown
 
 if TYPE_CHECKING:
     from filelock import FileLock
@@ -60,6 +61,9 @@ def replacing(path: Path | str, *, keep: bool = False) -> Iterator[Path]:
             temporary.replace(path)
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+    except UnicodeEncodeError as error:
+        text = shown(error.object[max(error.start - 20, 0) : error.end + 20])
+        raise UserError(f"cannot write {path}: {text!r} holds half a character, which no encoding has") from error
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
@@ -78,11 +82,22 @@ def missing_folders(path: Path) -> list[Path]:
     try:
         if b"\0" in os.fsencode(path):
             raise UserError(f"cannot write {path}: no path holds a zero byte")
-        return [folder for folder in path.absolute().parents if not folder.exists()]
+        path = path.absolute()
+        return [each for each in (path, *path.parents) if not each.exists() and each != path]
     except UnicodeEncodeError as error:
         raise UserError(f"cannot write {path}: no path holds half a character") from error
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+
+
+def is_there(path: Path | str) -> bool:
+    """Whether something lies at `path`, which may be any text: one that is too long for a path is none."""
+    try:
+        return Path(path).exists()
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        return False
 
 
 def reserve(path: Path, size: int) -> None:

@@ -24,7 +24,6 @@ from deadreckon.bench.tuned import By, Trial, Tuned, named, standing_of
 from deadreckon.data import catalogue
 from deadreckon.errors import BusyError, UserError, unknown
 from deadreckon.files import write_json
-from deadreckon.names import safe_name
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.coverage import MODEL
 from deadreckon.ope.metrics import compare
@@ -211,8 +210,7 @@ def _estimated(
     """Method -> what its policies are estimated at, one per seed."""
     from deadreckon.bench.work import source
 
-    runs = store.path / "runs"
-    folders = {runs / safe_name(rows[cell]["job"], f"{runs}: run"): job.method for job in jobs for cell in job.cells}
+    folders = {store.run_of(rows[cell]): job.method for job in jobs for cell in job.cells}
     log = catalogue.load(source(jobs[0]))
     if jobs[0].options.get("divided"):
         log = trial_parts(log)[1]

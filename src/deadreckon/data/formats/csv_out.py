@@ -39,14 +39,16 @@ def write_table(table: pa.Table | Mapping[str, Any], path: Path | str) -> None:
 
 
 def _neutral(column: pa.ChunkedArray) -> pa.ChunkedArray:
+    """The column with its texts as cells, of a type that Arrow writes."""
     if pa.types.is_dictionary(column.type):
         column = column.cast(column.type.value_type)
-    kind = column.type
-    binary = pa.types.is_binary(kind) or pa.types.is_large_binary(kind) or pa.types.is_fixed_size_binary(kind)
-    if not binary and not any(check(kind) for check in (pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view)):
+    if pa.types.is_string_view(column.type):
+        column = column.cast(pa.large_string())
+    kind, keep = column.type, "surrogateescape"
+    if pa.types.is_binary(kind) or pa.types.is_large_binary(kind) or pa.types.is_fixed_size_binary(kind):
+        texts = [each and cell(each.decode(errors=keep)).encode(errors=keep) for each in column.to_pylist()]
+        return pa.chunked_array([texts], pa.binary())  # whose bytes are written as they are
+    if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
         return column
-    if binary:  # whose bytes are written as they are
-        texts = [each and cell(each.decode("latin-1")).encode("latin-1") for each in column.to_pylist()]
-        return pa.chunked_array([texts], pa.binary())
     found = {each: changed for each in column.unique().to_pylist() if (changed := cell(each)) != each}
     return pa.chunked_array([[found.get(each, each) for each in column.to_pylist()]], kind) if found else column

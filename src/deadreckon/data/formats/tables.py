@@ -62,9 +62,9 @@ def read_tabular(
 
 def write_parquet(log: Dataset, path: Path | str) -> None:
     """Writes `log` as Parquet that `read_tabular` gives back exactly. Atomic."""
-    table = to_table(log)
     header = Header.of(log, columns=shapes_of(log))
     with replacing(path) as temporary:
+        table = to_table(log)
         parquet.write_table(table.replace_schema_metadata({_HEADER: json.dumps(header.to_json())}), temporary)
 
 
