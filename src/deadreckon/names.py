@@ -60,7 +60,7 @@ def file_part(name: str, longest: int = LONGEST) -> str:
         name: any text.
         longest: bytes of what is given back.
     """
-    plain = "".join("-" if c in _SEPARATORS or _is_control(c) else c for c in name)
+    plain = "".join("-" if c in _SEPARATORS or is_control(c) else c for c in name)
     plain = _DEVICE.sub(r"\g<0>-", plain, count=1) if _DEVICE.match(plain) else plain
     plain = plain.encode()[:longest].decode(errors="ignore")
     if plain.endswith((".", " ")):
@@ -78,7 +78,7 @@ def shown(text: Any, keep: str = "") -> str:
     text = str(text)
     if text.isprintable():  # nearly always, and quickly found
         return text
-    return "".join(c.encode("unicode_escape").decode() if _is_control(c) and c not in keep else c for c in text)
+    return "".join(c.encode("unicode_escape").decode() if is_control(c) and c not in keep else c for c in text)
 
 
 class Terminal:
@@ -107,7 +107,7 @@ def _fault(name: str) -> str | None:
         return "is empty"
     if name == ".." or PureWindowsPath(name).name != name:  # Windows knows every separator, and drives
         return "would lead to another folder"
-    if any(map(_is_control, name)):
+    if any(map(is_control, name)):
         return "has control characters"
     if len(name.encode()) > LONGEST:
         return f"is longer than {LONGEST} bytes"
@@ -118,6 +118,7 @@ def _fault(name: str) -> str | None:
     return None
 
 
-def _is_control(c: str) -> bool:
+def is_control(c: str) -> bool:
+    """Whether a character does something instead of being seen."""
     # Also halves of characters, which no encoding has, and the separators of lines and paragraphs.
     return unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp") or c in _REORDERING

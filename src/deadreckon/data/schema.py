@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml, replacing
-from deadreckon.names import safe_path, shown
+from deadreckon.names import is_control, safe_path, shown
 
 Role = Literal[
     "observation", "action", "reward", "next_observation", "episode", "time", "group", "terminal", "timeout", "propensity",
@@ -255,5 +255,6 @@ def toml_value(value: Any) -> str:
     """A value as TOML writes it; JSON's texts, numbers and lists are TOML's too."""
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(toml_value, value))}]"
-    # TOML has no escape \/ and takes all other characters but control ones, which JSON escapes alike; DEL it wants escaped.
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    # TOML has no escape \/ and no halves of characters; of control characters JSON escapes but the first, and all alike.
+    text = json.dumps(value, ensure_ascii=False)
+    return "".join(f"\\u{ord(c):04x}" if is_control(c) and not "\ud800" <= c <= "\udfff" else c for c in text)
