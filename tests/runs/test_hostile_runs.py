@@ -14,6 +14,7 @@ import deadreckon as dr
 from deadreckon.cli.main import main
 from deadreckon.collect.in_task import collect_in_task
 from deadreckon.data.formats.csv_out import cell
+from deadreckon.files import read_toml
 from deadreckon.runs import online
 from deadreckon.runs.crossfit import cross_fit
 from deadreckon.runs.train import train_together

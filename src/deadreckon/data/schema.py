@@ -255,6 +255,6 @@ def toml_value(value: Any) -> str:
     """A value as TOML writes it; JSON's texts, numbers and lists are TOML's too."""
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(toml_value, value))}]"
-    # TOML has no escape \/ and no halves of characters; of control characters JSON escapes but the first, and all alike.
+    # JSON escapes the control characters of ASCII alone; TOML takes the same escapes of all others, but of no half characters.
     text = json.dumps(value, ensure_ascii=False)
     return "".join(f"\\u{ord(c):04x}" if is_control(c) and not "\ud800" <= c <= "\udfff" else c for c in text)
