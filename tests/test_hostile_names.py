@@ -19,7 +19,7 @@ from pyarrow import csv, parquet
 import deadreckon as dr
 from deadreckon.bench.ledger import store_of
 from deadreckon.bench.plan import plan
-from deadreckon.bench.store import JobResult
+from deadreckon.bench.store import JobResult, Store
 from deadreckon.bench.suite import read as read_suite
 from deadreckon.cli import bench as bench_command
 from deadreckon.data import catalogue
@@ -176,16 +176,30 @@ def pages(name, work):
             dr.report.write([run], "out/report.html", title=name)
 
 
+class Wandb(ModuleType):
+    """W&B without a server, which writes an offline run in the folder that it is given, named by the id."""
+
+    Settings = dict
+
+    def setup(self):
+        return SimpleNamespace(settings=SimpleNamespace(mode="offline", base_url="", project=None))
+
+    def init(self, *, dir, id, **asked):
+        (Path(dir) / "wandb" / f"offline-run-1-{id}").mkdir(parents=True)
+        return SimpleNamespace(finish=lambda exit_code: None)
+
+
 def trackers(name, work):
     from deadreckon.runs.folder import Folder
     from deadreckon.runs.trackers.feed import Tracking
     from deadreckon.runs.trackers.tensorboard import TensorBoard
+    from deadreckon.runs.trackers.wandb_runs import WandB
 
     run = write_run(work / "out" / "run", "bc", task=None, seeds=1, name=name)
     for known in ({}, {"id": name}, {"id": 3}):
         if known:
             write_json(run / "track.json", known)
-        tracking = Tracking(Folder(run), [TensorBoard()])
+        tracking = Tracking(Folder(run), [TensorBoard(), WandB()])
         with refused():
             tracking.start()
         tracking.finish([])
@@ -255,6 +269,7 @@ def test_no_name_leads_out_of_the_folder(write, name, place, monkeypatch):  # no
     client = ModuleType("huggingface_hub")
     client.HfApi = Hub  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "huggingface_hub", client)
+    monkeypatch.setitem(sys.modules, "wandb", Wandb("wandb"))
     with place.attacked():
         write(place.name(name), place.work)
 
@@ -262,3 +277,32 @@ def test_no_name_leads_out_of_the_folder(write, name, place, monkeypatch):  # no
 def test_every_name_and_at_least_a_hundred_attacks_are_tried_fast():
     assert len(QUICK) > 100
     assert {name for _, name in QUICK} == set(NAMES)
+
+
+def test_a_row_of_results_names_a_run_of_its_own_folder(tmp_path):
+    store = Store(tmp_path)
+    assert store.run_of({"job": "bc-hopper"}) == tmp_path / "runs" / "bc-hopper"
+    for job in ("../../elsewhere", "/etc", ""):
+        with pytest.raises(UserError, match="so no file can be called that"):
+            store.run_of({"job": job})
+
+
+def test_a_trackers_id_deletes_no_other_runs(place, monkeypatch):  # noqa: F811
+    """W&B's offline runs of the id are written anew: an id that is a pattern, or a path, would take others along."""
+    from deadreckon.runs.folder import Folder
+    from deadreckon.runs.trackers.feed import Tracking
+    from deadreckon.runs.trackers.wandb_runs import WandB
+
+    monkeypatch.setitem(sys.modules, "wandb", Wandb("wandb"))
+    run = write_run(place.work / "out" / "run", "bc", task=None, seeds=1)
+    kept = [run / "wandb" / "offline-run-1-other-seed0", place.root / "one" / "two" / "x-seed0"]
+    for folder in kept:
+        folder.mkdir(parents=True)
+    (run / "wandb" / "offline-run-1-..").mkdir()  # through which a path would lead
+    for bad in ("*", "*/../../../../../x", "[a-z]*"):
+        write_json(run / "track.json", {"id": bad})
+        tracking = Tracking(Folder(run), [WandB()])
+        with refused():
+            tracking.start()
+        tracking.finish([])
+        assert all(folder.exists() for folder in kept)
