@@ -1,11 +1,14 @@
 """Names as an attacker would give them, and a place with much beside it that must stay as it is."""
 
 import contextlib
+import hashlib
+import json
 import os
 import unicodedata
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import pytest
 
@@ -89,3 +92,45 @@ def place(tmp_path, monkeypatch) -> Place:
     monkeypatch.setenv("DEADRECKON_HOME", str(found.work / "home"))
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(found.work / "minari"))
     return found
+
+
+class Hub:
+    """A client whose server answers what an attacker wants, and which writes files where it is told to."""
+
+    kind, commit, listed = "policy", "c0ffee", "policy.npz"
+
+    def __init__(self, library_name: str):
+        pass
+
+    def repo_info(self, **asked):
+        files = [SimpleNamespace(rfilename=file, size=len(self.text(file))) for file in ("deadreckon.json", self.listed)]
+        return SimpleNamespace(sha=self.commit, siblings=files)
+
+    def text(self, file: str) -> bytes:
+        if file != "deadreckon.json":
+            return b"evil"
+        about = {"bytes": 4, "sha256": hashlib.sha256(b"evil").hexdigest()}
+        return json.dumps({"format": 1, "kind": self.kind, "files": {self.listed: about}}).encode()
+
+    def hf_hub_download(self, *, filename, local_dir, **asked):
+        (Path(local_dir) / filename).parent.mkdir(parents=True, exist_ok=True)
+        (Path(local_dir) / filename).write_bytes(self.text(filename))
+
+
+class HubClient(ModuleType):
+    """The module of that client."""
+
+    HfApi = Hub
+
+
+class Wandb(ModuleType):
+    """W&B without a server, which writes an offline run in the folder that it is given, named by the id."""
+
+    Settings = dict
+
+    def setup(self):
+        return SimpleNamespace(settings=SimpleNamespace(mode="offline", base_url="", project=None))
+
+    def init(self, *, dir, id, **asked):
+        (Path(dir) / "wandb" / f"offline-run-1-{id}").mkdir(parents=True)
+        return SimpleNamespace(finish=lambda exit_code: None, starting_step=10**9)

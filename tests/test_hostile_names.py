@@ -2,13 +2,10 @@
 
 import contextlib
 import dataclasses
-import hashlib
-import json
 import pickle
 import sys
 from functools import partial
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,10 +21,11 @@ from deadreckon.bench.suite import read as read_suite
 from deadreckon.cli import bench as bench_command
 from deadreckon.data import catalogue
 from deadreckon.data.formats.io import _writer, convert, read
+from deadreckon.data.formats.minari_ids import checked_id
 from deadreckon.data.schema import Column, Schema, toml_value
 from deadreckon.errors import UserError
 from deadreckon.files import write_json
-from tests.hostile import FEW, NAMES, place, told  # noqa: F401 - a fixture
+from tests.hostile import FEW, NAMES, Hub, HubClient, Wandb, place, told  # noqa: F401 - a fixture
 from tests.report.run_folders import write_run
 
 ROWS = 12
@@ -176,19 +174,6 @@ def pages(name, work):
             dr.report.write([run], "out/report.html", title=name)
 
 
-class Wandb(ModuleType):
-    """W&B without a server, which writes an offline run in the folder that it is given, named by the id."""
-
-    Settings = dict
-
-    def setup(self):
-        return SimpleNamespace(settings=SimpleNamespace(mode="offline", base_url="", project=None))
-
-    def init(self, *, dir, id, **asked):
-        (Path(dir) / "wandb" / f"offline-run-1-{id}").mkdir(parents=True)
-        return SimpleNamespace(finish=lambda exit_code: None)
-
-
 def trackers(name, work):
     from deadreckon.runs.folder import Folder
     from deadreckon.runs.trackers.feed import Tracking
@@ -203,29 +188,6 @@ def trackers(name, work):
         with refused():
             tracking.start()
         tracking.finish([])
-
-
-class Hub:
-    """A client whose server answers what an attacker wants, and which writes files where it is told to."""
-
-    kind, commit, listed = "policy", "c0ffee", "policy.npz"
-
-    def __init__(self, library_name: str):
-        pass
-
-    def repo_info(self, **asked):
-        files = [SimpleNamespace(rfilename=file, size=len(self.text(file))) for file in ("deadreckon.json", self.listed)]
-        return SimpleNamespace(sha=self.commit, siblings=files)
-
-    def text(self, file: str) -> bytes:
-        if file != "deadreckon.json":
-            return b"evil"
-        about = {"bytes": 4, "sha256": hashlib.sha256(b"evil").hexdigest()}
-        return json.dumps({"format": 1, "kind": self.kind, "files": {self.listed: about}}).encode()
-
-    def hf_hub_download(self, *, filename, local_dir, **asked):
-        (Path(local_dir) / filename).parent.mkdir(parents=True, exist_ok=True)
-        (Path(local_dir) / filename).write_bytes(self.text(filename))
 
 
 def repositories(name, work):
@@ -266,9 +228,7 @@ QUICK = {case for i, case in enumerate(CASES) if case[1] in FEW or i % len(WRITE
     ],
 )
 def test_no_name_leads_out_of_the_folder(write, name, place, monkeypatch):  # noqa: F811
-    client = ModuleType("huggingface_hub")
-    client.HfApi = Hub  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "huggingface_hub", client)
+    monkeypatch.setitem(sys.modules, "huggingface_hub", HubClient("huggingface_hub"))
     monkeypatch.setitem(sys.modules, "wandb", Wandb("wandb"))
     with place.attacked():
         write(place.name(name), place.work)
@@ -277,6 +237,18 @@ def test_no_name_leads_out_of_the_folder(write, name, place, monkeypatch):  # no
 def test_every_name_and_at_least_a_hundred_attacks_are_tried_fast():
     assert len(QUICK) > 100
     assert {name for _, name in QUICK} == set(NAMES)
+
+
+def test_names_of_logs_are_files_of_their_folder(place):  # noqa: F811
+    for name in NAMES:
+        with refused():
+            found = catalogue.cached_path(place.name(name))
+            assert found.parent == place.work / "home" / "data"
+            assert found.name == f"{name}.hdf5"
+    for name in ("con/log-v0", f"{'x' * 300}/log-v0", "mine//log-v0"):
+        with pytest.raises(UserError, match="is no Minari id"):
+            checked_id(name)
+    assert checked_id("mine/far/log-v0") == "mine/far/log-v0"
 
 
 def test_a_row_of_results_names_a_run_of_its_own_folder(tmp_path):
