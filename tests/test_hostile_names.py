@@ -149,7 +149,7 @@ def suites(name, work):
         Path("suite.toml").write_text(SUITE.format(ledger=ledger, case=text, method=text), encoding="utf-8")
         with refused():
             suite = read_suite("suite.toml")
-            suite = dataclasses.replace(suite, name=name)
+            suite = dataclasses.replace(suite, name=name.encode(errors="replace").decode())
             store, jobs = store_of([suite], Path("out")), plan(suite)
             for job in jobs:
                 store.fail(job, name, name)
@@ -249,6 +249,14 @@ def test_names_of_logs_are_files_of_their_folder(place):  # noqa: F811
         with pytest.raises(UserError, match="is no Minari id"):
             checked_id(name)
     assert checked_id("mine/far/log-v0") == "mine/far/log-v0"
+
+
+def test_the_name_of_a_suites_file_is_one_that_its_results_can_hold(place):  # noqa: F811
+    text = SUITE.format(ledger="", case='"a"', method='"b"')
+    for name in ("half\udcff.toml", "\x1b[2J.toml", "dot..toml"):
+        Path(name).write_text(text)
+        with pytest.raises(UserError, match="so no file can be called that"):
+            read_suite(name)
 
 
 def test_a_row_of_results_names_a_run_of_its_own_folder(tmp_path):
