@@ -1570,6 +1570,137 @@ MUTANTS = (
         "cost-against", "ope/select.py", "own += [] if against is None else against[i]", "own += []",
         "policies that cost too much are deployed", ("ope/test_costs.py",),
     ),
+    # ---- names from outside
+    Mutant(
+        "outside-parent", "names.py",
+        'if name == ".." or PureWindowsPath(name).name != name:', 'if PureWindowsPath(name).name != name:',
+        "a file may be called ..", ("test_names.py",),
+    ),
+    Mutant(
+        "outside-bytes", "names.py",
+        'len(name.encode()) > LONGEST', 'len(name) > LONGEST',
+        "names are measured in characters", ("test_names.py",),
+    ),
+    Mutant(
+        "outside-device", "names.py",
+        '    if _DEVICE.match(name):\n', '    if _DEVICE.fullmatch(name):\n',
+        "devices of Windows with an ending are names", ("test_names.py",),
+    ),
+    Mutant(
+        "outside-reordering", "names.py",
+        ' or c in _REORDERING', '',
+        "characters that reorder others are shown", ("test_names.py",),
+    ),
+    Mutant(
+        "outside-encoded-device", "names.py",
+        'if _DEVICE.match(plain) else plain', 'if False else plain',
+        "devices of Windows are names of folders", ("test_names.py",),
+    ),
+    Mutant(
+        "outside-encoded-length", "names.py",
+        'plain.encode()[:longest].decode(errors="ignore")', 'plain[:longest]',
+        "encoded names are cut to characters", ("test_names.py",),
+    ),
+    Mutant(
+        "outside-path", "names.py",
+        'if each != "."', 'if each not in (".", "..")',
+        "a path in a file may lead out of its folder", ("test_names.py",),
+    ),
+    Mutant(
+        "outside-terminal", "names.py",
+        'self.stream.write(shown(text, keep="\\n\\t"))', 'self.stream.write(text)',
+        "names steer the terminal", ("test_names.py",),
+    ),
+    Mutant(
+        "outside-main", "cli/main.py",
+        'if "-h" in args or "--help" in args:', 'if args:',
+        "commands print names as they are", ("runs/test_hostile_runs.py",),
+    ),
+    Mutant(
+        "outside-page", "report/markup.py",
+        'html.escape(shown(value, keep="\\n\\t"))', 'html.escape(str(value))',
+        "control characters reach a page", ("runs/test_hostile_runs.py",),
+    ),
+    Mutant(
+        "outside-toml", "data/schema.py",
+        'if is_control(c) and not', 'if c == "\\x7f" and not',
+        "control characters reach a schema", ("runs/test_hostile_runs.py",),
+    ),
+    Mutant(
+        "outside-ledger", "bench/suite.py",
+        'safe_path(document["ledger"], f"{where}: ledger")', 'document["ledger"]',
+        "a suite writes its ledger anywhere", ("test_hostile_names.py",),
+    ),
+    Mutant(
+        "outside-tracker", "runs/trackers/feed.py",
+        'safe_name(str(read_json(path)["id"]), f"{path}: id")', 'str(read_json(path)["id"])',
+        "the id of a tracked run is a path", ("test_hostile_names.py",),
+    ),
+    Mutant(
+        "outside-pattern", "runs/trackers/wandb_runs.py",
+        "glob.escape(config['id'])", "config['id']",
+        "the id of a tracked run is a pattern", ("test_hostile_names.py",),
+    ),
+    Mutant(
+        "outside-commit", "runs/hub.py",
+        'safe_name(str(info.sha), f"{repo}: commit")', 'str(info.sha)',
+        "a repository's commit is a path", ("test_hostile_names.py",),
+    ),
+    Mutant(
+        "outside-run", "runs/train.py",
+        'file_part(f"{short_name(lanes[0])}-{log.name}")', 'f"{short_name(lanes[0])}-{log.name}"',
+        "a log's name is a path", ("runs/test_hostile_runs.py",),
+    ),
+    Mutant(
+        "outside-agent", "runs/train.py",
+        'safe_name(name, "agents are named as folders are, and")', 'str(name)',
+        "the name of an agent is a path", ("runs/test_hostile_runs.py",),
+    ),
+    Mutant(
+        "outside-minari", "data/formats/minari_ids.py",
+        'all(file_part(part) == part', 'any(file_part(part) == part',
+        "an id of Minari's leads out of its folder", ("test_hostile_names.py",),
+    ),
+    Mutant(
+        "outside-cache", "data/catalogue.py",
+        'name.startswith("~") or file_part(name) != name', 'name.startswith("~")',
+        "a log's name leads out of the cache", ("test_hostile_names.py",),
+    ),
+    Mutant(
+        "outside-column", "data/formats/folder.py",
+        'safe_name(key, f"{path}: column")', 'str(key)',
+        "a column's name is a path", ("test_hostile_names.py",),
+    ),
+    Mutant(
+        "outside-row", "bench/store.py",
+        'safe_name(str(row["job"]), f"{self.path}: run")', 'str(row["job"])',
+        "a row of results names any folder", ("test_hostile_names.py",),
+    ),
+    Mutant(
+        "outside-half", "files.py",
+        '    except UnicodeEncodeError as error:\n        text', '    except ZeroDivisionError as error:\n        text',
+        "half a character is no error of the user's", ("test_files.py",),
+    ),
+    Mutant(
+        "formula-prefix", "data/formats/csv_out.py",
+        '_HARMLESS.fullmatch(value)', '_HARMLESS.match(value)',
+        "a sign in front makes a formula a number", ("data/formats/test_csv_out.py",),
+    ),
+    Mutant(
+        "formula-numbers", "data/formats/csv_out.py",
+        ' and not _HARMLESS.fullmatch(value)', '',
+        "negative numbers become texts", ("data/formats/test_csv_out.py",),
+    ),
+    Mutant(
+        "formula-names", "data/formats/csv_out.py",
+        '[cell(name) for name in whole.column_names]', 'whole.column_names',
+        "names of columns may be formulas", ("data/formats/test_csv_out.py",),
+    ),
+    Mutant(
+        "formula-dictionary", "data/formats/csv_out.py",
+        'column = column.cast(column.type.value_type)', 'return column',
+        "levels may be formulas", ("data/formats/test_csv_out.py",),
+    ),
 )
 
 

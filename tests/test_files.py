@@ -1,4 +1,4 @@
-"""Locks: one process at a time, and whoever waits says so. Names from outside: none leads out of its folder."""
+"""Locks: one process at a time, and whoever waits says so."""
 
 import signal
 import subprocess
@@ -9,7 +9,7 @@ import time
 import pytest
 
 from deadreckon.errors import BusyError, UserError
-from deadreckon.files import LONGEST, alone, file_part, safe_name
+from deadreckon.files import alone, read_json, replacing, write_json
 
 
 def test_who_waits_for_another_process_says_so_once_and_goes_on_after_it(tmp_path):
@@ -36,7 +36,7 @@ def test_who_waits_for_another_process_says_so_once_and_goes_on_after_it(tmp_pat
 HOLD = """
 import sys, time
 from pathlib import Path
-from deadreckon.files import alone
+from deadreckon.files import alone, read_json, replacing, write_json
 with alone(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)
@@ -80,30 +80,19 @@ def test_many_threads_are_there_one_at_a_time(tmp_path):
     assert not list(tmp_path.rglob("*.lock"))
 
 
-@pytest.mark.parametrize("name", ["speed", "a b", "é", ".hidden", "x..y", "maze2d-umaze-v1@dr1", "a" * LONGEST])
-def test_plain_names_are_names_of_files(name):
-    assert safe_name(name, "column") == file_part(name) == name
+@pytest.mark.parametrize("path", ["x" * 300, "a" * 300 + "/log", "/".join(["long"] * 2000), "zero\0byte", "half\ud800"])
+def test_what_can_be_no_path_is_refused_in_one_line(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UserError, match="^cannot write "):
+        write_json(path, {})
+    with pytest.raises(UserError, match="^cannot write "), alone(tmp_path / path):
+        pass
+    assert not list(tmp_path.iterdir())
 
 
-HOSTILE = {
-    "": "is empty", ".": "another folder", "..": "another folder", "../x": "another folder", "/abs/x": "another folder",
-    "a/b": "another folder", "a/": "another folder", "C:\\x": "another folder", "C:x": "another folder",
-    "..\\x": "another folder", "nul\0": "control characters", "two\nlines": "control characters",
-    "\ud800": "control characters", "é" * 101: "longer than 200 bytes",
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", HOSTILE)
-def test_names_that_lead_elsewhere_are_refused_or_made_plain(name):
-    with pytest.raises(UserError, match=f"^column '.*{HOSTILE[name]}, so no file can be called that; rename it$") as told:
-        safe_name(name, "column")
-    assert len(str(told.value)) < 200
-    assert str(told.value).isprintable()
-    made = file_part(name)
-    assert safe_name(made, "folder") == made != name
-
-
-def test_a_name_made_plain_can_still_be_read():
-    assert file_part("mujoco/hopper/medium-v0") == "mujoco-hopper-medium-v0"
-    assert file_part("bc-x/../../../RUN") == "bc-x-..-..-..-RUN"
-    assert file_part("é" * 150) == "é" * 100
+def test_a_text_that_no_encoding_has_leaves_nothing_half_written(tmp_path):
+    write_json(tmp_path / "kept.json", 1)
+    with pytest.raises(UserError, match="holds half a character"), replacing(tmp_path / "kept.json") as temporary:
+        temporary.write_text("a column called \ud800", encoding="utf-8")
+    assert read_json(tmp_path / "kept.json") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["kept.json"]

@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -60,6 +61,19 @@ def test_wheel_has_every_file_of_the_package(wheel):
     assert "deadreckon/py.typed" in names
     assert any(name.endswith("licenses/LICENSE") for name in names)
     assert not [name for name in names if name.startswith(("tests/", "docs/"))]
+
+
+def test_wheel_stays_small_enough_for_an_index(wheel):
+    assert wheel.stat().st_size < 20_000_000
+
+
+def test_readme_in_the_wheel_has_no_links_that_need_the_repository(wheel):
+    archive = zipfile.ZipFile(wheel)
+    [name] = [name for name in archive.namelist() if name.endswith(".dist-info/METADATA")]
+    head, _, text = archive.read(name).decode().partition("\n\n")
+    assert "Description-Content-Type: text/markdown" in head
+    assert "# deadreckon" in text
+    assert not re.search(r"\]\((?!https?:|#)", text)
 
 
 def test_installed_copy_is_the_one_that_runs(outside, installed):

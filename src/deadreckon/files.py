@@ -9,20 +9,18 @@ import os
 import shutil
 import tempfile
 import tomllib
-import unicodedata
 import warnings
 from collections.abc import Iterator
-from pathlib import Path, PureWindowsPath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, cast
 
 import platformdirs
 
 from deadreckon.errors import BusyError, UserError
+from deadreckon.names import shown
 
 if TYPE_CHECKING:
     from filelock import FileLock
-
-LONGEST = 200  # bytes of a name; file systems take 255, and endings come behind it
 
 
 def home() -> Path:
@@ -42,7 +40,7 @@ def replacing(path: Path | str, *, keep: bool = False) -> Iterator[Path]:
         UserError: the folder cannot be made, or the disk is full or read-only. Nothing is left behind.
     """
     path = Path(path)
-    made = [folder for folder in path.absolute().parents if not folder.exists()]
+    made = missing_folders(path)
     temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -63,6 +61,9 @@ def replacing(path: Path | str, *, keep: bool = False) -> Iterator[Path]:
             temporary.replace(path)
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+    except UnicodeEncodeError as error:
+        text = shown(error.object[max(error.start - 20, 0) : error.end + 20])
+        raise UserError(f"cannot write {path}: {text!r} holds half a character, which no encoding has") from error
     finally:
         if temporary is not None:
             temporary.unlink(missing_ok=True)
@@ -72,45 +73,31 @@ def replacing(path: Path | str, *, keep: bool = False) -> Iterator[Path]:
                     folder.rmdir()
 
 
-def safe_name(name: str, what: str) -> str:
-    """`name`, which came from outside and becomes the name of a file: refused where that would not lie where it is made.
-
-    Args:
-        name: without an ending.
-        what: has that name, for the error.
+def missing_folders(path: Path) -> list[Path]:
+    """The folders on the way to `path` that are not there yet, innermost first.
 
     Raises:
-        UserError: it is empty or too long, leads to another folder on some system, or holds control characters.
-    """
-    if not name:
-        why = "is empty"
-    elif name == ".." or PureWindowsPath(name).name != name:  # Windows knows every separator, and drives
-        why = "would lead to another folder"
-    elif any(_is_control(c) for c in name):
-        why = "has control characters"
-    elif len(name.encode()) > LONGEST:
-        why = f"is longer than {LONGEST} bytes"
-    else:
-        return name
-    shown = repr(name) if len(name) <= 60 else f"{name[:57]!r}..."
-    raise UserError(f"{what} {shown} {why}, so no file can be called that; rename it")
-
-
-def file_part(name: str) -> str:
-    """`name` as the name of a file: itself where it can be one, else with dashes for what cannot, and cut to its length.
-
-    For folders that are called after what is in them; names that become the same here share a folder.
+        UserError: nothing can lie at that path: it is too long, or holds what no path does.
     """
     try:
-        return safe_name(name, "")
-    except UserError:
-        plain = "".join("-" if c in "/\\:" or _is_control(c) else c for c in name)
-        plain = plain.encode()[:LONGEST].decode(errors="ignore")
-        return plain if plain.strip(".") else "-"
+        if b"\0" in os.fsencode(path):
+            raise UserError(f"cannot write {path}: no path holds a zero byte")
+        path = path.absolute()
+        return [each for each in (path, *path.parents) if not each.exists() and each != path]
+    except UnicodeEncodeError as error:
+        raise UserError(f"cannot write {path}: no path holds half a character") from error
+    except OSError as error:
+        raise UserError(f"cannot write {path}: {error.strerror or error}") from error
 
 
-def _is_control(c: str) -> bool:
-    return unicodedata.category(c) in ("Cc", "Cs")  # and halves of characters, which no encoding has
+def is_there(path: Path | str) -> bool:
+    """Whether something lies at `path`, which may be any text: one that is too long for a path is none."""
+    try:
+        return Path(path).exists()
+    except OSError as error:
+        if error.errno != errno.ENAMETOOLONG:
+            raise
+        return False
 
 
 def reserve(path: Path, size: int) -> None:
@@ -239,7 +226,7 @@ def alone(path: Path, wait: str = "", what: str = "this") -> Iterator[None]:
         UserError: the folder cannot be made. A folder made for nothing is removed.
     """
     path = path.absolute()
-    made = [folder for folder in path.parents if not folder.exists()]
+    made = missing_folders(path)
     lock = path.with_name(f".{path.name}.lock")
     try:
         try:

@@ -1,13 +1,14 @@
 """Tables of suites as text, Markdown, CSV or LaTeX."""
 
-import csv
 import io
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from deadreckon.bench.tables import Table
+from deadreckon.data.formats.csv_out import write_rows
 from deadreckon.errors import unknown
 from deadreckon.stats.interval import ALPHA
 
@@ -86,12 +87,14 @@ def _latex(table: Table) -> str:
 
 def _csv(tables: Sequence[Table]) -> str:
     out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["metric", "on", "method", "seeds", "mean", "low", "high", "bold", "missing", "failed", "thesis"])
+    rows: list[list[Any]] = [
+        ["metric", "on", "method", "seeds", "mean", "low", "high", "bold", "missing", "failed", "thesis"]
+    ]
     for table, on in itertools.product(tables, tables[0].suite.on):
         for method, row in table.cells.items():
             cell = row[on]
             numbers = [cell.estimate.value, cell.estimate.low, cell.estimate.high] if len(cell.scores) else [""] * 3
             told = [len(cell.scores), *numbers, int(cell.bold), cell.missing, cell.failed]
-            writer.writerow([table.metric.column, on, method, *told, table.printed[on].get(method, "")])
+            rows.append([table.metric.column, on, method, *told, table.printed[on].get(method, "")])
+    write_rows(out, rows, "\n")
     return out.getvalue().rstrip("\n")

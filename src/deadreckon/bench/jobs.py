@@ -8,6 +8,7 @@ from typing import Any, cast
 from deadreckon.errors import UserError
 from deadreckon.files import digest
 from deadreckon.imports import imported
+from deadreckon.names import file_part
 from deadreckon.training.field_names import with_field_names
 
 
@@ -113,9 +114,8 @@ def programs(jobs: Sequence[Job]) -> list[Program]:
 
 
 def file_name(text: str) -> str:
-    """A name as a part of a file's: letters, digits and a few signs, 80 bytes at most; "_" where nothing is left of it."""
-    plain = "".join(c if c.isalnum() or c in "-+." else "_" for c in text)
-    return plain.encode()[:80].decode(errors="ignore").lstrip(".") or "_"
+    """A name as a part of a file's: letters, digits and a few signs, 80 bytes at most, none of which hides the file."""
+    return file_part("".join(c if c.isalnum() or c in "-+." else "_" for c in text).lstrip("."), 80)
 
 
 # ---- methods of jobs -----------------------------------------------------------------------------------------------

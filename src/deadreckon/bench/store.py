@@ -10,7 +10,7 @@ Every part has a name of its own and appears whole, so any number of writers may
 
 import dataclasses
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cache
@@ -23,6 +23,7 @@ import pyarrow.parquet as pq
 
 from deadreckon.bench.jobs import Job, Program, file_name
 from deadreckon.files import read_json, replacing, write_json
+from deadreckon.names import safe_name
 
 RESULT = pa.schema(
     [
@@ -79,6 +80,14 @@ class Store:
     def folder(self, program: Program) -> Path:
         """What its runs are in, or its only run's folder."""
         return self.path / "runs" / program.name
+
+    def run_of(self, row: Mapping[str, Any]) -> Path:
+        """The run folder of a row, which may come from another machine's results.
+
+        Raises:
+            UserError: what the row names lies elsewhere.
+        """
+        return self.path / "runs" / safe_name(str(row["job"]), f"{self.path}: run")
 
     def _part(self, kind: str, job: Job) -> Path:
         return self.path / kind / f"{job.name}.parquet"

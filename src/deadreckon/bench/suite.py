@@ -33,6 +33,7 @@ from typing import Any, Literal, NamedTuple, get_args
 from deadreckon.bench.methods import Method, check_count, method
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml
+from deadreckon.names import safe_name, safe_path
 
 Kind = Literal["learn", "online", "design", "ope", "study"]
 # What a suite of a kind lists.
@@ -187,7 +188,7 @@ def _suite(path: Path, where: str, document: dict[str, Any], full: bool) -> Suit
     if kind not in get_args(Kind):
         raise UserError(f"{where}: kind must be one of {', '.join(get_args(Kind))}, got {kind!r}")
     foreign = {option for options in OWN.values() for option in options} - set(OWN[kind])
-    name = path.stem
+    name = safe_name(path.stem, f"{where}: suite")
     known = {f.name for f in fields(Suite)} - {"name", "on", "full", "divided"} - foreign | {PLACES[kind]}
     for key in document:
         if key not in known:
@@ -210,7 +211,7 @@ def _suite(path: Path, where: str, document: dict[str, Any], full: bool) -> Suit
     if "ledger" in document:
         if not isinstance(document["ledger"], str):
             raise UserError(f"{where}: ledger must be a folder's name, got {document['ledger']!r}")
-        rest["ledger"] = path.parent / document["ledger"]
+        rest["ledger"] = path.parent / safe_path(document["ledger"], f"{where}: ledger")
     rest["data"] = _logs(where, document.get("data", {}), on, methods)
     ways = tuple(method(where, kind, *each) for each in methods.items())
     suite = Suite(name, kind, tuple(on), ways, steps=steps, full=bool(changes), **counts, **rest)

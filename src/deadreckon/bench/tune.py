@@ -210,7 +210,7 @@ def _estimated(
     """Method -> what its policies are estimated at, one per seed."""
     from deadreckon.bench.work import source
 
-    folders = {store.path / "runs" / rows[cell]["job"]: job.method for job in jobs for cell in job.cells}
+    folders = {store.run_of(rows[cell]): job.method for job in jobs for cell in job.cells}
     log = catalogue.load(source(jobs[0]))
     if jobs[0].options.get("divided"):
         log = trial_parts(log)[1]

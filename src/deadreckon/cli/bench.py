@@ -216,7 +216,7 @@ def _page(suite, jobs, store):
         results = [dataclasses.replace(from_json(json.loads(row["more"])["result"]), method=row["method"]) for row in rows]
         return write_bench(results, store.path / "reports" / f"{file_name(suite.name)}.html") if results else None
     pages = []
-    folders = {row["cell"]: store.path / "runs" / row["job"] for row in store.of(jobs).to_pylist()}
+    folders = {row["cell"]: store.run_of(row) for row in store.of(jobs).to_pylist()}
     for on in suite.on if suite.kind != "design" else ():
         cells = [cell for job in jobs if job.on == on for cell in job.cells if cell in folders]
         runs = [folder for folder in dict.fromkeys(folders[cell] for cell in cells) if folder.exists()]  # not on another node

@@ -13,7 +13,7 @@ import tyro
 from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar, Watch
 from deadreckon.errors import UserError
-from deadreckon.files import file_part
+from deadreckon.names import file_part
 
 _NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
 

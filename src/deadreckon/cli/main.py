@@ -9,9 +9,11 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from typing import TextIO, cast
 
 from deadreckon._version import __version__
 from deadreckon.errors import UserError, unknown
+from deadreckon.names import Terminal
 
 # name: (module, function, one line)
 COMMANDS = {
@@ -60,6 +62,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     debug = "--debug" in args
     args = [a for a in args if a != "--debug"]
     warnings.showwarning = _one_line
+    with _terminal(args):
+        return _main(args, debug)
+
+
+def _terminal(args: Sequence[str]) -> contextlib.AbstractContextManager:
+    """While it lasts, no name in what is printed can steer the terminal. Help holds no such names, but colours."""
+    if "-h" in args or "--help" in args:
+        return contextlib.nullcontext()
+    streams = contextlib.ExitStack()
+    streams.enter_context(contextlib.redirect_stdout(cast(TextIO, Terminal(sys.stdout))))
+    streams.enter_context(contextlib.redirect_stderr(cast(TextIO, Terminal(sys.stderr))))
+    return streams
+
+
+def _main(args: list[str], debug: bool) -> int:
     try:
         if not args or args[0] in ("-h", "--help", "help"):
             width = max(map(len, COMMANDS))

@@ -82,10 +82,11 @@ def predict(args: Sequence[str]) -> None:
 
 def _write(out: Path, columns: dict) -> None:
     import pyarrow as pa
-    from pyarrow import csv, parquet
+    from pyarrow import parquet
 
+    from deadreckon.data.formats.csv_out import write_table
     from deadreckon.files import replacing
 
     table = pa.table(columns)
     with replacing(out) as temporary:
-        (csv.write_csv if out.suffix.lower() == ".csv" else parquet.write_table)(table, temporary)
+        (write_table if out.suffix.lower() == ".csv" else parquet.write_table)(table, temporary)

@@ -1,9 +1,12 @@
 """Progress of long work: a bar with rate and time left on a terminal, a plain line now and then elsewhere."""
 
+import functools
 import sys
 import time
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TextIO, cast
+
+from deadreckon.names import Terminal, shown
 
 PLAIN_EVERY = 15.0  # seconds between plain lines
 
@@ -18,7 +21,7 @@ class Bar:
     """
 
     def __init__(self, label: str, total: int | None, unit: str):
-        self.label, self.total, self.unit = label, total, unit
+        self.label, self.total, self.unit = shown(label), total, unit
         self.begun = self.told = time.monotonic()
         self.first: int | None = None
         self.ended = False  # whether the last line has been told
@@ -30,10 +33,14 @@ class Bar:
             from rich.console import Console
             from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-            columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
-                       TextColumn("{task.fields[rate]}"), TimeRemainingColumn(), TextColumn("{task.fields[note]}"))  # fmt: skip
-            self.bar = Progress(*columns, console=Console(stderr=True), transient=True)
-            self.bar.start()
+            # Texts as they are: what stands in brackets in a name is no style.
+            text = functools.partial(TextColumn, markup=False)
+            columns = (text("{task.description}"), BarColumn(), text("{task.percentage:>3.0f} %"), text("{task.fields[rate]}"),
+                       TimeRemainingColumn(), text("{task.fields[note]}"))  # fmt: skip
+            stream = sys.stderr.stream if isinstance(sys.stderr, Terminal) else sys.stderr  # the bar steers the terminal itself
+            self.bar = Progress(*columns, console=Console(file=stream), transient=True)
+            self.bar.start()  # what is printed meanwhile goes through it, above the bar
+            sys.stdout, sys.stderr = cast(TextIO, Terminal(sys.stdout)), cast(TextIO, Terminal(sys.stderr))
             self.task = self.bar.add_task(self.label, total=self.total, rate="", note="")
         return self
 
@@ -47,7 +54,7 @@ class Bar:
         total = total or self.total
         text = f"{self._amount(rate)}{'' if self.unit == 'bytes' else f' {self.unit}'}/s" if rate else ""
         if self.bar is not None:
-            self.bar.update(self.task, completed=done, total=total, rate=text, note=note)
+            self.bar.update(self.task, completed=done, total=total, rate=text, note=shown(note))
         elif now - self.told > PLAIN_EVERY or (total is not None and done >= total and not self.ended):
             self.told, self.ended = now, total is not None and done >= total
             left = f", {(total - done) / rate:,.0f} s left" if rate and total is not None and done < total else ""

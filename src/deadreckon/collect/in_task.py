@@ -11,7 +11,8 @@ from deadreckon._version import __version__
 from deadreckon.collect.rollouts import Segment, collect_rollouts
 from deadreckon.data.provenance import Provenance
 from deadreckon.errors import UserError
-from deadreckon.files import alone, file_part
+from deadreckon.files import alone
+from deadreckon.names import file_part
 from deadreckon.policies.resolve import policies_of
 from deadreckon.progress import Progress
 from deadreckon.tasks.registry import task as find_task

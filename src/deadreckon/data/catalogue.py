@@ -11,7 +11,8 @@ from deadreckon.data.formats.build import TABLE_ENDINGS
 from deadreckon.data.formats.io import read
 from deadreckon.data.kitchen import KITCHENS, kitchen_goal
 from deadreckon.errors import UserError, unknown
-from deadreckon.files import home, read_json
+from deadreckon.files import home, is_there, read_json
+from deadreckon.names import file_part
 
 VERSION = "dr1"  # of our recipes; a log that we collected carries it in its name, so that none passes for the original
 ORIGINAL, TWIN = "d4rl", "minari"  # stand where the version would in the names of downloaded logs
@@ -189,7 +190,7 @@ def cached_path(name: str) -> Path:
     Raises:
         UserError: the name would lead out of the cache.
     """
-    if name in ("", ".", "..") or name.startswith("~") or any(bad in name for bad in "/\\\0"):
+    if name.startswith("~") or file_part(name) != name:
         raise UserError(f"{name!r} is no file here and not the name of a log, such as maze2d-umaze-v1")
     if name in ENTRIES:
         name = ENTRIES[name].collected
@@ -224,7 +225,7 @@ def load(name: Path | str, mmap: bool | None = None, strict: bool = False, **opt
         UserError: one line: no such name, or how the log can be had.
     """
     text = str(name)
-    if text.startswith("minari:") or Path(name).exists() or (text not in ENTRIES and minaris.installed(text)):
+    if text.startswith("minari:") or is_there(name) or (text not in ENTRIES and minaris.installed(text)):
         return read(name, mmap=mmap, strict=strict, **options)
     looks_like_a_file = Path(text).suffix in (".hdf5", ".h5", ".npz", ".pickle", ".pkl", ".gz", ".txt", *TABLE_ENDINGS)
     if isinstance(name, Path) or looks_like_a_file:

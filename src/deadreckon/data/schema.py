@@ -8,6 +8,7 @@ from typing import Any, Literal, get_args
 
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml, replacing
+from deadreckon.names import is_control, safe_path, shown
 
 Role = Literal[
     "observation", "action", "reward", "next_observation", "episode", "time", "group", "terminal", "timeout", "propensity",
@@ -161,9 +162,11 @@ class Schema:
         if not isinstance(name, str) or not name:
             text = f'{path}: the schema names no table; add path = "FILE" to its [table]'
             raise UserError(f"{text}, or give the table and --schema {path}")
-        if Path(name).is_absolute() or ".." in Path(name).parts:
-            raise UserError(f"{path}: its table {name} must lie beside the schema; give the table itself and --schema {path}")
-        return Path(path).parent / name
+        try:
+            return Path(path).parent / safe_path(name, "table")
+        except UserError as error:
+            text = f"{path}: its table {name} must lie beside the schema ({error})"
+            raise UserError(f"{text}; give the table itself and --schema {path}") from error
 
     def options(self) -> dict[str, Any]:
         """How the table's file is read: what stands in [table] beside its path."""
@@ -210,7 +213,7 @@ class Schema:
         Args:
             about: first comment, such as the name of the table.
         """
-        lines = [f"# {about}"] if about else []
+        lines = [f"# {shown(about)}"] if about else []
         if any(column.doubt for column in self.columns):
             lines.append("# Lines that begin with `# ?` are doubts: check them against what you know of the table.")
         lines.append("")
@@ -219,8 +222,8 @@ class Schema:
         for column in self.columns:
             lines.append(f"[columns.{toml_value(column.name)}]")
             # On one line whatever they quote, since what follows a line break would be no comment.
-            lines += [f"# ? {' '.join(column.doubt.split())}"] if column.doubt else []
-            lines += [f"# {' '.join(column.reason.split())}"] if column.reason else []
+            lines += [f"# ? {shown(' '.join(column.doubt.split()))}"] if column.doubt else []
+            lines += [f"# {shown(' '.join(column.reason.split()))}"] if column.reason else []
             lines += [*(f"{key} = {toml_value(value)}" for key, value in column.told().items()), ""]
         return "\n".join(lines)
 
@@ -252,5 +255,6 @@ def toml_value(value: Any) -> str:
     """A value as TOML writes it; JSON's texts, numbers and lists are TOML's too."""
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(toml_value, value))}]"
-    # TOML has no escape \/ and takes all other characters but control ones, which JSON escapes alike; DEL it wants escaped.
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    # JSON escapes the control characters of ASCII alone; TOML takes the same escapes of all others, but of no half characters.
+    text = json.dumps(value, ensure_ascii=False)
+    return "".join(f"\\u{ord(c):04x}" if is_control(c) and not "\ud800" <= c <= "\udfff" else c for c in text)

@@ -24,6 +24,7 @@ from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml, replacing
 from deadreckon.mbo.designs import Designs, name_of
 from deadreckon.mbo.variables import KINDS
+from deadreckon.names import shown
 
 ROLES = ("input", "target", "std_error", "weighted", "ignore")
 _LISTS = ("constraints", "mixtures", "forbidden")
@@ -160,7 +161,7 @@ class DesignSchema:
 
     def to_toml(self, about: str = "") -> str:
         """As TOML, with what each column holds as comments."""
-        lines = [f"# {about}", ""] if about else []
+        lines = [f"# {shown(about)}", ""] if about else []
         lines += [
             "# What proposals must satisfy. Examples:",
             '#   constraints = ["a + 2 b <= 0.8"]  mixtures = [["a", "b", "c"]]  forbidden = ["solvent = water & temp > 80"]',
@@ -172,7 +173,8 @@ class DesignSchema:
         if self.table:
             lines += ["[table]", *(f"{key} = {toml_value(value)}" for key, value in self.table.items()), ""]
         for name, column in self.columns.items():
-            lines += [f"[columns.{toml_value(name)}]", *([f"# {' '.join(column.about.split())}"] if column.about else [])]
+            lines.append(f"[columns.{toml_value(name)}]")
+            lines += [f"# {shown(' '.join(column.about.split()))}"] if column.about else []
             given = {f.name: getattr(column, f.name) for f in fields(column) if f.name != "about"}
             said = {key: value for key, value in given.items() if value not in (None, "") and value is not False}
             lines += [f"{key} = {toml_value(value)}" for key, value in said.items()]

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-from pyarrow import csv
 
 from deadreckon.data.arrow import to_arrow
 from deadreckon.data.encode import numbers
 from deadreckon.data.formats.any_table import read_table
+from deadreckon.data.formats.csv_out import write_table
 from deadreckon.data.formats.kind import READING
 from deadreckon.data.kinds import check_column
 from deadreckon.data.roles import row_numbers
@@ -264,9 +263,9 @@ class Designs(Shown):
         return out
 
     def write(self, path: Path | str, x: np.ndarray, more: Mapping[str, Sequence[float]] | None = None) -> Path:
-        """Writes designs as rows of the same table, with more columns behind; CSV."""
+        """Writes designs as rows of the same table, with more columns behind; CSV (see `csv_out`)."""
         with replacing(path) as temporary:
-            csv.write_csv(pa.table({**self.decode(x), **{key: list(value) for key, value in (more or {}).items()}}), temporary)
+            write_table({**self.decode(x), **{key: list(value) for key, value in (more or {}).items()}}, temporary)
         return Path(path)
 
 

@@ -17,10 +17,11 @@ from typing import Any
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.files import digest, file_part, read_json, write_json
+from deadreckon.files import digest, read_json, write_json
 from deadreckon.mbo.designer import Designer
 from deadreckon.mbo.nn_distance import nn_distance
 from deadreckon.mbo.problems.problem import Problem, Scores
+from deadreckon.names import file_part
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.stats.interval import Interval
 from deadreckon.stats.means import mean_interval

@@ -19,7 +19,8 @@ import numpy as np
 from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import DivergedError, UserError
-from deadreckon.files import digest, file_part, read_json, write_json
+from deadreckon.files import digest, read_json, write_json
+from deadreckon.names import file_part
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.estimates import Estimates

@@ -80,13 +80,12 @@ def about(task: str) -> dict[str, Any]:
     Raises:
         UserError: the task has no policies.
     """
-    path = ROOT / f"{SHARED.get(task, task)}.json"
-    if not path.is_file():
+    if task not in library_tasks():
         raise UserError(
             f"there are no policies of {task!r}, only of {', '.join(library_tasks())}; "
             "`python -m deadreckon.runs.publish` makes them from a run"
         )
-    return json.loads(path.read_text())
+    return json.loads((ROOT / f"{SHARED.get(task, task)}.json").read_text())
 
 
 def snapshot(task: str, name: str) -> Snapshot:

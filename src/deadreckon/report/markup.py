@@ -3,6 +3,8 @@
 import html
 from typing import Any
 
+from deadreckon.names import shown
+
 
 class Markup(str):
     """Text that is markup; every other string is escaped when it becomes part of an element."""
@@ -20,13 +22,17 @@ def _text(child: Any) -> str:
         return child
     if isinstance(child, (list, tuple)):
         return "".join(map(_text, child))
-    return html.escape(str(child))
+    return _escaped(child)
+
+
+def _escaped(value: Any) -> str:
+    return html.escape(shown(value, keep="\n\t"))
 
 
 def tag(name: str, *children: Any, **attributes: Any) -> Markup:
     """An element; in attribute names `_` stands for `-`, a trailing one is dropped, and None leaves the attribute out."""
     given = {key.rstrip("_").replace("_", "-"): value for key, value in attributes.items() if value is not None}
-    written = "".join(f' {key}="{html.escape(str(value))}"' for key, value in given.items())
+    written = "".join(f' {key}="{_escaped(value)}"' for key, value in given.items())
     if name in _VOID:
         return Markup(f"<{name}{written}>")
     return Markup(f"<{name}{written}>{_text(children)}</{name}>")

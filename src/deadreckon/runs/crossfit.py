@@ -20,7 +20,8 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.split import RANDOM, Fold, group_of
 from deadreckon.data.split import folds as dealt
 from deadreckon.errors import UserError, unknown
-from deadreckon.files import file_part, read_json, write_json
+from deadreckon.files import read_json, write_json
+from deadreckon.names import file_part
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy, Mixture
 from deadreckon.runs.folder import Folder

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import write_json
+from deadreckon.names import shown
 from deadreckon.policies import portable
 from deadreckon.policies.pure import MEMBER, Pure, pure
 from deadreckon.policies.table_encoder import TableEncoder
@@ -64,7 +65,7 @@ def export(
         writer = {"onnx": write_onnx, "stablehlo": _stablehlo, "numpy": _numpy, "mlflow": write_mlflow}[format]
         used = writer(one, function, rows, folder)
         text = card(one, data, told, format, used, len(rows.observations))
-        (folder / CARD).write_text(text, encoding="utf-8")
+        (folder / CARD).write_text(shown(text, keep="\n"), encoding="utf-8")
     return out
 
 

@@ -8,7 +8,7 @@ from deadreckon.agents import short_name
 from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
-from deadreckon.files import file_part
+from deadreckon.names import file_part
 from deadreckon.runs.run import Run
 from deadreckon.runs.train import train
 

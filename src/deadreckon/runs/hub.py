@@ -18,7 +18,8 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.folder import HEADER, read_folder, write_folder
 from deadreckon.data.transfer import file_hashes
 from deadreckon.errors import UserError
-from deadreckon.files import file_part, home, read_json, safe_name, write_json
+from deadreckon.files import home, read_json, write_json
+from deadreckon.names import file_part, safe_name, shown
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.runs.run import Run, load
@@ -71,7 +72,7 @@ def push_to_hub(thing: Dataset | Run | EnvPolicy, repo: str, *, private: bool = 
         files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
         listed = {name: {"sha256": _sum(path), "bytes": path.stat().st_size} for name, path in files.items()}
         write_json(folder / MANIFEST, {"format": _FORMAT, "kind": kind, "version": __version__, "files": listed})
-        (folder / "README.md").write_text(_card(thing, kind, repo), encoding="utf-8")
+        (folder / "README.md").write_text(shown(_card(thing, kind, repo), keep="\n"), encoding="utf-8")
         call = _Hub(repo, kind == "log")
         call("create_repo", private=private, exist_ok=True)
         call("upload_folder", folder_path=str(folder), commit_message=f"A {kind} of deadreckon {__version__}")

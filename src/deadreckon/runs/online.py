@@ -16,7 +16,7 @@ from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
-from deadreckon.files import file_part
+from deadreckon.names import file_part
 from deadreckon.online import Online
 from deadreckon.online.experience import experience_of
 from deadreckon.online.mixed import check_agent

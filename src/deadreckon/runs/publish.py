@@ -18,6 +18,7 @@ from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
+from deadreckon.names import safe_name
 from deadreckon.online import Online, replay_log
 from deadreckon.policies import library, store
 from deadreckon.policies.library import Returns
@@ -61,7 +62,7 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
     online = config.get("online")
     if online is None and options.medium is not None:
         raise UserError(f"{options.run} learned from a log: it has no medium-replay, leave medium out")
-    total, task = options.updates or config["steps"], config["task"]
+    total, task = options.updates or config["steps"], safe_name(str(config["task"]), f"{options.run}: task")
     # Runs on a log do not keep the policy that they begin with.
     parts = library.SNAPSHOTS - 1 if online else library.SNAPSHOTS
     spaced = [round((i + (online is None)) * total / parts) for i in range(library.SNAPSHOTS)]

@@ -5,6 +5,7 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from deadreckon._version import __version__
+from deadreckon.names import shown
 from deadreckon.policies.table_predict import Predictor
 
 if TYPE_CHECKING:
@@ -142,7 +143,7 @@ def example(policy: Predictor) -> Any:
 
 def page(policy: Predictor, words: str, document: dict[str, Any]) -> str:
     """The page /docs: HTML without scripts, which asks nothing of other servers."""
-    told, shown = described(policy, words), lambda value: html.escape(str(value))
+    told = described(policy, words)
     rows = [["column", "kind", "unit", "values", "may be missing"]]
     for key, column in told["observations"].items():
         values = ", ".join(map(str, column.get("levels", [])))
@@ -158,11 +159,11 @@ def page(policy: Predictor, words: str, document: dict[str, Any]) -> str:
     body = json.dumps(example(policy), ensure_ascii=False)
     call = f"curl -X POST http://HOST:PORT/predict -H 'content-type: application/json' -d '{body}'"
     options = document["paths"]["/predict"]["post"]["parameters"]
-    listed = "".join(f"<li><code>{shown(o['name'])}</code>: {shown(o['description'])}</li>" for o in options)
+    listed = "".join(f"<li><code>{_text(o['name'])}</code>: {_text(o['description'])}</li>" for o in options)
     return (
         f"<!doctype html><html lang=en><meta charset=utf-8><meta name=viewport content='width=device-width'>"
-        f"<title>deadreckon policy</title><style>{_STYLE}</style><h1>deadreckon policy</h1><p>{shown(words)}</p>"
-        f"<h2>POST /predict</h2><p>A row <code>{{column: value}}</code>, or a list of rows.</p><pre>{shown(call)}</pre>"
+        f"<title>deadreckon policy</title><style>{_STYLE}</style><h1>deadreckon policy</h1><p>{_text(words)}</p>"
+        f"<h2>POST /predict</h2><p>A row <code>{{column: value}}</code>, or a list of rows.</p><pre>{_text(call)}</pre>"
         f"<h3>Columns of a row</h3>{_table(rows)}<h3>Columns of an action</h3>{_table(acts)}"
         f"<h3>Options, such as <code>/predict?probabilities=true</code></h3><ul>{listed}</ul>"
         "<h2>GET</h2><ul><li><a href=/health>/health</a></li><li><a href=/schema>/schema</a></li>"
@@ -171,6 +172,10 @@ def page(policy: Predictor, words: str, document: dict[str, Any]) -> str:
 
 
 def _table(rows: list[list[Any]]) -> str:
-    cells = lambda row, tag: "".join(f"<{tag}>{html.escape(str(cell))}</{tag}>" for cell in row)  # noqa: E731
+    cells = lambda row, tag: "".join(f"<{tag}>{_text(cell)}</{tag}>" for cell in row)  # noqa: E731
     head, *body = rows
     return f"<table><tr>{cells(head, 'th')}</tr>" + "".join(f"<tr>{cells(row, 'td')}</tr>" for row in body) + "</table>"
+
+
+def _text(value: Any) -> str:
+    return html.escape(shown(value, keep="\n\t"))

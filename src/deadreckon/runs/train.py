@@ -10,7 +10,7 @@ from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
-from deadreckon.files import file_part, safe_name
+from deadreckon.names import file_part, safe_name
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.lanes import lanes_of
 from deadreckon.runs.run import Run, load

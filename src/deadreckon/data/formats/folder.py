@@ -14,7 +14,8 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.build import build, columns_of
 from deadreckon.data.formats.header import Header, damaged
 from deadreckon.errors import UserError, reading
-from deadreckon.files import safe_name
+from deadreckon.files import missing_folders
+from deadreckon.names import safe_name
 
 HEADER = "log.json"
 
@@ -37,13 +38,13 @@ def write_folder(log: Dataset, path: Path | str, *, force: bool = False) -> None
     columns = columns_of(log)
     for key in columns:  # named by whoever made the log
         safe_name(key, f"{path}: column")
-    made = [folder for folder in path.absolute().parents if not folder.exists()]
+    made = missing_folders(path)
     temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent))
         for key, column in columns.items():
-            with open(temporary / f"{key}.npy", "wb") as file:
+            with open(temporary / f"{key}.npy", "xb") as file:  # where case does not count, two columns could be one file
                 np.save(file, column, allow_pickle=False)
                 _sync(file)
         with open(temporary / HEADER, "w") as file:

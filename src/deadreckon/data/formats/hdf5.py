@@ -20,7 +20,8 @@ from deadreckon.data.formats.layouts import layout_of, told
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError, naming, reading
-from deadreckon.files import digest, replacing, reserve, safe_name
+from deadreckon.files import digest, replacing, reserve
+from deadreckon.names import safe_name
 
 _BLOCK = 262_144  # rows copied at a time
 _HEADER = "deadreckon"  # attribute that holds the header as JSON

@@ -21,7 +21,8 @@ from deadreckon.data.formats.minari_ids import METADATA, PREFIX, ROOT, checked_i
 from deadreckon.data.formats.minari_rows import buffers, spaces_of
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError, naming, reading
-from deadreckon.files import read_json, safe_name
+from deadreckon.files import read_json
+from deadreckon.names import safe_name
 
 _KEPT = ("dataset_id", "algorithm_name", "code_permalink", "ref_min_score", "ref_max_score", "minari_version")
 

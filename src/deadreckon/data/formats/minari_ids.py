@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 from deadreckon.errors import UserError, unknown
+from deadreckon.names import file_part
 
 PREFIX = "minari:"
 METADATA = "metadata.json"
@@ -35,8 +36,7 @@ def find(source: Path | str) -> Path:
 
 def installed(text: str) -> bool:
     """Whether `text` is the id of a data set that is installed here; says so without loading Minari."""
-    inside = text and "\0" not in text and not text.startswith("/") and ".." not in text.split("/")
-    return bool(inside) and (root() / text / "data" / METADATA).is_file()
+    return _inside(text) and (root() / text / "data" / METADATA).is_file()
 
 
 def is_id(text: str) -> bool:
@@ -56,12 +56,17 @@ def checked_id(dataset_id: str) -> str:
 
     try:
         parse_dataset_id(dataset_id)
-        good = "\0" not in dataset_id and not dataset_id.startswith("/") and ".." not in dataset_id.split("/")
+        good = _inside(dataset_id)
     except (ValueError, TypeError):  # TypeError is what an id without a version makes of it
         good = False
     if not good:
         raise UserError(f"{dataset_id!r} is no Minari id; it should look like mine/pointmaze-v0")
     return dataset_id
+
+
+def _inside(dataset_id: str) -> bool:
+    """Whether a data set of that id lies in Minari's folder."""
+    return all(file_part(part) == part for part in dataset_id.split("/"))
 
 
 def root() -> Path:

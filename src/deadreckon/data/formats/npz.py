@@ -11,7 +11,8 @@ from deadreckon.data.formats.arrange import Arranged, arranged
 from deadreckon.data.formats.build import build, columns_of
 from deadreckon.data.formats.header import Header
 from deadreckon.errors import UserError, reading
-from deadreckon.files import replacing, safe_name
+from deadreckon.files import replacing
+from deadreckon.names import safe_name
 
 _HEADER = "deadreckon"  # the array that holds the header as JSON
 

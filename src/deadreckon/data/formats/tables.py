@@ -4,11 +4,12 @@ import json
 from pathlib import Path
 from typing import Any
 
-from pyarrow import csv, parquet
+from pyarrow import parquet
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.any_table import table_of_kind
 from deadreckon.data.formats.build import build, columns_of
+from deadreckon.data.formats.csv_out import write_table
 from deadreckon.data.formats.header import Header
 from deadreckon.data.formats.kind import READING, sniff
 from deadreckon.data.formats.spread import from_anybody, from_table, shapes_of, to_table, told_shapes
@@ -62,14 +63,16 @@ def read_tabular(
 
 def write_parquet(log: Dataset, path: Path | str) -> None:
     """Writes `log` as Parquet that `read_tabular` gives back exactly. Atomic."""
-    table = to_table(log)
     header = Header.of(log, columns=shapes_of(log))
     with replacing(path) as temporary:
+        table = to_table(log)
         parquet.write_table(table.replace_schema_metadata({_HEADER: json.dumps(header.to_json())}), temporary)
 
 
 def write_csv(log: Dataset, path: Path | str) -> None:
     """Writes `log` as CSV; `read_tabular` gives the values back as float32, without the action bounds. Atomic.
+
+    Names that a spreadsheet would take for formulas get an apostrophe in front (`csv_out`).
 
     Raises:
         UserError: a column has more than one dimension a row, or the file cannot be written.
@@ -80,4 +83,4 @@ def write_csv(log: Dataset, path: Path | str) -> None:
         if column.ndim > 2:
             raise UserError(f"{path}: {key} of shape {column.shape[1:]} do not fit into CSV; write .hdf5 or .parquet")
     with replacing(path) as temporary:
-        csv.write_csv(to_table(log), temporary)
+        write_table(to_table(log), temporary)

@@ -1,12 +1,12 @@
 """What the pictures of theory share: CSV files, lines, shades and SVG files."""
 
-import csv
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from deadreckon.data.formats.csv_out import write_rows
 from deadreckon.files import replacing
 from deadreckon.report import charts
 from deadreckon.report.markup import Markup, tag
@@ -19,10 +19,8 @@ SHADES = 9  # of a picture; more are not told apart
 def columns(path: Path, values: Mapping[str, np.ndarray]) -> Path:
     """A CSV file of equally long columns."""
     with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(values)
         rows = zip(*(np.asarray(column).tolist() for column in values.values()))
-        writer.writerows([f"{v:.8g}" if isinstance(v, float) else v for v in row] for row in rows)
+        write_rows(file, [values, *([f"{v:.8g}" if isinstance(v, float) else v for v in row] for row in rows)])
     return path
 
 

@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
+from deadreckon.names import safe_name
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.trackers.tracker import Tracker
 
@@ -42,7 +43,8 @@ class Tracking:
         if not path.exists():
             write_json(path, {"id": uuid.uuid4().hex[:12]})
         whole = self.folder.path.absolute()
-        named = {"folder": str(whole), "name": "/".join(whole.parts[-2:]), "id": read_json(path)["id"]}
+        known_id = safe_name(str(read_json(path)["id"]), f"{path}: id")
+        named = {"folder": str(whole), "name": "/".join(whole.parts[-2:]), "id": known_id}
         config = read_json(known.config) | named
         self.seeds, self.started = config["seeds"], True
         for tracker in self.trackers:

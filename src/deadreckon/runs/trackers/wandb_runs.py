@@ -1,5 +1,6 @@
 """Runs in Weights & Biases, one for each seed in a group for each run folder; offline where there is no network."""
 
+import glob
 import shutil
 import socket
 import urllib.parse
@@ -33,7 +34,7 @@ class WandB:
         if mode == "offline" and settings.mode != mode:
             told = f"wandb: no answer from {settings.base_url}, so the run is kept offline"
             warnings.warn(f"{told}; `wandb sync {folder / 'wandb'}/offline-run-*` uploads it", stacklevel=2)
-        for path in folder.glob(f"wandb/offline-run-*-{config['id']}-seed*"):
+        for path in folder.glob(f"wandb/offline-run-*-{glob.escape(config['id'])}-seed*"):
             shutil.rmtree(path)  # of before an interruption; it is written again
         self.runs = {
             seed: self.wandb.init(
