@@ -7,7 +7,6 @@ import hashlib
 import json
 import os
 import shutil
-import tempfile
 import tomllib
 import unicodedata
 import warnings
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, cast
 import platformdirs
 
 from deadreckon.errors import BusyError, UserError
+from deadreckon.temporaries import beside
 
 if TYPE_CHECKING:
     from filelock import FileLock
@@ -43,29 +43,24 @@ def replacing(path: Path | str, *, keep: bool = False) -> Iterator[Path]:
     """
     path = Path(path)
     made = [folder for folder in path.absolute().parents if not folder.exists()]
-    temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-        os.close(handle)
-        temporary = Path(name)
-        yield temporary
-        with open(temporary, "rb+") as file:
-            os.fsync(file.fileno())
-        # mkstemp makes files private; what we publish has the rights that open() would have given.
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        if keep:
-            with contextlib.suppress(FileExistsError):
-                os.link(temporary, path)
-        else:
-            temporary.replace(path)
+        with beside(path) as temporary:
+            yield temporary
+            with open(temporary, "rb+") as file:
+                os.fsync(file.fileno())
+            # mkstemp makes files private; what we publish has the rights that open() would have given.
+            mask = os.umask(0)
+            os.umask(mask)
+            temporary.chmod(0o666 & ~mask)
+            if keep:
+                with contextlib.suppress(FileExistsError):
+                    os.link(temporary, path)
+            else:
+                temporary.replace(path)
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
         if not path.exists():
             for folder in made:  # innermost first; one that others have filled meanwhile stays
                 with contextlib.suppress(OSError):
@@ -182,14 +177,12 @@ def copy_folder(source: Path, target: Path | str) -> Path:
     target = Path(target)
     if target.exists():
         raise UserError(f"{target} exists already; choose another place")
-    aside = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     try:
-        shutil.copytree(source, aside, ignore=shutil.ignore_patterns(".*.tmp", ".*.lock"))
-        aside.rename(target)
+        with beside(target, folder=True) as aside:
+            shutil.copytree(source, aside, ignore=shutil.ignore_patterns(".*.tmp", ".*.lock"), dirs_exist_ok=True)
+            aside.rename(target)
     except OSError as error:  # copytree's is a list of those of all files
         raise UserError(f"cannot write {target}: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
     return target
 
 

@@ -12,6 +12,7 @@ import tyro
 from deadreckon.cli.lines import Lines
 from deadreckon.cli.parse import parse
 from deadreckon.errors import UserError
+from deadreckon.interrupts import resumable
 
 
 @dataclass
@@ -119,7 +120,8 @@ def _run(options: Bench) -> None:
     waiting = announce(Path(options.suite).stem, jobs, store, executor, options.dry_run)
     if options.dry_run:
         return executor.close()
-    run(jobs, store, Lines(len(waiting)), executor, seconds)
+    with resumable(store.path, store.place):
+        run(jobs, store, Lines(len(waiting)), executor, seconds)
     for suite in suites:
         own = [job for job in jobs if job.suite == suite.name]
         if len(suites) == 1:

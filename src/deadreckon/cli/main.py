@@ -6,10 +6,13 @@ Nothing heavy is imported here, so that `deadreckon --help` answers at once.
 import contextlib
 import importlib
 import os
+import shlex
+import signal
 import sys
 import warnings
 from collections.abc import Sequence
 
+from deadreckon import interrupts
 from deadreckon._version import __version__
 from deadreckon.errors import UserError, unknown
 
@@ -54,11 +57,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command line.
 
     Returns:
-        The exit code: 0, 1 for a failed run, an alarm of `monitor` or a mistake of ours, 2 for bad input, 130 when interrupted.
+        The exit code: 0, 1 for a failed run, an alarm of `monitor` or a mistake of ours, 2 for bad input, 130 or 143 when
+        interrupted by SIGINT or SIGTERM.
     """
     args = list(sys.argv[1:] if argv is None else argv)
-    debug = "--debug" in args
-    args = [a for a in args if a != "--debug"]
+    with interrupts.listening(lambda number: _interrupted(args)):
+        return _run(args)
+
+
+def _run(given: list[str]) -> int:
+    debug = "--debug" in given
+    args = [a for a in given if a != "--debug"]
     warnings.showwarning = _one_line
     try:
         if not args or args[0] in ("-h", "--help", "help"):
@@ -75,7 +84,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         cache_compiled_programs()
         code = getattr(importlib.import_module(f"deadreckon.cli.{module}"), function)(args[1:])
         return code or 0
+    except KeyboardInterrupt:
+        return _interrupted(given)
     except UserError as error:
+        if interrupts.arrived():  # which something on its way has made another error of
+            return _interrupted(given)
         if debug:
             raise
         print(f"deadreckon: {' '.join(str(error).split())}", file=sys.stderr)
@@ -83,15 +96,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # `deadreckon data info x | head`: the reader has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except KeyboardInterrupt:
-        print("deadreckon: interrupted; a training run goes on with --resume", file=sys.stderr)
-        return 130
     except Exception as error:  # our mistake, not the user's: told shortly, and in full with --debug
+        if interrupts.arrived():
+            return _interrupted(given)
         if debug:
             raise
         what = " ".join(str(error).split())[:300]
         print(f"deadreckon: internal error, {type(error).__name__}: {what} (--debug shows where)", file=sys.stderr)
         return 1
+
+
+def _interrupted(args: Sequence[str]) -> int:
+    """Says which command goes on, if any; gives the exit code."""
+    if args and args[0] == "recommend":  # its time cannot be taken up again
+        what = "recommend does not go on; the same command with another --out begins anew"
+    elif not interrupts.goes_on():
+        what = "the same command begins anew"
+    else:
+        more = ["--resume"] if args[0] == "train" and "--resume" not in args else []
+        what = f"this goes on with it: {shlex.join(['deadreckon', *args, *more])}"
+    print(f"deadreckon: interrupted; {what}", file=sys.stderr, flush=True)
+    return 128 + (interrupts.arrived() or signal.SIGINT)
 
 
 def _one_line(message, category, filename, lineno, file=None, line=None):

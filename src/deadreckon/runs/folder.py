@@ -17,7 +17,7 @@ checkpoints together: beside them, not in them.
 import contextlib
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ import pyarrow.parquet as pq
 from deadreckon.agents import AGENTS, agent_class, plugins
 from deadreckon.errors import UserError
 from deadreckon.files import alone, read_json, replacing, write_json
+from deadreckon.interrupts import resumable
 from deadreckon.training.field_names import with_field_names
 from deadreckon.versions import differences
 
@@ -39,9 +40,11 @@ class Folder:
 
     path: Path
 
-    def alone(self) -> contextlib.AbstractContextManager[None]:
-        """Lets one process at a time write here; another is refused with a `BusyError`. See `files.alone`."""
-        return alone(self.path.with_name(f"{self.path.name}.run"), what=str(self.path))
+    @contextlib.contextmanager
+    def alone(self) -> Iterator[None]:
+        """Lets one process at a time write here, and may be gone on with; another is refused with a `BusyError`."""
+        with alone(self.path.with_name(f"{self.path.name}.run"), what=str(self.path)), resumable(self.config):
+            yield
 
     @property
     def config(self) -> Path:
