@@ -219,19 +219,19 @@ def write_at(path: Path, offset: int, data: bytes | memoryview) -> None:
 
 
 @contextlib.contextmanager
-def alone(path: Path, wait: str = "", what: str = "this") -> Iterator[None]:
+def alone(path: Path, wait: str = "", what: str = "") -> Iterator[None]:
     """Lets one process at a time work on what will be `path`. The system frees the lock of a killed one.
 
     Args:
         path: need not be there yet.
         wait: what another process that is at it does: then it is waited for, which a warning tells, instead of refused.
-        what: is worked on, for the error.
+        what: is worked on, for the error; `path` if empty.
 
     Raises:
         BusyError: another process is at it.
         UserError: the folder cannot be made. A folder made for nothing is removed.
     """
-    path = path.absolute()
+    shown, path = path, path.absolute()
     made = [folder for folder in path.parents if not folder.exists()]
     lock = path.with_name(f".{path.name}.lock")
     try:
@@ -240,7 +240,7 @@ def alone(path: Path, wait: str = "", what: str = "this") -> Iterator[None]:
         except OSError as error:
             raise UserError(f"cannot write {path}: {error.strerror or error}") from error
         if held is None:
-            raise BusyError(f"another process is at work on {what} already: {lock} is locked")
+            raise BusyError(f"another process is at work on {what or shown} already: {lock} is locked")
         try:
             yield
         finally:

@@ -34,7 +34,7 @@ class Command:
     kept: tuple[str, ...] = ()
     steps: str | None = None
     weight: float = 1.0
-    others: tuple[str, ...] = ("*.html",)
+    others: tuple[str, ...] = ("*.html", "*.seconds")
     goes_on: bool = True
 
     def words(self, inputs: Path) -> list[str]:
@@ -73,8 +73,9 @@ COMMANDS = (
     Command("data collect, recipe", _words("data collect maze2d-umaze-v1 --steps 20000 --out out/log.hdf5"), weight=0.5),
     Command("data convert", _words(f"data convert {{inputs}}/rows.csv out/log {ROWS}"), weight=0.5),
     Command(
-        "ope", _words(f"ope --data {{inputs}}/rows.csv {ROWS} --policies {{inputs}}/policy --estimators fqe --steps 60"
-                      " --hidden 8 --members 2 --batch-size 32 --discount 0.9 --out out --select"), weight=1.5, steps="fits*/*/*.npz",
+        "ope", _words(f"ope --data {{inputs}}/rows.csv {ROWS} --policies {{inputs}}/policy --estimators fqe"
+                      " --steps 60 --hidden 8 --members 2 --batch-size 32 --discount 0.9 --out out --select"),
+        weight=1.5, steps="fits*/*/*.npz",
     ),
     Command(
         "design", _words("design {inputs}/designs.csv --target score --method ensemble --n 4 --out out --method.hidden 8"
@@ -87,12 +88,14 @@ COMMANDS = (
                        " --fixed hidden=[8] batch_size=16 --estimators fqe --fit.steps 60 --fit.hidden 8 --fit.batch-size 32"
                        " --discount 0.9 --out out"), weight=0.4, kept=("results/*.parquet",),
     ),
-    Command("bench, local", _words("bench {inputs}/small.toml --workers 2 --out out"), weight=0.4, kept=("results/*.parquet",)),
+    Command("bench, local", _words("bench {inputs}/small.toml --workers 2 --out out"), weight=0.4,
+            kept=("results/*.parquet",)),
     Command("bench, evidence queue", _words("bench queue.toml --workers 1 --out out"), weight=0.8,
-            kept=("../ledger/study/*/*.json",), others=("*.html", "done.txt")),
+            kept=("../ledger/study/*/*.json",), others=("*.html", "*.seconds", "done.txt")),
     Command("recommend", _words(f"recommend {{inputs}}/rows.csv --budget 15s {ROWS} --out out"), weight=0.2, goes_on=False),
 )  # fmt: skip
-RAY = Command("bench, Ray", _words("bench {inputs}/small.toml --executor ray --out out"), weight=0.2, kept=("results/*.parquet",))
+RAY = Command("bench, Ray", _words("bench {inputs}/small.toml --executor ray --out out"), weight=0.2,
+              kept=("results/*.parquet",))  # fmt: skip
 
 
 def digests(folder: Path, others: Sequence[str] = ()) -> dict[str, str]:
