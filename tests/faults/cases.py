@@ -15,7 +15,7 @@ from tests.faults import inputs
 from tests.faults.commands import Command, digests, finished, leftovers, progress
 from tests.faults.process import Running, apart, at_operation, begin, run
 
-MOST = 4  # kills of one case before the command may end
+MOST = 10  # kills of one case before the command may end
 LONG = 900.0  # seconds within which an undisturbed command ends on a busy machine
 
 
@@ -106,7 +106,7 @@ def killed(place: Place, command: Command, rng: random.Random) -> Outcome:
         done, far = finished(command, place.out), progress(command, place.out)
         last = kills == MOST or (kills > 0 and not command.goes_on)
         precise = rng.random() < 0.5
-        hook = at_operation(int(rng.uniform(1, 60)), lambda: os.kill(os.getpid(), signal.SIGKILL))
+        hook = at_operation(int(300 ** rng.random()), lambda: os.kill(os.getpid(), signal.SIGKILL))
         began = time.monotonic()
         running = begin(words, place.folder, hook if precise and not last else lambda: None)
         wait = LONG if last or precise else rng.uniform(0.0, place.seconds[command.name])
