@@ -1,7 +1,9 @@
 """Signals end work where it can be gone on with, and the command says which command does."""
 
+import gc
 import os
 import signal
+import time
 import types
 
 import pytest
@@ -111,3 +113,15 @@ def test_what_ended_otherwise_leaves_no_word(tmp_path):
         with resumable(tmp_path):
             pass
         assert not goes_on()
+
+
+def test_a_signal_within_a_callback_of_the_garbage_collector_is_not_lost(heard, capsys):
+    def callback(phase, info):
+        gc.callbacks.remove(callback)
+        signal.raise_signal(signal.SIGTERM)  # whose error Python drops
+
+    gc.callbacks.append(callback)
+    with pytest.raises(Interrupted):  # noqa: PT012
+        gc.collect()
+        time.sleep(5.0)
+    assert "ignored" not in capsys.readouterr().err

@@ -26,8 +26,15 @@ LONGEST = 200  # bytes of a name; file systems take 255, and endings come behind
 
 
 def home() -> Path:
-    """The folder of collected and downloaded logs: `DEADRECKON_HOME`, else the user's cache folder."""
-    return Path(os.environ.get("DEADRECKON_HOME") or platformdirs.user_cache_dir("deadreckon"))
+    """The folder of collected and downloaded logs: `DEADRECKON_HOME`, else the user's cache folder.
+
+    Raises:
+        UserError: the user has no home folder, as where a container runs under a number that the system does not know.
+    """
+    try:
+        return Path(os.environ.get("DEADRECKON_HOME") or platformdirs.user_cache_dir("deadreckon"))
+    except RuntimeError as error:
+        raise UserError("this user has no home folder; set DEADRECKON_HOME, the folder of logs") from error
 
 
 @contextlib.contextmanager

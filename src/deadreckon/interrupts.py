@@ -7,6 +7,7 @@ handlers, and Ctrl-C raises `KeyboardInterrupt` there as ever; nothing is lost b
 import contextlib
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -47,12 +48,15 @@ def listening(last: Callable[[int], Any], numbers: tuple[int, ...] = SIGNALS) ->
     _arrived, _last, _held = None, last, 0
     _kept.clear()
     before = {number: signal.getsignal(number) for number in numbers}
+    shown = sys.unraisablehook
+    sys.unraisablehook = lambda lost: _again(lost) if isinstance(lost.exc_value, Interrupted) else shown(lost)
     heard = [number for number, handler in before.items() if handler != signal.SIG_IGN]
     for number in heard:
         signal.signal(number, _hear)
     try:
         yield
     finally:
+        sys.unraisablehook = shown
         for number in heard:
             signal.signal(number, before[number])
 
@@ -67,6 +71,13 @@ def _hear(number: int, frame: Any) -> None:
     elif now - _arrived[1] > _AGAIN:
         _last(number)
         os._exit(128 + number)  # threads need not be waited for: what is on disk is whole at every moment
+
+
+def _again(lost: Any) -> None:
+    """The signal came in a callback of the garbage collector or the like, whose errors Python drops: it is sent once more."""
+    global _arrived
+    _arrived = None
+    threading.Timer(0.02, os.kill, (os.getpid(), lost.exc_value.number)).start()
 
 
 def arrived() -> int | None:

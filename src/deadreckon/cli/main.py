@@ -96,6 +96,13 @@ def _run(given: list[str]) -> int:
     except BrokenPipeError:  # `deadreckon data info x | head`: the reader has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except MemoryError as error:  # Python's, NumPy's and Arrow's
+        if interrupts.arrived():
+            return _interrupted(given)
+        if debug:
+            raise
+        print(f"deadreckon: not enough memory: {' '.join(str(error).split())[:300] or 'none is left'}", file=sys.stderr)
+        return 1
     except Exception as error:  # our mistake, not the user's: told shortly, and in full with --debug
         if interrupts.arrived():
             return _interrupted(given)
@@ -130,8 +137,8 @@ def cache_compiled_programs() -> None:
     """
     from deadreckon.files import home
 
-    folder = home() / "jax"
-    with contextlib.suppress(OSError):  # a read-only home costs compile time, nothing else
+    with contextlib.suppress(OSError, UserError):  # a read-only home, or none, costs compile time, nothing else
+        folder = home() / "jax"
         folder.mkdir(parents=True, exist_ok=True)
         os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")

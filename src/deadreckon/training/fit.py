@@ -167,6 +167,7 @@ class Fit:
         with self.source as source:
             if self.step == 0:
                 self.save()
+            self._forget()  # a kill may have come between the last checkpoint and this
             while self.step < self.steps and not self.ended:
                 if prepares and (self.step == 0 or (refresh and self.step % refresh == 0)):
                     self._prepare()
@@ -248,10 +249,16 @@ class Fit:
         self.source.flush()  # first the rows, then the checkpoint that counts them
         tree = self.source.tree(self.states)
         save_tree(self.folder / f"{self.step:010d}.npz", tree, {"step": self.step, "failures": self.failures})
+        self._forget()
+
+    def _forget(self) -> None:
+        """Removes what newer checkpoints have made useless."""
+        if self.folder is None:
+            return
         for _, path in checkpoints(self.folder)[:-KEPT]:
-            path.unlink()
+            path.unlink(missing_ok=True)
         for path in self.folder.glob("prepared-*.npz") if self.step else ():
-            path.unlink()
+            path.unlink(missing_ok=True)
 
 
 def complete(job: Fit, what: str, on_chunk: Callable[[Chunk], None]) -> None:
