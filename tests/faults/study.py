@@ -86,7 +86,7 @@ def case(place: cases.Place, number: int, commands: list[Command]) -> dict[str, 
     }  # fmt: skip
 
 
-def study(out: Path, kills: int, only: str, workers: int, ray: bool) -> None:
+def study(out: Path, kills: int, only: str, faults: str, workers: int, ray: bool) -> None:
     """Does what is missing until so many processes have been killed."""
     out.mkdir(parents=True, exist_ok=True)
     os.environ |= {"DEADRECKON_HOME": str(out / "home"), "JAX_COMPILATION_CACHE_DIR": str(out / "home" / "jax")}
@@ -105,7 +105,8 @@ def study(out: Path, kills: int, only: str, workers: int, ray: bool) -> None:
         done = {each["case"] for each in done_before(out)}
         number = share
         while sum(each["kills"] for each in done_before(out)) < kills:
-            if number not in done and (row := case(place, number, commands)) is not None:
+            wanted = faults in planned(number, commands)[1] or (faults == "others" and planned(number, commands)[1] != KILL)
+            if wanted and number not in done and (row := case(place, number, commands)) is not None:
                 with open(out / "results.jsonl", "a") as file:
                     file.write(json.dumps(row) + "\n")
                 told = f"{row['outcome']}  {' | '.join(row['broken'])}"
@@ -144,10 +145,11 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(".cache/faults"), help="folder of the results, gone on with")
     parser.add_argument("--kills", type=int, default=100, help="processes to kill, the killed ones of the folder included")
     parser.add_argument("--only", default="", help="commands whose names hold this")
+    parser.add_argument("--faults", default="", help="faults whose names hold this; others: all but SIGKILL")
     parser.add_argument("--workers", type=int, default=1, help="cases side by side")
     parser.add_argument("--ray", action="store_true", help="bench on a Ray cluster of this machine too")
     parser.add_argument("--table", action="store_true", help="show the results as tables")
     asked = parser.parse_args()
     if asked.table:
         return print(table(done_before(asked.out)))
-    study(asked.out.absolute(), asked.kills, asked.only, asked.workers, asked.ray)
+    study(asked.out.absolute(), asked.kills, asked.only, asked.faults, asked.workers, asked.ray)
