@@ -138,7 +138,7 @@ def _timeless(value: Any) -> Any:
 
 def finished(command: Command, out: Path) -> dict[str, tuple[int, int]]:
     """What must not be written again: path -> inode and time of the files that are finished for good."""
-    newest = {path.parent.parent: step for path, step in _steps(command, out)} if command.steps else {}
+    newest = {path.parent.parent: step for path, step in checkpoint_steps(command, out)} if command.steps else {}
     found = {}
     for pattern in command.kept:
         for path in out.glob(pattern):
@@ -150,13 +150,13 @@ def finished(command: Command, out: Path) -> dict[str, tuple[int, int]]:
 
 def progress(command: Command, out: Path) -> dict[str, int]:
     """How far each fit is, by its newest checkpoint, and a collection by its rows: folder -> number that must not fall."""
-    found = {str(path.parent): step for path, step in _steps(command, out)} if command.steps else {}
+    found = {str(path.parent): step for path, step in checkpoint_steps(command, out)} if command.steps else {}
     for state in out.glob(".*.part/state.json"):
         found[str(state)] = json.loads(state.read_text())["rows"]
     return found
 
 
-def _steps(command: Command, out: Path) -> list[tuple[Path, int]]:
+def checkpoint_steps(command: Command, out: Path) -> list[tuple[Path, int]]:
     assert command.steps is not None
     named = [(path, re.fullmatch(r"\d+", path.stem)) for path in out.glob(command.steps)]
     return sorted(((path, int(match[0])) for path, match in named if match), key=lambda each: each[1])

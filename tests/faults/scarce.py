@@ -116,10 +116,10 @@ def memory_addresses(place: Place, command: Command, rng: random.Random) -> Outc
     first.gone()
     if first.code == 0:
         return Outcome("there was memory enough", whole(place, command, first))
+    told = refused(first, ".", (1, 2)) if first.code in (1, 2) else []
+    how = "said in one line" if first.code in (1, 2) else "a library in C++ ended the process"
     again = whole(place, command, run(words, place.folder, LONG))
-    if first.code in (1, 2):
-        return Outcome("said in one line, and the same command went on", refused(first, ".", (1, 2)) + again)
-    return Outcome("a library in C++ ended the process, and the same command went on", again)
+    return Outcome(f"{how}, and the same command went on", told + again)
 
 
 def version(place: Place, command: Command, rng: random.Random) -> Outcome | None:
