@@ -3,6 +3,8 @@
 import hashlib
 import json
 import re
+import zipfile
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -114,20 +116,26 @@ def digests(folder: Path, others: Sequence[str] = ()) -> dict[str, str]:
 
 
 def digest(path: Path) -> str:
-    """Of what a file says."""
-    if path.suffix == ".json":
-        content = json.dumps(_timeless(json.loads(path.read_text())), sort_keys=True).encode()
-    elif path.suffix == ".parquet":
-        table = pq.read_table(path)
-        table = table.drop_columns([name for name in table.column_names if name in VOLATILE])
-        content = json.dumps(_timeless(table.to_pydict()), sort_keys=True, default=str).encode()
-    elif path.suffix == ".npz":
-        with np.load(path) as arrays:
-            parts = [(name, arrays[name]) for name in sorted(arrays.files)]
-        content = b"".join(f"{name} {each.dtype} {each.shape}".encode() + each.tobytes() for name, each in parts)
-    else:
+    """Of what a file says; of one that cannot be read, since a case has damaged it, of its bytes."""
+    try:
+        content = _content(path)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error):
         content = path.read_bytes()
     return hashlib.blake2b(content, digest_size=8).hexdigest()
+
+
+def _content(path: Path) -> bytes:
+    if path.suffix == ".json":
+        return json.dumps(_timeless(json.loads(path.read_text())), sort_keys=True).encode()
+    if path.suffix == ".parquet":
+        table = pq.read_table(path)
+        table = table.drop_columns([name for name in table.column_names if name in VOLATILE])
+        return json.dumps(_timeless(table.to_pydict()), sort_keys=True, default=str).encode()
+    if path.suffix == ".npz":
+        with np.load(path) as arrays:
+            parts = [(name, arrays[name]) for name in sorted(arrays.files)]
+        return b"".join(f"{name} {each.dtype} {each.shape}".encode() + each.tobytes() for name, each in parts)
+    return path.read_bytes()
 
 
 def _timeless(value: Any) -> Any:
