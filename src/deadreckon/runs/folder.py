@@ -27,7 +27,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from deadreckon.agents import AGENTS, agent_class, plugins
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, reading
 from deadreckon.files import alone, read_json, replacing, write_json
 from deadreckon.interrupts import resumable
 from deadreckon.training.field_names import with_field_names
@@ -104,7 +104,7 @@ class Folder:
     def table(self, kind: str) -> pa.Table:
         """All parts of a kind as one table, in order of steps; empty if there are none."""
         parts = sorted((self.path / kind).glob("*.parquet"))
-        return pa.concat_tables([pq.read_table(p) for p in parts], promote_options="default") if parts else pa.table({})
+        return pa.concat_tables(list(map(_read, parts)), promote_options="default") if parts else pa.table({})
 
     def drop_after(self, step: int) -> None:
         """Forgets what a killed run wrote beyond its last checkpoint, and temporary files it left."""
@@ -180,6 +180,11 @@ class Folder:
             for number in config["seeds"]:
                 self.policy(number).unlink(missing_ok=True)  # with it, the run is no longer finished
             write_json(self.config, before | {"steps": config["steps"]})
+
+
+def _read(part: Path) -> pa.Table:
+    with reading(part, "a table of a run", pa.ArrowException):
+        return pq.read_table(part)
 
 
 def policy_seed(name: str, seeds: Sequence[int], failures: Sequence[Any], seed: int | None) -> int:
