@@ -65,8 +65,9 @@ def replacing(path: Path | str, *, keep: bool = False) -> Iterator[Path]:
                     os.link(temporary, path)
             else:
                 temporary.replace(path)
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+    except OSError as error:  # NumPy's has no number
+        why = error.strerror or f"{error}, the disk may be full"
+        raise UserError(f"cannot write {path}: {why}") from error
     finally:
         if not path.exists():
             for folder in made:  # innermost first; one that others have filled meanwhile stays

@@ -96,8 +96,6 @@ COMMANDS = (
             kept=("../ledger/study/*/*.json",), others=("*.html", "*.seconds", "done.txt")),
     Command("recommend", _words(f"recommend {{inputs}}/rows.csv --budget 15s {ROWS} --out out"), weight=0.2, goes_on=False),
 )  # fmt: skip
-RAY = Command("bench, Ray", _words("bench {inputs}/small.toml --executor ray --out out"), weight=0.2,
-              kept=("results/*.parquet",))  # fmt: skip
 
 
 def digests(folder: Path, others: Sequence[str] = ()) -> dict[str, str]:

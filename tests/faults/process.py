@@ -22,7 +22,7 @@ from typing import Any
 
 ENVIRONMENT = {  # of all commands; small programs that compile fast, and no thread before the fork
     "JAX_DISABLE_MOST_OPTIMIZATIONS": "1", "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0", "JAX_PLATFORMS": "cpu",
-    "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "RAY_USAGE_STATS_ENABLED": "0", "MUJOCO_GL": "disabled",
+    "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MUJOCO_GL": "disabled",
     "PYTHONDONTWRITEBYTECODE": "1",
 }  # fmt: skip
 

@@ -47,7 +47,7 @@ def disk_full(place: Place, command: Command, rng: random.Random) -> Outcome | N
         with open(ballast, "wb") as file:
             os.posix_fallocate(file.fileno(), 0, max(DISK - _used(folder) - int(need), 4096))
         first = run(words, folder, LONG)
-        told = [] if first.code == 0 else refused(first, "No space left on device|failed|left", (2, 1))
+        told = [] if first.code == 0 else refused(first, "No space left on device|the disk may be full|failed|left", (2, 1))
         ballast.unlink()
         if first.code == 0:
             return Outcome("there was room enough", whole(place, command, first))

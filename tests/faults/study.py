@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.faults import cases, inputs, process
-from tests.faults.commands import COMMANDS, RAY, Command, digests
+from tests.faults.commands import COMMANDS, Command, digests
 from tests.faults.scarce import FAULTS
 
 KILL = "SIGKILL"
@@ -86,12 +86,12 @@ def case(place: cases.Place, number: int, commands: list[Command]) -> dict[str, 
     }  # fmt: skip
 
 
-def study(out: Path, kills: int, only: str, faults: str, workers: int, ray: bool) -> None:
+def study(out: Path, kills: int, only: str, faults: str, workers: int) -> None:
     """Does what is missing until so many processes have been killed."""
     out.mkdir(parents=True, exist_ok=True)
     os.environ |= {"DEADRECKON_HOME": str(out / "home"), "JAX_COMPILATION_CACHE_DIR": str(out / "home" / "jax")}
     process.warm()
-    commands = [each for each in (*COMMANDS, *([RAY] if ray else ())) if only in each.name]
+    commands = [each for each in COMMANDS if only in each.name]
     with process.private_mounts() as mounts:
         place = cases.Place(out / "work" / "case", inputs.make(out / "inputs"), {}, {}, mounts)
         if (out / "whole.json").exists():
@@ -117,9 +117,8 @@ def study(out: Path, kills: int, only: str, faults: str, workers: int, ray: bool
 def table(rows: list[dict[str, Any]]) -> str:
     """Two tables in Markdown: kills by command, and other faults by what came of them."""
     lines = ["| command | cases | kills | promises broken |", "|---|---:|---:|---:|"]
-    named = [*(each.name for each in COMMANDS), RAY.name]
     killed = [row for row in rows if row["fault"] == KILL]
-    for name in named:
+    for name in (each.name for each in COMMANDS):
         own = [row for row in killed if row["command"] == name]
         if own:
             lines.append(f"| `{name}` | {len(own)} | {sum(r['kills'] for r in own)} | {sum(bool(r['broken']) for r in own)} |")
@@ -147,9 +146,8 @@ def main() -> None:
     parser.add_argument("--only", default="", help="commands whose names hold this")
     parser.add_argument("--faults", default="", help="faults whose names hold this; others: all but SIGKILL")
     parser.add_argument("--workers", type=int, default=1, help="cases side by side")
-    parser.add_argument("--ray", action="store_true", help="bench on a Ray cluster of this machine too")
     parser.add_argument("--table", action="store_true", help="show the results as tables")
     asked = parser.parse_args()
     if asked.table:
         return print(table(done_before(asked.out)))
-    study(asked.out.absolute(), asked.kills, asked.only, asked.faults, asked.workers, asked.ray)
+    study(asked.out.absolute(), asked.kills, asked.only, asked.faults, asked.workers)
