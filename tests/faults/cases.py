@@ -76,10 +76,11 @@ def clean_end(running: Running) -> list[str]:
 
 def whole(place: Place, command: Command, running: Running, but: tuple[str, ...] = ()) -> list[str]:
     """What is wrong with a command that should have ended well, with the results of an undisturbed one."""
-    broken = clean_end(running)
-    if running.code != 0:
-        return [*broken, f"exit {running.code}: {(running.lines() or ['-'])[-1][:300]}"]
-    if left := leftovers(place.folder):
+    broken, last = clean_end(running), (running.lines() or ["-"])[-1]
+    there = running.code == 2 and re.search("exists already|is there already", last)  # killed when all was done
+    if running.code != 0 and not there:
+        return [*broken, f"exit {running.code}: {last[:300]}"]
+    if left := [path for path in leftovers(place.folder) if not there or not path.endswith(".lock")]:
         broken.append(f"left behind: {', '.join(left[:3])}")
     now, then = apart(digests, place.folder, command.others), place.whole[command.name]
     if different := sorted(name for name in now.keys() | then.keys() if now.get(name) != then.get(name) and name not in but):
@@ -120,7 +121,7 @@ def killed(place: Place, command: Command, rng: random.Random) -> Outcome:
                 running.kill(whole=rng.random() < 0.3)
                 running.wait()
         if not running.gone():
-            broken.append("its children lived on for 30 s")
+            broken.append("its children lived on for 120 s")
         if running.code == -signal.SIGKILL:
             kills, operations = kills + 1, operations + precise
         broken += _kept(command, place.out, done, far)
@@ -159,7 +160,7 @@ def interrupted(place: Place, command: Command, rng: random.Random) -> Outcome:
             running.kill(whole=True)
             return Outcome("", [f"lived on for 120 s after {number.name}"])
     if not running.gone():
-        return Outcome("", ["its children lived on for 30 s"])
+        return Outcome("", ["its children lived on for 120 s"])
     if running.code == 0:
         return Outcome("ended before", whole(place, command, running) if command.goes_on else [])
     broken = refused(running, "interrupted; ", (128 + number,)) + _kept(command, place.out, {}, far)

@@ -92,7 +92,7 @@ class Running:
                         found.append(int(each.name))
         return found
 
-    def gone(self, seconds: float = 30.0) -> bool:
+    def gone(self, seconds: float = 120.0) -> bool:
         """Waits until nothing of the command lives; whether that is so, within so many seconds. Then they are killed."""
         end = time.monotonic() + seconds
         while left := self.survivors():

@@ -160,6 +160,10 @@ def homeless(place: Place, command: Command, rng: random.Random) -> Outcome | No
             os.environ.pop(name, None)
 
     done = run(command.words(place.inputs), place.folder, LONG, become)
+    if done.code == 2 and "set DEADRECKON_HOME" in done.lines()[-1]:  # looks at held-out episodes are counted there
+        told = refused(done, "this user has no home folder")
+        again = run(command.words(place.inputs), place.folder, LONG)
+        return Outcome("said in one line which variable to set", told + whole(place, command, again))
     if not command.goes_on:
         return Outcome("ended well", clean_end(done) + ([] if done.code == 0 else [f"exit {done.code}"]))
     return Outcome("same results", [each for each in whole(place, command, done) if not each.startswith("left behind: ~")])
@@ -181,7 +185,8 @@ def c_locale(place: Place, command: Command, rng: random.Random) -> Outcome | No
     folder = place.folder / "l\u00e4ufe"
     if folder.exists():
         folder.rename(place.out)
-    return Outcome("same results", whole(place, command, done))
+    # Estimates of a search name the folders of its policies.
+    return Outcome("same results", whole(place, command, done, but=("out/estimates/estimates.json",)))
 
 
 FAULTS: dict[str, cases.Case] = {
