@@ -21,7 +21,7 @@ define uv_sync
 endef
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test fast test-slow lint docs bench evidence evidence-gpu lock clean
+.PHONY: help setup demo test fast test-slow faults lint docs bench evidence evidence-gpu lock clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -40,6 +40,10 @@ fast: $(STAMP) ## the fast tests alone
 
 test-slow: $(SLOW_STAMP) ## the tests marked slow: learning, kills, the built wheel
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m slow
+
+faults: $(STAMP) ## kills commands N=100 times and disturbs them otherwise, at the lowest priority; goes on where it was ended
+	nice -n 19 $(BIN)/python -m tests.faults --kills $(or $(N),100) --out .cache/faults
+	$(BIN)/python -m tests.faults --table --out .cache/faults
 
 lint: $(STAMP) ## ruff, import-linter, pyright
 	$(BIN)/ruff check .

@@ -1701,6 +1701,42 @@ MUTANTS = (
         'column = column.cast(column.type.value_type)', 'return column',
         "levels may be formulas", ("data/formats/test_csv_out.py",),
     ),
+    # ---- faults
+    Mutant(
+        "fault-wait", "interrupts.py",
+        "        if not _held:\n            raise Interrupted(number)", "        raise Interrupted(number)",
+        "a signal ends a chunk before it is on disk", ("test_interrupts.py",),
+    ),
+    Mutant(
+        "fault-callback", "interrupts.py",
+        "_again(lost) if isinstance(lost.exc_value, Interrupted) else shown(lost)", "shown(lost)",
+        "a signal within a callback of the garbage collector is lost", ("test_interrupts.py",),
+    ),
+    Mutant(
+        "fault-living", "temporaries.py",
+        "        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)\n", "",
+        "temporary files of living processes are removed", ("test_temporaries.py",),
+    ),
+    Mutant(
+        "fault-aside", "temporaries.py",
+        "if not path.exists() and _aside(path).exists():", "if False:",
+        "what a killed process had put aside is lost", ("test_temporaries.py",),
+    ),
+    Mutant(
+        "fault-chunk", "training/fit.py",
+        "with contextlib.nullcontext() if self.folder is None else holding():", "with contextlib.nullcontext():",
+        "a signal does not wait for the checkpoint", ("training/test_fit.py",),
+    ),
+    Mutant(
+        "fault-told", "training/fit.py",
+        "if problem is not None:\n                warnings", "if problem is None:\n                warnings",
+        "a broken checkpoint is passed over without a word", ("training/test_fit.py",),
+    ),
+    Mutant(
+        "fault-design", "cli/design.py",
+        'with alone(out, what=str(out)), resumable(out / "fits"):', 'with resumable(out / "fits"):',
+        "two commands propose into one folder", ("runs/test_alone.py",),
+    ),
 )
 
 

@@ -7,7 +7,6 @@ import hashlib
 import json
 import os
 import shutil
-import tempfile
 import tomllib
 import warnings
 from collections.abc import Iterator
@@ -18,14 +17,22 @@ import platformdirs
 
 from deadreckon.errors import BusyError, UserError
 from deadreckon.names import shown
+from deadreckon.temporaries import beside
 
 if TYPE_CHECKING:
     from filelock import FileLock
 
 
 def home() -> Path:
-    """The folder of collected and downloaded logs: `DEADRECKON_HOME`, else the user's cache folder."""
-    return Path(os.environ.get("DEADRECKON_HOME") or platformdirs.user_cache_dir("deadreckon"))
+    """The folder of collected and downloaded logs: `DEADRECKON_HOME`, else the user's cache folder.
+
+    Raises:
+        UserError: the user has no home folder, as where a container runs under a number that the system does not know.
+    """
+    try:
+        return Path(os.environ.get("DEADRECKON_HOME") or platformdirs.user_cache_dir("deadreckon"))
+    except RuntimeError as error:
+        raise UserError("this user has no home folder; set DEADRECKON_HOME, the folder of logs") from error
 
 
 @contextlib.contextmanager
@@ -41,32 +48,28 @@ def replacing(path: Path | str, *, keep: bool = False) -> Iterator[Path]:
     """
     path = Path(path)
     made = missing_folders(path)
-    temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-        os.close(handle)
-        temporary = Path(name)
-        yield temporary
-        with open(temporary, "rb+") as file:
-            os.fsync(file.fileno())
-        # mkstemp makes files private; what we publish has the rights that open() would have given.
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        if keep:
-            with contextlib.suppress(FileExistsError):
-                os.link(temporary, path)
-        else:
-            temporary.replace(path)
-    except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+        with beside(path) as temporary:
+            yield temporary
+            with open(temporary, "rb+") as file:
+                os.fsync(file.fileno())
+            # mkstemp makes files private; what we publish has the rights that open() would have given.
+            mask = os.umask(0)
+            os.umask(mask)
+            temporary.chmod(0o666 & ~mask)
+            if keep:
+                with contextlib.suppress(FileExistsError):
+                    os.link(temporary, path)
+            else:
+                temporary.replace(path)
+    except OSError as error:  # NumPy's has no number
+        why = error.strerror or f"{error}, the disk may be full"
+        raise UserError(f"cannot write {path}: {why}") from error
     except UnicodeEncodeError as error:
         text = shown(error.object[max(error.start - 20, 0) : error.end + 20])
         raise UserError(f"cannot write {path}: {text!r} holds half a character, which no encoding has") from error
     finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
         if not path.exists():
             for folder in made:  # innermost first; one that others have filled meanwhile stays
                 with contextlib.suppress(OSError):
@@ -169,14 +172,12 @@ def copy_folder(source: Path, target: Path | str) -> Path:
     target = Path(target)
     if target.exists():
         raise UserError(f"{target} exists already; choose another place")
-    aside = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     try:
-        shutil.copytree(source, aside, ignore=shutil.ignore_patterns(".*.tmp", ".*.lock"))
-        aside.rename(target)
+        with beside(target, folder=True) as aside:
+            shutil.copytree(source, aside, ignore=shutil.ignore_patterns(".*.tmp", ".*.lock"), dirs_exist_ok=True)
+            aside.rename(target)
     except OSError as error:  # copytree's is a list of those of all files
         raise UserError(f"cannot write {target}: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(aside, ignore_errors=True)
     return target
 
 
@@ -213,19 +214,19 @@ def write_at(path: Path, offset: int, data: bytes | memoryview) -> None:
 
 
 @contextlib.contextmanager
-def alone(path: Path, wait: str = "", what: str = "this") -> Iterator[None]:
+def alone(path: Path, wait: str = "", what: str = "") -> Iterator[None]:
     """Lets one process at a time work on what will be `path`. The system frees the lock of a killed one.
 
     Args:
         path: need not be there yet.
         wait: what another process that is at it does: then it is waited for, which a warning tells, instead of refused.
-        what: is worked on, for the error.
+        what: is worked on, for the error; `path` if empty.
 
     Raises:
         BusyError: another process is at it.
         UserError: the folder cannot be made. A folder made for nothing is removed.
     """
-    path = path.absolute()
+    told, path = path, path.absolute()
     made = missing_folders(path)
     lock = path.with_name(f".{path.name}.lock")
     try:
@@ -234,7 +235,7 @@ def alone(path: Path, wait: str = "", what: str = "this") -> Iterator[None]:
         except OSError as error:
             raise UserError(f"cannot write {path}: {error.strerror or error}") from error
         if held is None:
-            raise BusyError(f"another process is at work on {what} already: {lock} is locked")
+            raise BusyError(f"another process is at work on {what or told} already: {lock} is locked")
         try:
             yield
         finally:

@@ -4,9 +4,6 @@ import dataclasses
 import json
 import math
 import os
-import random
-import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -257,31 +254,3 @@ def test_idle_work_has_the_lowest_priority_and_stands_still_while_times_are_meas
     run(plan(suite, 1), store, told, executor)
     assert seen == [(os.SCHED_IDLE, 19, team[0]), "T"]
     assert store.undone(plan(suite)) == []
-
-
-@pytest.mark.slow
-def test_killed_at_twenty_random_moments_it_loses_no_cell_and_repeats_none(folder, monkeypatch):
-    monkeypatch.setenv("STUDY_SECONDS", "0.5")
-    (folder / "study.toml").write_text(STUDY.replace("seeds = 4", "seeds = 30").partition("[full]")[0])
-    command = [sys.executable, "-m", "deadreckon.cli.main", "bench", "queue.toml", "--out", "runs", "--workers", "2", "--idle"]
-    rng, kept, kills = random.Random(0), {}, 0
-    suite = read("study.toml")
-    while kills < 20:
-        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
-            try:
-                process.wait(timeout=rng.uniform(3.0, 8.0))
-            except subprocess.TimeoutExpired:
-                process.send_signal(signal.SIGKILL)
-                kills += 1
-        now = {file: file.read_text() for file in (folder / "ledger").glob("study/*/*.json")}
-        assert all(now[file] == text for file, text in kept.items())
-        kept = now
-        if process.returncode == 0:
-            break
-    store = store_of([suite], folder / "runs")
-    run(plan(suite, 1), store, lambda event: None, Local(store.path, workers=2))
-    assert store.undone(plan(suite)) == []
-    done = (folder / "done.txt").read_text().splitlines()
-    # A kill may come between a study's end and its file: only those in flight, two for each kill, may be there twice.
-    assert len(set(done)) == 120
-    assert len(done) <= 120 + 2 * kills

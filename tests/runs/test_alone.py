@@ -11,8 +11,9 @@ import pytest
 from deadreckon import read, train_together
 from deadreckon.agents import BC
 from deadreckon.cli.main import main
-from deadreckon.errors import BusyError
+from deadreckon.errors import BusyError, UserError
 from deadreckon.files import alone
+from deadreckon.runs.exported import building
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.offline import judge
 
@@ -54,3 +55,30 @@ def test_estimates_are_written_by_one_process_at_a_time(tmp_path):
     with alone(out), pytest.raises(BusyError, match=f"at work on {out} already"):
         judge([], read(small_csv(tmp_path / "log.csv")), out=out)
     assert not out.exists()
+
+
+@pytest.mark.parametrize(("words", "place"), [
+    ("design designs.csv --target score --out out", "out"), ("data convert log.csv out.npz", "out.npz"),
+    ("data convert log.csv out", "out"), ("theory cnml --out out", "out"), ("demo --out out", "out"),
+    ("data collect maze2d-umaze-v1 --steps 10 --out out.hdf5", "out.hdf5"), ("recommend log.csv --out out", "out"),
+    ("ope --data log.csv --policies run --out out", "out"),
+])  # fmt: skip
+def test_every_folder_is_written_by_one_command_at_a_time(words, place, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    small_csv(tmp_path / "log.csv")
+    (tmp_path / "designs.csv").write_text("a,b,score\n" + "".join(f"{i},{i * i % 7},{i % 5}\n" for i in range(20)))
+    with alone(tmp_path / place):
+        assert main(words.split()) == 2
+    *_, line = capsys.readouterr().err.splitlines()
+    assert f"another process is at work on {place}" in line or f"another process is at work on {tmp_path / place}" in line
+    assert not (tmp_path / place).exists()
+
+
+def test_exports_are_written_by_one_process_at_a_time(tmp_path):
+    with alone(tmp_path / "out"), pytest.raises(BusyError, match="at work on .*out already"), building(tmp_path / "out"):
+        pass
+    with building(tmp_path / "out") as folder:
+        (folder / "policy").touch()
+    with pytest.raises(UserError, match="exists already"), building(tmp_path / "out"):
+        pass
+    assert sorted(path.name for path in tmp_path.iterdir() if path.name != "home") == ["out"]

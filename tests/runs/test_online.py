@@ -1,12 +1,6 @@
 """Runs that make their own rows: the folder, kills, more steps than at first, refusals."""
 
-import os
-import random
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import asdict, replace
 
 import jax
@@ -60,10 +54,6 @@ def assert_same(ours, theirs, steps=STEPS):
     seen = np.random.default_rng(0).normal(size=(5, 11)).astype(np.float32)
     for a, b in zip(ours.policies, theirs.policies, strict=True):
         np.testing.assert_array_equal(a(seen), b(seen))
-
-
-def latest(folder):
-    return max((int(p.stem) for p in (folder / "checkpoints").glob("[0-9]*.npz")), default=None)
 
 
 class Stop(Exception):
@@ -340,40 +330,3 @@ def test_sac_learns_to_push_a_ball_to_its_goal(tmp_path):
     assert untrained.mean() < 90
     assert trained.mean() > 130
     assert trained.mean(1).min() > 100
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(900)
-def test_sigkill_at_random_and_resumed_from_the_command_line(tmp_path, home):
-    options = ["--task", "hopper", "--steps", 3200, "--copies", 4, "--explore", 200, "--updates-per-step", 0.5, "--block", 20]
-    options += ["--evaluate-every", 1000, "--episodes", 2, "--chunk", 50, "--resume"]
-    options += ["--agent.hidden", 16, 16, "--agent.batch-size", 32]
-
-    def command(out):
-        return [sys.executable, "-m", "deadreckon.cli.main", "train", "--online", "--agent", "sac", "--out", str(out),
-                *map(str, options)]  # fmt: skip
-
-    environment = os.environ | {"DEADRECKON_HOME": str(home)}
-    subprocess.run(command(tmp_path / "whole"), check=True, env=environment, capture_output=True)
-    whole, chance, kills = dr.load_run(tmp_path / "whole"), random.Random(0), 0
-    for attempt in range(5):
-        process = subprocess.Popen(
-            command(tmp_path / "r"), env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-        )
-        begun = latest(tmp_path / "r")
-        while process.poll() is None and latest(tmp_path / "r") in (None, begun):
-            time.sleep(0.002)
-        time.sleep(chance.uniform(0, 0.4))
-        if attempt < 3 and process.poll() is None:
-            process.send_signal(signal.SIGKILL)
-            kills += 1
-        if process.wait() == 0:
-            break
-    assert kills >= 2
-    again = dr.load_run(tmp_path / "r")
-    assert again.metrics.equals(whole.metrics)
-    assert again.evaluations.equals(whole.evaluations)
-    rows = (again.path / "replay" / "seed0.bin").read_bytes()
-    assert rows == (whole.path / "replay" / "seed0.bin").read_bytes()
-    seen = np.random.default_rng(0).normal(size=(5, 11)).astype(np.float32)
-    np.testing.assert_array_equal(again.policy(seen), whole.policy(seen))

@@ -1,5 +1,7 @@
 """The loop with toy learners whose states can be computed by hand: batches, windows, phases, lanes."""
 
+import signal
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -10,8 +12,9 @@ from deadreckon.data.batch import BatchSpec, TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
+from deadreckon.interrupts import Interrupted, listening
 from deadreckon.training.checkpoint import load_arrays, load_tree, save_tree
-from deadreckon.training.fit import Fit, fit
+from deadreckon.training.fit import Fit, checkpoints, fit
 from deadreckon.training.hyperparameters import CountOrZero, check_fields, described, static
 from deadreckon.training.learner import lift
 from tests.agents.worlds import corridor
@@ -219,11 +222,28 @@ def test_a_broken_newest_checkpoint_is_passed_over(tmp_path):
     newest = tmp_path / f"{30:010d}.npz"
     newest.write_bytes(newest.read_bytes()[:100])
     again = Fit([Collector()], rows, [0], 30, chunk=10, folder=tmp_path)
-    again.resume()
+    with pytest.warns(UserWarning, match=f"passed over, and update 20 is gone on from: {newest} is not a whole"):
+        again.resume()
     assert again.step == 20
     for _ in again.chunks():
         pass
     np.testing.assert_array_equal(again.states["seen"], job.states["seen"])
+
+
+def test_a_signal_in_a_chunk_ends_the_fit_when_the_chunk_is_on_disk(tmp_path):
+    rows, seen = TransitionSource(LOG, BatchSpec()), []
+    job = Fit([Collector()], rows, [0], 30, chunk=10, folder=tmp_path)
+    with listening(lambda number: None), pytest.raises(Interrupted):  # noqa: PT012
+        for progress in job.chunks():
+            seen.append(progress.step)
+            signal.raise_signal(signal.SIGTERM)
+    assert seen == [10]
+    assert checkpoints(tmp_path)[-1][0] == 10
+    with listening(lambda number: None), pytest.raises(Interrupted):  # noqa: PT012 - in memory nothing is waited for
+        for _ in Fit([Collector()], rows, [0], 30, chunk=10).chunks():
+            signal.raise_signal(signal.SIGTERM)
+            seen.append("never")
+    assert seen == [10]
 
 
 def test_data_is_an_argument_of_the_program_not_a_constant():

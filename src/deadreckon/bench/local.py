@@ -4,12 +4,14 @@ import contextlib
 import math
 import multiprocessing
 import os
+import signal
 import time
 import warnings
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
+from deadreckon import interrupts
 from deadreckon.bench.executor import Event, Work, attempt
 from deadreckon.bench.idle import give_way, is_measured, stand_still
 from deadreckon.bench.jobs import Program
@@ -17,6 +19,7 @@ from deadreckon.bench.work import perform
 from deadreckon.errors import UserError
 
 POLL = 1.0  # seconds between two looks whether somebody measures
+MERCY = 5.0  # seconds within which a process that is to end may bring its chunk to disk
 
 
 def cores() -> list[int]:
@@ -95,9 +98,12 @@ class Local:
             self._still = still
 
     def close(self) -> None:
-        """Ends them: idle ones by themselves, others by a kill."""
+        """Ends them: idle ones by themselves, others at their next chunk, or by a kill where that takes longer than `MERCY`."""
         for worker in self._team:
-            worker.end()
+            worker.stop()
+        end = time.monotonic() + MERCY
+        for worker in self._team:
+            worker.end(end)
 
 
 class _Worker:
@@ -132,14 +138,24 @@ class _Worker:
             self.program = None
         return Event(what, program, told)
 
-    def end(self) -> None:
+    def stop(self) -> None:
+        """Lets the process end: a busy one at its next chunk, of which it tells in vain, an idle one at once."""
         if self.process is None:
             return
-        self.pipe.close()
-        self.process.join(timeout=0 if self.program is not None else 5)
+        if self.program is not None:
+            self.process.terminate()
+        else:
+            self.pipe.close()
+
+    def end(self, latest: float) -> None:
+        """Waits until a stopped process has ended, and kills it where it lives at the time `latest`."""
+        if self.process is None:
+            return
+        self.process.join(timeout=max(latest - time.monotonic(), 0.0))
         if self.process.is_alive():
             self.process.kill()
             self.process.join()
+        self.pipe.close()
 
 
 def _serve(pipe: Connection, cores: list[int], path: Path, work: Work, idle: bool) -> None:
@@ -149,7 +165,10 @@ def _serve(pipe: Connection, cores: list[int], path: Path, work: Work, idle: boo
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, cores)  # before anything starts threads
     warnings.formatwarning = lambda message, *_, **__: f"deadreckon: warning: {message}\n"  # as the command shows its own
-    with contextlib.suppress(EOFError, OSError, KeyboardInterrupt):  # nobody listens any more; what is on disk is gone on with
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's goes to the command too, which ends this process
+    listening = interrupts.listening(lambda number: None, (signal.SIGTERM,))
+    # Nobody listens any more, or all shall end: what is on disk is gone on with.
+    with contextlib.suppress(EOFError, OSError, KeyboardInterrupt), listening:
         while True:
             program: Program = pipe.recv()
             pipe.send(("begun", None))

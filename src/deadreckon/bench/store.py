@@ -22,6 +22,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from deadreckon.bench.jobs import Job, Program, file_name
+from deadreckon.errors import reading
 from deadreckon.files import read_json, replacing, write_json
 from deadreckon.names import safe_name
 
@@ -193,4 +194,5 @@ def _with_present_names(rows: pa.Table) -> pa.Table:
 @cache
 def _read(part: Path, written: int) -> pa.Table:
     """A part, read once; `written` tells it from what may lie there later."""
-    return pq.ParquetFile(part).read(use_threads=False)  # a third of the time of `read_table`, which looks for folders of parts
+    with reading(part, "a table of results", pa.ArrowException):
+        return pq.ParquetFile(part).read(use_threads=False)  # a third of the time of `read_table`, which looks for folders

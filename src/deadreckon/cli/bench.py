@@ -13,6 +13,7 @@ import tyro
 from deadreckon.cli.lines import Lines
 from deadreckon.cli.parse import parse
 from deadreckon.errors import UserError
+from deadreckon.interrupts import resumable
 
 if TYPE_CHECKING:
     from deadreckon.bench.executor import Work
@@ -128,7 +129,8 @@ def _run(options: Bench) -> None:
     waiting = announce(Path(options.suite).stem, jobs, store, executor, options.dry_run)
     if options.dry_run:
         return executor.close()
-    run(jobs, store, Lines(len(waiting)), executor, seconds)
+    with resumable(store.path, store.place):
+        run(jobs, store, Lines(len(waiting)), executor, seconds)
     for suite in suites:
         own = [job for job in jobs if job.suite == suite.name]
         if len(suites) == 1:

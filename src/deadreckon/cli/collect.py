@@ -47,8 +47,7 @@ def collect(options: Collect) -> None:
         raise UserError(f"--policy {options.policy} is for --task TASK; {options.name} says who acts")
     found = recipe(options.name)
     steps = options.steps if options.steps is not None else found.steps
-    path = default_path(found, options.steps, options.seed)
-    if options.out is None and path.exists() and not options.force:
+    if options.out is None and not options.force and (path := default_path(found, options.steps, options.seed)).exists():
         print(f"! {path.name} is there already; --force collects it again", file=sys.stderr)
         print(path)
         return

@@ -7,6 +7,8 @@ from pathlib import Path
 from deadreckon.cli.parse import parse
 from deadreckon.cli.progress import Bar, Watch
 from deadreckon.errors import UserError
+from deadreckon.files import alone
+from deadreckon.interrupts import resumable
 
 AGENTS = ("bc", "bcq", "iql", "cql", "rem")
 HIDDEN = (64, 64)  # small networks: the demo is to be seen within minutes on two cores
@@ -28,6 +30,15 @@ class Demo:
 def demo(args: Sequence[str]) -> None:
     """Runs the demo and prints its table."""
     options = parse(Demo, args, "demo")
+    if min(options.steps, options.seeds, options.days) < 1 or options.seed < 0:
+        raise UserError("steps, seeds and days must be >= 1, seed >= 0")
+    out = Path(options.out)
+    with alone(out, what=str(out)), resumable(out):
+        _demonstrate(options, out)
+
+
+def _demonstrate(options: Demo, out: Path) -> None:
+    """The demo in the folder `out`, which nobody else writes to."""
     from deadreckon.agents import agent_class
     from deadreckon.collect.battery import collect_battery
     from deadreckon.data.formats.hdf5 import write_hdf5
@@ -37,9 +48,6 @@ def demo(args: Sequence[str]) -> None:
     from deadreckon.runs.train import train
     from deadreckon.tasks.battery import TASK
 
-    if min(options.steps, options.seeds, options.days) < 1 or options.seed < 0:
-        raise UserError("steps, seeds and days must be >= 1, seed >= 0")
-    out = Path(options.out)
     path = out / f"{TASK.name}-{options.days}-days-seed{options.seed}.hdf5"
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -13,6 +13,8 @@ import tyro
 from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar, Watch
 from deadreckon.errors import UserError
+from deadreckon.files import alone
+from deadreckon.interrupts import resumable
 from deadreckon.names import file_part
 
 _NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
@@ -111,6 +113,12 @@ def _propose(name: str | None, method: Any, options: Design) -> None:
             print(f"! {len(data):,} rows are too many for a Gaussian process; the method is {name} (--method)", file=sys.stderr)
             method = sized(name, options.problem, options.budget or ("full" if problem else "cpu"))
     out = Path(options.out or Path("runs", "design", file_part(f"{name}-{data.name}")))
+    with alone(out, what=str(out)), resumable(out / "fits"):
+        _write_proposals(method, data, problem, options, out)
+
+
+def _write_proposals(method: Any, data: Any, problem: Any, options: Design, out: Path) -> None:
+    """Proposes, writes and prints, for whoever has the folder `out` to itself."""
     with Watch() as watch:
         asked: dict[str, Any] = {"repeat": options.repeat, "validate": problem is None}
         made = method.propose(data, options.n, seed=options.seed, out=out / "fits", watch=watch, **asked)
@@ -256,7 +264,7 @@ def bench(args: Sequence[str]) -> None:
         problem = _problem(name, options.paths.get(name))
         told = lambda r: print(f"{r.method} on {r.problem}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
         asked = {"seeds": seeds, "together": options.together, "out": options.out}
-        with Watch() as watch:
+        with resumable(Path(options.out)), Watch() as watch:
             results += evaluate_designers(problem, designers[name], options.n, **asked, watch=watch, on_result=told)
     print(f"\n{tables(results)}")
 

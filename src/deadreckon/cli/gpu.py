@@ -13,6 +13,7 @@ from deadreckon.bench.store import Store
 from deadreckon.bench.suite import queue
 from deadreckon.cli.lines import Lines
 from deadreckon.errors import UserError
+from deadreckon.interrupts import resumable
 from deadreckon.runs.durations import in_words
 
 MOST = 8  # processes where nobody says how many: no more were measured side by side
@@ -88,7 +89,8 @@ def _run(suite: str, path: Path, seconds: float, workers: int | None, kind: str)
         filling.hear(event)
         lines(event)
 
-    run(jobs, store, told, _executor(path, processes), seconds - (time.monotonic() - began), filling)
+    with resumable(store.path, store.place):
+        run(jobs, store, told, _executor(path, processes), seconds - (time.monotonic() - began), filling)
     took = time.monotonic() - began
     left = sum(len(job.seeds) for job in store.undone(jobs))
     print(

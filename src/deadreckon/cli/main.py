@@ -6,11 +6,14 @@ Nothing heavy is imported here, so that `deadreckon --help` answers at once.
 import contextlib
 import importlib
 import os
+import shlex
+import signal
 import sys
 import warnings
 from collections.abc import Sequence
 from typing import TextIO, cast
 
+from deadreckon import interrupts
 from deadreckon._version import __version__
 from deadreckon.errors import UserError, unknown
 from deadreckon.names import Terminal
@@ -56,14 +59,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command line.
 
     Returns:
-        The exit code: 0, 1 for a failed run, an alarm of `monitor` or a mistake of ours, 2 for bad input, 130 when interrupted.
+        The exit code: 0, 1 for a failed run, an alarm of `monitor` or a mistake of ours, 2 for bad input, 130 or 143 when
+        interrupted by SIGINT or SIGTERM.
     """
     args = list(sys.argv[1:] if argv is None else argv)
-    debug = "--debug" in args
-    args = [a for a in args if a != "--debug"]
-    warnings.showwarning = _one_line
-    with _terminal(args):
-        return _main(args, debug)
+    with interrupts.listening(lambda number: _interrupted(args)), _terminal(args):
+        return _run(args)
 
 
 def _terminal(args: Sequence[str]) -> contextlib.AbstractContextManager:
@@ -76,7 +77,10 @@ def _terminal(args: Sequence[str]) -> contextlib.AbstractContextManager:
     return streams
 
 
-def _main(args: list[str], debug: bool) -> int:
+def _run(given: list[str]) -> int:
+    debug = "--debug" in given
+    args = [a for a in given if a != "--debug"]
+    warnings.showwarning = _one_line
     try:
         if not args or args[0] in ("-h", "--help", "help"):
             width = max(map(len, COMMANDS))
@@ -92,7 +96,11 @@ def _main(args: list[str], debug: bool) -> int:
         cache_compiled_programs()
         code = getattr(importlib.import_module(f"deadreckon.cli.{module}"), function)(args[1:])
         return code or 0
+    except KeyboardInterrupt:
+        return _interrupted(given)
     except UserError as error:
+        if interrupts.arrived():  # which something on its way has made another error of
+            return _interrupted(given)
         if debug:
             raise
         print(f"deadreckon: {' '.join(str(error).split())}", file=sys.stderr)
@@ -100,15 +108,34 @@ def _main(args: list[str], debug: bool) -> int:
     except BrokenPipeError:  # `deadreckon data info x | head`: the reader has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except KeyboardInterrupt:
-        print("deadreckon: interrupted; a training run goes on with --resume", file=sys.stderr)
-        return 130
+    except MemoryError as error:  # Python's, NumPy's and Arrow's
+        if interrupts.arrived():
+            return _interrupted(given)
+        if debug:
+            raise
+        print(f"deadreckon: not enough memory: {' '.join(str(error).split())[:300] or 'none is left'}", file=sys.stderr)
+        return 1
     except Exception as error:  # our mistake, not the user's: told shortly, and in full with --debug
+        if interrupts.arrived():
+            return _interrupted(given)
         if debug:
             raise
         what = " ".join(str(error).split())[:300]
         print(f"deadreckon: internal error, {type(error).__name__}: {what} (--debug shows where)", file=sys.stderr)
         return 1
+
+
+def _interrupted(args: Sequence[str]) -> int:
+    """Says which command goes on, if any; gives the exit code."""
+    if args and args[0] == "recommend":  # its time cannot be taken up again
+        what = "recommend does not go on; the same command with another --out begins anew"
+    elif not interrupts.goes_on():
+        what = "the same command begins anew"
+    else:
+        more = ["--resume"] if args[0] == "train" and "--resume" not in args else []
+        what = f"this goes on with it: {shlex.join(['deadreckon', *args, *more])}"
+    print(f"deadreckon: interrupted; {what}", file=sys.stderr, flush=True)
+    return 128 + (interrupts.arrived() or signal.SIGINT)
 
 
 def _one_line(message, category, filename, lineno, file=None, line=None):
@@ -122,8 +149,8 @@ def cache_compiled_programs() -> None:
     """
     from deadreckon.files import home
 
-    folder = home() / "jax"
-    with contextlib.suppress(OSError):  # a read-only home costs compile time, nothing else
+    with contextlib.suppress(OSError, UserError):  # a read-only home, or none, costs compile time, nothing else
+        folder = home() / "jax"
         folder.mkdir(parents=True, exist_ok=True)
         os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(folder))
         os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.5")

@@ -14,6 +14,7 @@ from deadreckon.cli.fits import NAMES, Fits, estimators
 from deadreckon.cli.parse import parse
 from deadreckon.cli.progress import Watch
 from deadreckon.errors import UserError
+from deadreckon.interrupts import resumable
 
 
 @dataclass
@@ -133,7 +134,7 @@ def bench(args: Sequence[str]) -> None:
     tasks, kinds = ([name.strip() for name in names.split(",")] for names in (options.tasks, options.kinds))
     logs = [name.strip() for name in options.logs.split(",")] if options.logs else ()
     told = lambda r: print(f"{r.log} {titled(r.method)}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
-    with Watch() as watch:
+    with resumable(Path(options.out)), Watch() as watch:
         results = protocol.dope(
             found, tasks, kinds, logs=logs, log_steps=options.log_steps, seeds=options.seeds, seed=options.seed,
             out=options.out,

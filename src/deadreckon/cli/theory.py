@@ -9,6 +9,7 @@ import tyro
 
 from deadreckon.cli.parse import parse
 from deadreckon.errors import unknown
+from deadreckon.files import alone
 
 
 @dataclass
@@ -32,5 +33,7 @@ def theory(args: Sequence[str]) -> None:
         return
     if options.name not in EXPERIMENTS:
         raise unknown("theory", options.name, EXPERIMENTS)
-    files, said = EXPERIMENTS[options.name][0](Path(options.out or f"runs/theory/{options.name}"), options.seed)
+    out = Path(options.out or f"runs/theory/{options.name}")
+    with alone(out, what=str(out)):
+        files, said = EXPERIMENTS[options.name][0](out, options.seed)
     print("\n".join([*said, "", *map(str, files)]))

@@ -12,6 +12,7 @@ import tyro
 from deadreckon.cli.fits import Fits, estimators
 from deadreckon.cli.parse import parse
 from deadreckon.errors import UserError
+from deadreckon.interrupts import resumable
 
 
 @dataclass
@@ -74,7 +75,7 @@ def tune(args: Sequence[str]) -> None:
     waiting = announce(asked.name, jobs, store, executor, options.dry_run)
     if options.dry_run:
         return
-    with Watch() as watch:
+    with resumable(store.path), Watch() as watch:
         result = found.tune(
             asked, settings, by=options.by, store=store, executor=executor, on_event=Lines(len(waiting)),
             estimators=estimators(options.estimators, options.fit), model=with_fields(MODEL, options.fit.given),
@@ -104,7 +105,7 @@ def _in_rounds(options: Tune, given: dict[str, Any] | None, fixed: dict[str, Any
         print(f"{asked.name}: {trials} settings in rounds of {ROUND}; the first: {'; '.join(map(named, first))}")
         return
     store = Store(Path(options.out))
-    with Watch() as watch:
+    with resumable(store.path), Watch() as watch:
         result = tune_in_rounds(
             options.agent, options.data, sampler, trials=trials, store=store, on_event=Lines(trials), tell=print, **sizes,
             executor=lambda: Local(store.path, options.workers), estimators=estimators(options.estimators, options.fit),

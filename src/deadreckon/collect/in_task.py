@@ -12,6 +12,7 @@ from deadreckon.collect.rollouts import Segment, collect_rollouts
 from deadreckon.data.provenance import Provenance
 from deadreckon.errors import UserError
 from deadreckon.files import alone
+from deadreckon.interrupts import resumable
 from deadreckon.names import file_part
 from deadreckon.policies.resolve import policies_of
 from deadreckon.progress import Progress
@@ -75,7 +76,7 @@ def collect_in_task(
     extra |= task.described
     provenance = Provenance("collected", None, seed, versions | task.versions, extra=extra)
     scratch = path.parent / f".{path.name}.part"
-    with alone(path):
+    with alone(path), resumable(scratch):
         log = collect_rollouts(
             task, [Segment(found[0], steps)], name=name, seed=seed, provenance=provenance, threads=threads, scratch=scratch,
             progress=progress,

@@ -11,6 +11,7 @@ from deadreckon.data.catalogue import VERSION, cached_path
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import alone
+from deadreckon.interrupts import resumable
 from deadreckon.progress import Progress
 
 
@@ -142,7 +143,7 @@ def collect(
             raise UserError(f"{path} is there already; --force (force=True) replaces it")
         return path
     scratch = path.parent / f".{path.name}.part"
-    with alone(path):
+    with alone(path), resumable(scratch):
         write_hdf5(_make(found, steps, seed, threads, scratch, progress), path)
         shutil.rmtree(scratch, ignore_errors=True)
     return path

@@ -25,6 +25,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.transfer import Progress, Received, RetryPolicy, Sums, fetch, file_hashes, file_size, forget
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import alone, read_json, write_json
+from deadreckon.interrupts import resumable
 
 # source: (environment variable that overrides the root, the root)
 ROOTS = {
@@ -88,7 +89,7 @@ def get(
     if source == ORIGINAL and found.sha256:
         sums["the catalogue"] = ("sha256", found.sha256.lower())
     try:
-        with alone(path):
+        with alone(path), resumable(path.with_name(f".{path.name}.part")):
             if path.exists() and not force:  # another process was faster
                 return _there(found, source, path, wanted)
             make = _original if source == ORIGINAL else _twin

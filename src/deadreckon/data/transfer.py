@@ -17,6 +17,7 @@ from deadreckon._version import __version__
 from deadreckon.data.connection import Broken, NoSuchRest, TransferError, blocks, checksums, open_url
 from deadreckon.errors import UserError
 from deadreckon.files import alone, read_json, reserve, write_json
+from deadreckon.interrupts import resumable
 
 Progress = Callable[[int, int | None], None]  # bytes that are there, bytes in all where the server says
 Sums = Mapping[str, tuple[str, str]]  # {who says so: (algorithm, hexadecimal)}
@@ -113,8 +114,8 @@ def download_file(
     if place.is_file():
         return place
     try:
-        with alone(place):
-            part = place.with_name(f".{place.name}.part")
+        part = place.with_name(f".{place.name}.part")
+        with alone(place), resumable(part):
             fetch(url, part, progress=progress, retry=retry)
             try:
                 check(part)

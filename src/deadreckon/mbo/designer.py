@@ -1,5 +1,6 @@
 """What every designer is asked and answers: designs that should score high, from scored designs alone (thesis chapter 6)."""
 
+import contextlib
 import dataclasses
 import hashlib
 import time
@@ -16,6 +17,7 @@ import optax
 from jaxtyping import Array, Float
 
 from deadreckon.errors import UserError
+from deadreckon.files import alone
 from deadreckon.mbo.batch import batch, check_batch
 from deadreckon.mbo.design_source import DesignSource
 from deadreckon.mbo.designs import Designs
@@ -92,7 +94,8 @@ class DesignInput(NamedTuple):
         points = DesignSource(self.data, learner.needs(self.data.coordinates), more)
         folder = None if self.out is None else self._folder(learner, points, steps, what)
         job = Fit([learner] * len(self.seeds), points, self.seeds, steps, chunk=max(1, min(500, steps // 10)), folder=folder)
-        complete(job, what, lambda progress: self.watch(what, progress.step, steps))
+        with contextlib.nullcontext() if folder is None else alone(folder, f"fits {what} already"):
+            complete(job, what, lambda progress: self.watch(what, progress.step, steps))
         return unstack(job.states, len(self.seeds))
 
     def _folder(self, learner: Any, points: DesignSource, steps: int, what: str) -> Path:

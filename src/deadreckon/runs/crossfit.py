@@ -21,6 +21,7 @@ from deadreckon.data.split import RANDOM, Fold, group_of
 from deadreckon.data.split import folds as dealt
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_json, write_json
+from deadreckon.interrupts import resumable
 from deadreckon.names import file_part
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy, Mixture
@@ -139,7 +140,7 @@ def cross_fit(
         "data": {"name": log.name, "fingerprint": log.fingerprint}, "deliver": deliver,
     }  # fmt: skip
     shared: dict[str, Any] = {**settings, "seed": seed, "steps": steps, "seeds": seeds, "task": task}
-    with Folder(path).alone():
+    with Folder(path).alone(), resumable(path / NAME):
         new = not path.exists()
         _begin(path, config, asked.resume)
         try:

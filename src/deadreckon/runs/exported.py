@@ -2,7 +2,6 @@
 
 import contextlib
 import shutil
-import tempfile
 from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
@@ -16,10 +15,12 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.history import stacked
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
+from deadreckon.files import alone
 from deadreckon.policies import store
 from deadreckon.policies.deployed import history_of
 from deadreckon.policies.pure import MEMBER, Pure
 from deadreckon.runs.subject import Subject
+from deadreckon.temporaries import beside
 
 CLOSE = 1e-5  # of half an action's range
 ROWS = 1_000  # of the log, on which an export is checked
@@ -45,19 +46,16 @@ class Rows(NamedTuple):
 @contextlib.contextmanager
 def building(out: Path) -> Iterator[Path]:
     """A folder beside `out` that gets its name once all is in it."""
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".tmp", dir=out.parent))
-    except OSError as error:
-        raise UserError(f"cannot write {out}: {error.strerror or error}") from error
-    try:
-        yield folder
-        folder.chmod(0o755)
-        folder.rename(out)
-    except OSError as error:
-        raise UserError(f"cannot write {out}: {error.strerror or error}") from error
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    with alone(out, what=str(out)):
+        if out.exists():
+            raise UserError(f"{out} exists already; choose another --out")
+        try:
+            with beside(out, folder=True) as folder:
+                yield folder
+                folder.chmod(0o755)
+                folder.rename(out)
+        except OSError as error:
+            raise UserError(f"cannot write {out}: {error.strerror or error}") from error
 
 
 def rows_of(one: Subject, function: Pure, data: Dataset) -> Rows:

@@ -17,7 +17,7 @@ checkpoints together: beside them, not in them.
 import contextlib
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,8 +27,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from deadreckon.agents import AGENTS, agent_class, plugins
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, reading
 from deadreckon.files import alone, read_json, replacing, write_json
+from deadreckon.interrupts import resumable
 from deadreckon.training.field_names import with_field_names
 from deadreckon.versions import differences
 
@@ -39,9 +40,11 @@ class Folder:
 
     path: Path
 
-    def alone(self) -> contextlib.AbstractContextManager[None]:
-        """Lets one process at a time write here; another is refused with a `BusyError`. See `files.alone`."""
-        return alone(self.path.with_name(f"{self.path.name}.run"), what=str(self.path))
+    @contextlib.contextmanager
+    def alone(self) -> Iterator[None]:
+        """Lets one process at a time write here, and may be gone on with; another is refused with a `BusyError`."""
+        with alone(self.path.with_name(f"{self.path.name}.run"), what=str(self.path)), resumable(self.config):
+            yield
 
     @property
     def config(self) -> Path:
@@ -101,7 +104,7 @@ class Folder:
     def table(self, kind: str) -> pa.Table:
         """All parts of a kind as one table, in order of steps; empty if there are none."""
         parts = sorted((self.path / kind).glob("*.parquet"))
-        return pa.concat_tables([pq.read_table(p) for p in parts], promote_options="default") if parts else pa.table({})
+        return pa.concat_tables(list(map(_read, parts)), promote_options="default") if parts else pa.table({})
 
     def drop_after(self, step: int) -> None:
         """Forgets what a killed run wrote beyond its last checkpoint, and temporary files it left."""
@@ -177,6 +180,11 @@ class Folder:
             for number in config["seeds"]:
                 self.policy(number).unlink(missing_ok=True)  # with it, the run is no longer finished
             write_json(self.config, before | {"steps": config["steps"]})
+
+
+def _read(part: Path) -> pa.Table:
+    with reading(part, "a table of a run", pa.ArrowException):
+        return pq.read_table(part)
 
 
 def policy_seed(name: str, seeds: Sequence[int], failures: Sequence[Any], seed: int | None) -> int:

@@ -23,6 +23,7 @@ from deadreckon.names import file_part, safe_name, shown
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.runs.run import Run, load
+from deadreckon.temporaries import beside
 
 MANIFEST, POLICY, DATASETS = "deadreckon.json", "policy.npz", "datasets/"
 _FORMAT = 1
@@ -109,8 +110,8 @@ def _download(call: "_Hub", sizes: Mapping[str, int | None], commit: str, root: 
     if MANIFEST not in sizes:
         raise UserError(f"{repo} has no {MANIFEST}: it was not uploaded by push_to_hub")
     root.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=".", suffix=".tmp", dir=root) as scratch:
-        aside = Path(scratch) / "files"
+    with beside(root / commit, folder=True) as scratch:
+        aside = scratch / "files"
         call("hf_hub_download", filename=MANIFEST, revision=commit, local_dir=str(aside))
         listed = _checked(read_json(aside / MANIFEST), repo)
         for name, about in listed.items():

@@ -14,6 +14,7 @@ from deadreckon.data.split import RANDOM, TIME, group_of
 from deadreckon.data.split import clusters as clusters_of
 from deadreckon.errors import UserError
 from deadreckon.files import alone, digest, read_json, write_json
+from deadreckon.interrupts import resumable
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.decide import Decision, check, decide
 from deadreckon.ope.estimates import Estimates
@@ -85,7 +86,7 @@ def judge(
     out = Path(settings.out)
     if out.exists() and not out.is_dir():
         raise UserError(f"{out} is a file; --out must be a folder")
-    with alone(out, what=str(out)):
+    with alone(out, what=str(out)), resumable(out / fits_name()):
         return judge_alone(policies, log, estimators, task, settings)
 
 

@@ -150,7 +150,7 @@ def _train_online(
     recorder = Recorder([folder], job, task, learned, job.stops, asked.episodes, taught, held if log is not None else None)
     try:
         with tracked([folder], trackers) as tracking:
-            if job.step == 0:
+            if job.step == 0 and not folder.part("evaluations", 0).exists():
                 # The policy before it acts: of random networks, which some logs are made with, or of `start`.
                 recorder.judge_now(0)
             else:

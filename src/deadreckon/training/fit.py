@@ -1,6 +1,8 @@
 """The one training loop: chunks of updates, checkpoints, resume, and lanes that diverge (NaN or infinite numbers)."""
 
+import contextlib
 import re
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -15,6 +17,7 @@ from jaxtyping import PRNGKeyArray
 
 from deadreckon.data.batch import BatchSource, TransitionSource
 from deadreckon.errors import DivergedError, UserError
+from deadreckon.interrupts import holding
 from deadreckon.randomness import key_for
 from deadreckon.training.checkpoint import load_tree, save_tree
 from deadreckon.training.learner import lane_of, lift, stack, unstack
@@ -134,7 +137,7 @@ class Fit:
         return all(self.failures)
 
     def resume(self) -> None:
-        """Takes up the newest whole checkpoint in `folder`; a broken one is passed over for the one before it."""
+        """Takes up the newest whole checkpoint in `folder`; a broken one is told and passed over for an older one."""
         found = checkpoints(self.folder) if self.folder else []
         problem = None
         for _, path in reversed(found):
@@ -147,6 +150,8 @@ class Fit:
             self.states = jax.device_put(states)
             self.step = int(meta["step"])
             self.failures = tuple(None if f is None else Failure(*f) for f in meta["failures"])
+            if problem is not None:
+                warnings.warn(f"a checkpoint is passed over, and update {self.step:,} is gone on from: {problem}", stacklevel=2)
             return
         if problem is not None:
             raise problem
@@ -162,15 +167,18 @@ class Fit:
         with self.source as source:
             if self.step == 0:
                 self.save()
+            self._forget()  # a kill may have come between the last checkpoint and this
             while self.step < self.steps and not self.ended:
                 if prepares and (self.step == 0 or (refresh and self.step % refresh == 0)):
                     self._prepare()
-                stop = self._stop(self.step)
-                new, means, bad = source.advance(self._update, self.learner, self.states, self.step, stop, self.steps)
-                metrics = self._accept(new, jax.device_get(means), jax.device_get(bad), stop)
-                self.step = stop
-                yield Chunk(stop, self.states, metrics, self.failures)
-                self.save()
+                # A signal waits until the chunk is on disk.
+                with contextlib.nullcontext() if self.folder is None else holding():
+                    stop = self._stop(self.step)
+                    new, means, bad = source.advance(self._update, self.learner, self.states, self.step, stop, self.steps)
+                    metrics = self._accept(new, jax.device_get(means), jax.device_get(bad), stop)
+                    self.step = stop
+                    yield Chunk(stop, self.states, metrics, self.failures)
+                    self.save()
 
     def _update(self, states: Any, data: dict[str, Any], start: int, stop: int, rows: int) -> Any:
         bounds = jnp.int32(start), jnp.int32(stop), jnp.int32(rows)
@@ -241,10 +249,16 @@ class Fit:
         self.source.flush()  # first the rows, then the checkpoint that counts them
         tree = self.source.tree(self.states)
         save_tree(self.folder / f"{self.step:010d}.npz", tree, {"step": self.step, "failures": self.failures})
+        self._forget()
+
+    def _forget(self) -> None:
+        """Removes what newer checkpoints have made useless."""
+        if self.folder is None:
+            return
         for _, path in checkpoints(self.folder)[:-KEPT]:
-            path.unlink()
+            path.unlink(missing_ok=True)
         for path in self.folder.glob("prepared-*.npz") if self.step else ():
-            path.unlink()
+            path.unlink(missing_ok=True)
 
 
 def complete(job: Fit, what: str, on_chunk: Callable[[Chunk], None]) -> None:

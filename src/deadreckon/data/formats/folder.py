@@ -3,8 +3,6 @@
 import contextlib
 import json
 import os
-import shutil
-import tempfile
 from pathlib import Path
 from typing import IO, Any
 
@@ -16,6 +14,7 @@ from deadreckon.data.formats.header import Header, damaged
 from deadreckon.errors import UserError, reading
 from deadreckon.files import missing_folders
 from deadreckon.names import safe_name
+from deadreckon.temporaries import beside, put, recover
 
 HEADER = "log.json"
 
@@ -33,30 +32,28 @@ def write_folder(log: Dataset, path: Path | str, *, force: bool = False) -> None
             what was there stays.
     """
     path = Path(path)
+    recover(path)
     if path.exists() and not force:
         raise UserError(f"{path} exists already")
     columns = columns_of(log)
     for key in columns:  # named by whoever made the log
         safe_name(key, f"{path}: column")
     made = missing_folders(path)
-    temporary = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent))
-        for key, column in columns.items():
-            with open(temporary / f"{key}.npy", "xb") as file:  # where case does not count, two columns could be one file
-                np.save(file, column, allow_pickle=False)
+        with beside(path, folder=True) as temporary:
+            for key, column in columns.items():
+                with open(temporary / f"{key}.npy", "xb") as file:  # where case does not count, two columns could be one file
+                    np.save(file, column, allow_pickle=False)
+                    _sync(file)
+            with open(temporary / HEADER, "w") as file:
+                file.write(json.dumps(Header.of(log, columns=list(columns)).to_json(), indent=1) + "\n")
                 _sync(file)
-        with open(temporary / HEADER, "w") as file:
-            file.write(json.dumps(Header.of(log, columns=list(columns)).to_json(), indent=1) + "\n")
-            _sync(file)
-        temporary.chmod(0o755)
-        _put(temporary, path)
+            temporary.chmod(0o755)
+            put(temporary, path)
     except OSError as error:
         raise UserError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
-        if temporary is not None:
-            shutil.rmtree(temporary, ignore_errors=True)
         if not path.exists():
             for folder in made:  # innermost first; one that others have filled meanwhile stays
                 with contextlib.suppress(OSError):
@@ -89,29 +86,6 @@ def read_folder(path: Path | str, *, mmap: bool = True, strict: bool = False, na
 def folder_bytes(path: Path | str) -> int:
     """Bytes that the column files of a folder take."""
     return sum(file.stat().st_size for file in Path(path).glob("*.npy"))
-
-
-def _put(folder: Path, path: Path) -> None:
-    """Renames `folder` to `path`; what was there comes back if that fails. Memory maps of it stay readable."""
-    if not path.exists():
-        folder.rename(path)
-        return
-    aside = path.with_name(f".{path.name}.old")
-    _remove(aside)
-    path.rename(aside)
-    try:
-        folder.rename(path)
-    except BaseException:
-        aside.rename(path)
-        raise
-    _remove(aside)
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        path.unlink(missing_ok=True)
 
 
 def _sync(file: IO[Any]) -> None:

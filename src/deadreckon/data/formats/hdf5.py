@@ -188,8 +188,8 @@ def create(
     with replacing(path) as temporary:
         # The HDF5 library crashes where the disk fills up under it; so the space is found first.
         reserve(temporary, rows * sum(sizes.values()) + finals + _OVERHEAD)
-        # Aligned columns, so that a memory map of one is as fast as an array.
-        with h5py.File(temporary, "w", alignment_threshold=1, alignment_interval=64) as file:
+        # Aligned columns, so that a memory map of one is as fast as an array. The lock on the file is `replacing`'s already.
+        with h5py.File(temporary, "w", locking=False, alignment_threshold=1, alignment_interval=64) as file:
             writer = Writer(file, header)
             for key, (shape, dtype) in columns.items():
                 writer.add(key, (rows, *shape), dtype)

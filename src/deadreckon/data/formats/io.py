@@ -16,7 +16,9 @@ from deadreckon.data.formats.minari_ids import PREFIX
 from deadreckon.data.formats.open_bandit import open_bandit
 from deadreckon.data.schema import Schema, as_schema
 from deadreckon.errors import UserError
+from deadreckon.files import alone
 from deadreckon.progress import Progress, unwatched
+from deadreckon.temporaries import beside, recover
 
 _ENDINGS = (".hdf5", ".h5", ".parquet", ".csv", ".npz")  # of the files that are written
 _MAPPED = ("hdf5", "folder")  # columns that can be memory-mapped
@@ -150,10 +152,23 @@ def convert(
         **mapping: as for `read`.
 
     Raises:
+        BusyError: another process writes `target`.
         UserError: `target` exists or has an unknown ending, or reading or writing fails.
     """
+    asked = {"force": force, "strict": strict, "horizon": horizon, "progress": progress, **mapping}
+    if str(target).startswith(PREFIX):
+        return _convert(source, target, **asked)
+    with alone(Path(target), what=str(target)):
+        return _convert(source, target, **asked)
+
+
+def _convert(
+    source: Path | str, target: Path | str, force: bool, strict: bool, horizon: int | None, progress: Progress, **mapping: Any
+) -> Dataset:
+    """See `convert`; for whoever has the target to itself."""
     write = _writer(target)
     place = Path(target)
+    recover(place)
     exists = not str(target).startswith(PREFIX) and place.exists()
     if exists and not force:
         raise UserError(f"{target} exists already; --force replaces it")
@@ -182,16 +197,17 @@ def convert(
 
     # A file larger than memory can be converted: its columns go through copies on disk, beside the target because the
     # system's temporary folder may be in memory, and nobody sees them afterwards.
-    beside = None if str(target).startswith(PREFIX) else place.parent
     try:
-        if beside is not None:
-            beside.mkdir(parents=True, exist_ok=True)
-        scratch = tempfile.TemporaryDirectory(prefix=".deadreckon-", dir=beside)
+        if str(target).startswith(PREFIX):
+            scratch = tempfile.TemporaryDirectory()
+        else:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            scratch = beside(place, folder=True)
+        with scratch as folder:
+            log = read_hdf5(source, mmap=True, strict=strict, name=name, horizon=horizon, scratch=folder)
+            write(log, target, force)
     except OSError as error:
         raise UserError(f"cannot write {target}: {error.strerror or error}") from error
-    with scratch as folder:
-        log = read_hdf5(source, mmap=True, strict=strict, name=name, horizon=horizon, scratch=folder)
-        write(log, target, force)
     return log
 
 

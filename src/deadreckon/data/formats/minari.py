@@ -3,7 +3,6 @@
 import contextlib
 import os
 import shutil
-import tempfile
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -21,8 +20,9 @@ from deadreckon.data.formats.minari_ids import METADATA, PREFIX, ROOT, checked_i
 from deadreckon.data.formats.minari_rows import buffers, spaces_of
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError, naming, reading
-from deadreckon.files import read_json
+from deadreckon.files import alone, read_json
 from deadreckon.names import safe_name
+from deadreckon.temporaries import beside, put, recover
 
 _KEPT = ("dataset_id", "algorithm_name", "code_permalink", "ref_min_score", "ref_max_score", "minari_version")
 
@@ -97,6 +97,7 @@ def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
     for key in log.extras:
         safe_name(key, f"{PREFIX}{dataset_id}: column")
     target = root() / dataset_id
+    recover(target)
     if target.exists() and not force:
         raise UserError(f"{target} exists already; --force replaces it")
     if target.exists() and not (target / "data" / METADATA).is_file():
@@ -105,8 +106,8 @@ def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
     observation_space, action_space = spaces_of(log, environment)
     try:
         root().mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".deadreckon.", dir=root()) as scratch:
-            with _root_is(scratch), warnings.catch_warnings():
+        with alone(target, what=str(target)), beside(root() / target.name, folder=True) as scratch:
+            with _root_is(str(scratch)), warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # that there is no author, code link, ...
                 made = create_dataset_from_buffers(
                     dataset_id,
@@ -118,15 +119,13 @@ def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
                 )
                 known = {} if environment is None else {"env_spec": environment.spec}
                 made.storage.update_metadata({"deadreckon": Header.of(log).to_json(), **known})
-            if target.exists():
-                shutil.rmtree(target)
             # Namespaces on the way have a description each, which Minari wants to see.
             for parent in Path(dataset_id).parents:
                 note = Path(scratch, parent, "namespace_metadata.json")
                 (root() / parent).mkdir(parents=True, exist_ok=True)
                 if note.exists() and not (root() / parent / note.name).exists():
                     shutil.copy(note, root() / parent / note.name)
-            Path(scratch, dataset_id).rename(target)
+            put(scratch / dataset_id, target)
     except (OSError, ValueError) as error:
         raise UserError(f"cannot write {target}: {' '.join(str(error).split())}") from error
     return target

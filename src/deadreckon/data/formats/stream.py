@@ -32,6 +32,7 @@ from deadreckon.data.scratch import Scratch
 from deadreckon.data.text_dates import with_dates
 from deadreckon.errors import UserError, reading
 from deadreckon.files import alone, read_json, write_json
+from deadreckon.interrupts import resumable
 from deadreckon.progress import Progress, unwatched
 
 _ROWS = 65_536  # of a batch
@@ -123,7 +124,7 @@ def convert_table(
     """
     target = Path(target)
     work = target.with_name(f".{target.name}.stream")
-    with alone(work, what=str(target)):
+    with alone(work, what=str(target)), resumable(work):
         try:
             if kind == "csv":
                 mapping, table, told = _of_text(source, work, mapping, progress)
