@@ -13,7 +13,6 @@ With the files `table_*.py` beside this one, which need numpy alone too, rows of
 
 import importlib
 import json
-import zipfile
 
 import numpy as np
 
@@ -51,17 +50,22 @@ def read(path):
         raise ValueError(f"cannot read {path}: {error.strerror or error}") from error
     try:
         with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        if "policy.json" not in arrays:
-            raise ValueError("no policy.json in it")
-        tree = json.loads(arrays.pop("policy.json").tobytes())
-        if tree["format"] != FORMAT:
-            raise ValueError(f"format {tree['format']}, this reader knows {FORMAT}")
-        # Weights may be stored as float16; one acts with float32.
-        arrays = {name: a.astype(np.float32) if a.dtype == np.float16 else a for name, a in arrays.items()}
-        return tree | {"policy": _with_noise(_with_present_names(tree["policy"]), arrays, "policy")}, arrays
-    except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} is not a whole policy file: {error}") from error
+            return tree_of({name: file[name] for name in file.files})
+    except Exception as error:
+        why = str(error) if isinstance(error, ValueError) else f"{type(error).__name__}: {error}"
+        raise ValueError(f"{path} is not a whole policy file: {why}") from error
+
+
+def tree_of(arrays):
+    """The JSON tree of a policy file, and the arrays that it refers to, of all arrays in the file; some error if it is none."""
+    if "policy.json" not in arrays:
+        raise ValueError("no policy.json in it")
+    tree = json.loads(arrays.pop("policy.json").tobytes())
+    if tree["format"] != FORMAT:
+        raise ValueError(f"format {tree['format']}, this reader knows {FORMAT}")
+    # Weights may be stored as float16; one acts with float32.
+    arrays = {name: a.astype(np.float32) if a.dtype == np.float16 else a for name, a in arrays.items()}
+    return tree | {"policy": _with_noise(_with_present_names(tree["policy"]), arrays, "policy")}, arrays
 
 
 def _with_present_names(node):

@@ -8,8 +8,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, reading
 from deadreckon.files import replacing
+from deadreckon.foreign.archive import read_arrays
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.transformer import Block, Transformer
 from deadreckon.nets.vae import VAE
@@ -80,7 +81,7 @@ def load(path: Path | str) -> EnvPolicy:
     Raises:
         UserError: the file is missing, broken or not a policy file.
     """
-    tree, arrays = _read(path)
+    tree, arrays = read(path)
 
     def decode(value: Any) -> Any:
         if isinstance(value, dict):
@@ -106,7 +107,7 @@ def load(path: Path | str) -> EnvPolicy:
 
 def meta(path: Path | str) -> dict[str, Any]:
     """The JSON values kept beside a saved policy."""
-    return portable.read(path)[0]["meta"]
+    return read(path)[0]["meta"]
 
 
 def taught(path: Path | str) -> np.ndarray | None:
@@ -115,7 +116,7 @@ def taught(path: Path | str) -> np.ndarray | None:
     Raises:
         UserError: the file is missing, broken or not a policy file.
     """
-    return _read(path)[1].get(_TAUGHT)
+    return read(path)[1].get(_TAUGHT)
 
 
 def held(path: Path | str) -> np.ndarray | None:
@@ -124,13 +125,15 @@ def held(path: Path | str) -> np.ndarray | None:
     Raises:
         UserError: see `taught`.
     """
-    return _read(path)[1].get(_HELD)
+    return read(path)[1].get(_HELD)
 
 
-def _read(path: Path | str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    if not Path(path).exists():
-        raise UserError(f"no file {path}")
-    try:
-        return portable.read(path)
-    except ValueError as error:
-        raise UserError(str(error)) from error
+def read(path: Path | str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The JSON tree of a policy file, and its arrays.
+
+    Raises:
+        UserError: the file is missing, broken or not a policy file.
+    """
+    arrays = read_arrays(path, "a policy file")
+    with reading(path, "a policy file"):
+        return portable.tree_of(arrays)

@@ -13,6 +13,7 @@ import pyarrow as pa
 from deadreckon.agents import AGENTS
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
+from deadreckon.foreign.archive import read_arrays
 from deadreckon.online import Online
 from deadreckon.runs.crossfit import NAME as CROSS_FIT
 from deadreckon.runs.folder import Folder
@@ -256,10 +257,7 @@ def _entry(group: list[tuple[Path, dict[str, Any]]], label: str) -> Entry:
 def _columns(folders: Sequence[Folder], kind: str) -> Columns:
     tables = []
     for folder in folders:
-        try:
-            tables.append(folder.table(kind))
-        except (pa.ArrowInvalid, OSError) as error:
-            raise UserError(f"{folder.path} has a broken table: {error}") from error
+        tables.append(folder.table(kind))
     table = pa.concat_tables([table for table in tables if len(table)] or tables[:1], promote_options="permissive")
     return {name: table[name].to_numpy() for name in table.column_names}
 
@@ -267,8 +265,4 @@ def _columns(folders: Sequence[Folder], kind: str) -> Columns:
 def _array(path: Path, name: str) -> np.ndarray | None:
     if not path.exists():
         return None
-    try:
-        with np.load(path) as file:
-            return file.get(name, None)
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path} cannot be read: {error}") from error
+    return read_arrays(path, "arrays of a run").get(name)

@@ -100,10 +100,7 @@ def predictor(file: Path, name: str = "rows") -> Predictor:
     Raises:
         UserError: the file is missing, broken or not a policy file.
     """
-    try:
-        tree, arrays = portable.read(file)
-    except ValueError as error:
-        raise UserError(str(error)) from error
+    tree, arrays = store.read(file)
     log = tree["meta"].get("log", {})
     if portable.unknown_kind(tree["policy"]) is None:
         return Predictor(portable.NumpyPolicy(tree, arrays), log, name)
