@@ -294,6 +294,18 @@ def cells() -> list[Files]:
     return [{"cells/learn/maze/BC-abc.json": json.dumps(cell).encode()}]
 
 
+def explained() -> Files:
+    """An explanation in the folder of a run."""
+    leaf = lambda text: {"text": text, "share": 0.5, "yes": None, "no": None}  # noqa: E731
+    tree = {"text": "age <= 50", "share": 1.0, "yes": leaf("low"), "no": leaf("high")}
+    told = {
+        "name": "run seed 0", "log": "small", "discrete": True, "rows": 16, "depth": 1, "fidelity": 0.9, "low": 0.8, "high": 1.0,
+        "constant": 0.5, "explains": True, "tree": tree,
+        "columns": [{"column": "age", "change": 0.5, "low": 0.4, "high": 0.6}],
+    }  # fmt: skip
+    return {"run/explain.json": json.dumps(told).encode()}
+
+
 def recommended() -> list[Files]:
     """Estimates of `recommend` where nothing was judged."""
     tried = {"name": "bc", "updates": 3, "planned": 9, "state": "learning", "why": "time"}
@@ -310,7 +322,6 @@ def trained(folder: Path) -> Path:
     if done.exists():
         return folder
     import deadreckon as dr
-    from deadreckon.runs.explain import explain
     from deadreckon.runs.offline import judge
 
     shutil.rmtree(folder, ignore_errors=True)
@@ -325,10 +336,9 @@ def trained(folder: Path) -> Path:
         terminals=ends, behavior_log_probs=np.full(rows, -np.log(3.0)), action_space=Discrete(3), name="small",
     )  # fmt: skip
     small = {"steps": 4, "seeds": 2}
-    run = dr.train(dr.agents.BC(hidden=(4,), batch_size=8), many, out=folder / "run", **small)  # pyright: ignore
+    dr.train(dr.agents.BC(hidden=(4,), batch_size=8), many, out=folder / "run", **small)  # pyright: ignore
     dr.cross_fit(dr.agents.BC(hidden=(4,), batch_size=8), many, folds=2, out=folder / "cross", **small)  # pyright: ignore
-    judge([run], many, ["wis"], out=folder / "ope", counted=False)
-    explain(run, many)
+    judge([folder / "run"], many, ["wis"], out=folder / "ope", counted=False)
     done.write_text("")
     return folder
 

@@ -166,6 +166,10 @@ def _only(*keep: str) -> Callable[[Path], list[Files]]:
     return lambda folder: [{k: v for k, v in seeds.of_folder(folder).items() if k.startswith(keep)}]
 
 
+def _with_explanation(folder: Path) -> list[Files]:
+    return [{**files, **seeds.explained()} for files in _only("run/")(folder)]
+
+
 def _made_policies(folder: Path) -> list[Files]:
     return seeds.policies()
 
@@ -198,7 +202,7 @@ TARGETS: dict[str, Target] = {
     "run": Target(_only("run/"), _run, _RUN, 0.1, trained=True),
     "crossfit": Target(_only("cross/"), _cross, {"crossfit.json": mutate.json_text}, 0.1, trained=True),
     "estimates": Target(_only("ope/estimates", "run/"), _estimates, {"estimates.json": mutate.json_text}, 0.4, trained=True),
-    "explained": Target(_only("run/"), _explained, {"explained.json": mutate.json_text}, 0.3, trained=True),
+    "explained": Target(_with_explanation, _explained, {"explain.json": mutate.json_text}, 0.3, trained=True),
 }  # fmt: skip
 
 

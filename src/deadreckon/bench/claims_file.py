@@ -23,12 +23,37 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 from deadreckon.bench.claims import Claim, Test
 from deadreckon.bench.suite import Suite, read
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml
+from deadreckon.foreign.shapes import checked
+
+
+class _Test(TypedDict):
+    suite: str
+    method: str
+    than: list[str] | float
+    on: NotRequired[list[str]]
+    metric: NotRequired[str]
+    less: NotRequired[bool]
+    margin: NotRequired[float]
+    each: NotRequired[bool]
+
+
+class _Said(TypedDict):
+    id: str
+    says: str
+    place: str
+    note: NotRequired[str]
+    tests: NotRequired[list[_Test]]
+
+
+class _Claims(TypedDict):
+    claims: list[_Said]
+    tuned: NotRequired[dict[str, list[str]]]
 
 
 def claims(path: Path | str) -> list[Claim]:
@@ -38,8 +63,9 @@ def claims(path: Path | str) -> list[Claim]:
         UserError: the file cannot be read, or says something that cannot be: one line says what.
     """
     path = Path(path)
-    found = read_toml(path)
+    found = read_toml(path, dict)
     _check_keys(str(path), found, {"claims", "tuned"}, ("claims",))
+    checked(found, _Claims, path)
     suites: dict[str, Suite] = {}
     all_claims = [_claim(path, one, found.get("tuned", {}), suites) for one in found["claims"]]
     for name, count in Counter(claim.id for claim in all_claims).items():

@@ -139,7 +139,7 @@ def _flat(log: str, key: str, column: np.ndarray, dtype: Any) -> np.ndarray:
     column = column.reshape(len(column))
     if dtype == np.float32:
         return _float32(log, key, column)
-    return column if column.dtype == dtype else column.astype(dtype)
+    return column if dtype is None or column.dtype == dtype else column.astype(dtype)
 
 
 def _float32(log: str, key: str, column: np.ndarray) -> np.ndarray:
@@ -154,7 +154,7 @@ def _float32(log: str, key: str, column: np.ndarray) -> np.ndarray:
 
 
 def _flag(log: str, key: str, column: np.ndarray) -> np.ndarray:
-    column = np.asanyarray(column)
+    column = _flat(log, key, column, None)
     if column.dtype != bool:
         wrong = ~np.isin(column, (0, 1))
         if wrong.any():

@@ -37,7 +37,8 @@ class Shared:
 
     def put(self, array: np.ndarray) -> int:
         """Writes an array in the order of C; gives where it begins."""
-        data = memoryview(np.ascontiguousarray(array).reshape(-1).view(np.uint8)) if array.nbytes else memoryview(b"")
+        whole = np.ascontiguousarray(array).reshape(-1)
+        data = memoryview(whole.view(np.uint8) if whole.size else b"")  # pyright: ignore[reportArgumentType]
         at = self.take(len(data))
         done = 0
         while done < len(data):

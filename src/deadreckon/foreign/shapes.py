@@ -1,17 +1,19 @@
 """Declared shapes of JSON values, checked before anything looks into them.
 
-A shape is what annotations say: `TypedDict` classes for objects (`NotRequired` keys may be absent, further keys are kept),
+A shape is what annotations say: `TypedDict` classes for objects (`NotRequired` keys may be absent, further keys are kept) and
+dataclasses (fields with defaults may be absent, further keys are refused),
 `list[X]`, `dict[str, X]`, `tuple[X, Y]` for lists of a fixed length, `X | None`, `Literal`, `int`, `float`, `bool`, `str` and
 `Any`.
 """
 
+import dataclasses
 import functools
 import types
 import typing
 from pathlib import Path
 from typing import Any, Literal, NotRequired, Required, Union
 
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, unknown
 
 _WORDS: dict[Any, str] = {int: "a whole number", float: "a number", bool: "true or false", str: "a text", type(None): "null"}
 _LEAST, _MOST = -(2**63), 2**64  # of whole numbers: those that arrays hold
@@ -55,14 +57,18 @@ def _check(value: Any, shape: Any, path: Path | str, field: str) -> None:
         return _check(value, typing.get_args(shape)[0], path, field)
     if not _fits(value, shape):
         raise wrong(path, field, words(shape), value)
-    if typing.is_typeddict(shape):
+    if dataclasses.is_dataclass(shape):
+        known = [each.name for each in dataclasses.fields(shape)]
+        if odd := next((key for key in value if key not in known), None):
+            raise UserError(f"{path}: {field or 'it'}: {unknown('entry', odd, known)}")
+    if typing.is_typeddict(shape) or dataclasses.is_dataclass(shape):
         for key, (part, needed) in _fields(shape).items():
             if key in value:
                 _check(value[key], part, path, f"{field}.{key}" if field else key)
             elif needed:
                 raise UserError(f"{path}: {field or 'it'} lacks {key}; the file is damaged, or of another kind or version")
-    elif origin in (list, dict):
-        part = typing.get_args(shape)[-1]
+    elif origin in (list, dict) or _endless(shape):
+        part = typing.get_args(shape)[0 if _endless(shape) else -1]
         if part is not Any:
             for key, each in value.items() if origin is dict else enumerate(value):
                 _check(each, part, path, f"{field}[{key!r:.40}]" if origin is dict else f"{field}[{key}]")
@@ -95,9 +101,9 @@ def _fits(value: Any, shape: Any) -> bool:
         return type(value) is float or (type(value) is int and abs(value) < 1e300)
     if origin is Literal:
         return any(value == each and type(value) is type(each) for each in typing.get_args(shape))
-    if typing.is_typeddict(shape) or origin is dict or shape is dict:
+    if typing.is_typeddict(shape) or dataclasses.is_dataclass(shape) or origin is dict or shape is dict:
         return isinstance(value, dict)
-    if origin is list or shape is list:
+    if origin is list or shape is list or _endless(shape):
         return isinstance(value, list)
     if origin is tuple:
         return isinstance(value, list) and len(value) == len(typing.get_args(shape))
@@ -111,11 +117,15 @@ def words(shape: Any) -> str:
         return " or ".join(dict.fromkeys(map(words, parts)))
     if origin is Literal:
         return " or ".join(map(repr, parts))
-    if origin is list or shape is list:
+    if origin is list or shape is list or _endless(shape):
         return "a list" if not parts or parts[0] is Any else f"a list of {_WORDS.get(parts[0], 'entries').removeprefix('a ')}s"
     if origin is tuple:
         return f"a list of {len(parts)}"
     return _WORDS.get(shape, "an object")
+
+
+def _endless(shape: Any) -> bool:
+    return typing.get_origin(shape) is tuple and Ellipsis in typing.get_args(shape)
 
 
 def _named(value: Any) -> str:
@@ -126,4 +136,10 @@ def _named(value: Any) -> str:
 def _fields(shape: Any) -> dict[str, tuple[Any, bool]]:
     """{key: (shape, whether it is needed)}"""
     hints = typing.get_type_hints(shape)
-    return {key: (hint, key in shape.__required_keys__) for key, hint in hints.items()}
+    if dataclasses.is_dataclass(shape):
+        missing = dataclasses.MISSING
+        bare = [each for each in dataclasses.fields(shape) if each.default is missing and each.default_factory is missing]
+        needed = {each.name for each in bare}
+    else:
+        needed = shape.__required_keys__
+    return {key: (hint, key in needed) for key, hint in hints.items()}

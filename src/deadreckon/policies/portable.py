@@ -17,6 +17,7 @@ import json
 import numpy as np
 
 FORMAT = 1
+TREE = "policy.json"
 _ACTIVATIONS = {
     "relu": lambda x: np.maximum(x, 0.0),
     "gelu": lambda x: 0.5 * x * (1.0 + np.tanh(np.sqrt(2.0 / np.pi) * (x + 0.044715 * x**3))),
@@ -58,9 +59,9 @@ def read(path):
 
 def tree_of(arrays):
     """The JSON tree of a policy file, and the arrays that it refers to, of all arrays in the file; some error if it is none."""
-    if "policy.json" not in arrays:
-        raise ValueError("no policy.json in it")
-    tree = json.loads(arrays.pop("policy.json").tobytes())
+    if TREE not in arrays:
+        raise ValueError(f"no {TREE} in it")
+    tree = json.loads(arrays.pop(TREE).tobytes())
     if tree["format"] != FORMAT:
         raise ValueError(f"format {tree['format']}, this reader knows {FORMAT}")
     # Weights may be stored as float16; one acts with float32.

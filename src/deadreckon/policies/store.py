@@ -10,14 +10,15 @@ import numpy as np
 
 from deadreckon.errors import UserError, reading
 from deadreckon.files import replacing
-from deadreckon.foreign.archive import read_arrays
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.transformer import Block, Transformer
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import candidates, planner, portable  # noqa: F401 - kinds of policy register themselves
 from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.policies.file import read_policy
 from deadreckon.policies.policy import KINDS
 from deadreckon.policies.sequence import Sequence
+from deadreckon.policies.whole import check_whole
 
 _TAUGHT, _HELD = "taught", "held"  # arrays beside those of the policy, which all start with `policy.`
 _EXACT = ("mean", "std", "low", "high")  # the coordinates of a `EnvPolicy`
@@ -81,7 +82,7 @@ def load(path: Path | str) -> EnvPolicy:
     Raises:
         UserError: the file is missing, broken or not a policy file.
     """
-    tree, arrays = read(path)
+    tree, arrays = read_policy(path)
 
     def decode(value: Any) -> Any:
         if isinstance(value, dict):
@@ -96,18 +97,17 @@ def load(path: Path | str) -> EnvPolicy:
             return jnp.asarray(arrays[value[1:]])
         return value
 
-    try:
+    with reading(path, "a policy file"):
         policy = decode(tree["policy"])
-    except (KeyError, TypeError) as error:
-        raise UserError(f"{path} is not a whole policy file: {error}") from error
     if not isinstance(policy, EnvPolicy):
         raise UserError(f"{path} does not hold a policy")
+    check_whole(path, policy)
     return policy
 
 
 def meta(path: Path | str) -> dict[str, Any]:
     """The JSON values kept beside a saved policy."""
-    return read(path)[0]["meta"]
+    return read_policy(path)[0]["meta"]
 
 
 def taught(path: Path | str) -> np.ndarray | None:
@@ -116,7 +116,7 @@ def taught(path: Path | str) -> np.ndarray | None:
     Raises:
         UserError: the file is missing, broken or not a policy file.
     """
-    return read(path)[1].get(_TAUGHT)
+    return read_policy(path)[1].get(_TAUGHT)
 
 
 def held(path: Path | str) -> np.ndarray | None:
@@ -125,15 +125,4 @@ def held(path: Path | str) -> np.ndarray | None:
     Raises:
         UserError: see `taught`.
     """
-    return read(path)[1].get(_HELD)
-
-
-def read(path: Path | str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The JSON tree of a policy file, and its arrays.
-
-    Raises:
-        UserError: the file is missing, broken or not a policy file.
-    """
-    arrays = read_arrays(path, "a policy file")
-    with reading(path, "a policy file"):
-        return portable.tree_of(arrays)
+    return read_policy(path)[1].get(_HELD)

@@ -17,7 +17,7 @@ LETTERS, ENDING = 22, 9  # of a text, and of those at its end, where its number 
 def section(page: Page) -> Markup | None:
     """One part for each run of which it is known."""
     files = [folder.path / NAME for entry in page.entries for folder, _ in entry.folders]
-    parts = [_part(Explained.from_json(read_json(file))) for file in files if file.exists()]
+    parts = [_part(Explained.from_json(read_json(file, Explained))) for file in files if file.exists()]
     return join(*parts) if parts else None
 
 

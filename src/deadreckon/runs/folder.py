@@ -28,9 +28,10 @@ import pyarrow.parquet as pq
 
 from deadreckon.agents import AGENTS, agent_class, plugins
 from deadreckon.errors import UserError, reading
-from deadreckon.files import alone, read_json, replacing, write_json
+from deadreckon.files import alone, replacing, write_json
 from deadreckon.foreign.archive import read_arrays
 from deadreckon.foreign.door import file_size
+from deadreckon.runs.records import read_run
 from deadreckon.training.field_names import with_field_names
 from deadreckon.versions import differences
 
@@ -120,11 +121,9 @@ class Folder:
 
     def read_config(self) -> Any:
         """The configuration in run.json, with hyperparameters under the present names of their fields."""
-        config = read_json(self.config)
-        if not isinstance(config, dict) or not isinstance(config.get("agent"), dict):
-            return config
-        name, fields = str(config["agent"].get("name")), config["agent"].get("fields", {})
-        module, colon, _ = ("", "", "") if name in AGENTS else plugins().get(name, name).partition(":")
+        config = read_run(self.config)
+        name, fields = config["agent"]["name"], config["agent"]["fields"]
+        module, colon, _ = ("", "", "") if name in AGENTS else str(plugins().get(name, name)).partition(":")
         if name not in AGENTS and not (colon and module in sys.modules):  # a folder must not name code that is then run
             return config
         return config | {"agent": {**config["agent"], "fields": with_field_names(agent_class(name), fields)}}
@@ -174,11 +173,11 @@ class Folder:
 
     def shorten(self, steps: int) -> None:
         """Takes note that the run has ended with fewer updates than were asked for."""
-        write_json(self.config, read_json(self.config) | {"steps": steps})
+        write_json(self.config, read_run(self.config) | {"steps": steps})
 
     def lengthen(self, config: dict[str, Any]) -> None:
         """Takes note that more updates are asked for than the run has had; called once it can be gone on with."""
-        before = read_json(self.config)
+        before = read_run(self.config)
         if before["steps"] < config["steps"]:
             for number in config["seeds"]:
                 self.policy(number).unlink(missing_ok=True)  # with it, the run is no longer finished
@@ -189,7 +188,7 @@ def _part(path: Path, kind: str) -> pa.Table:
     """One part of a table: numbers alone in columns that have names of their own, among them the step."""
     file_size(path)
     with reading(path, "a table of a run"):
-        found = pq.read_table(path, partitioning=None)
+        found = pq.read_table(path, partitioning=None)  # pyright: ignore[reportArgumentType]
         found.validate(full=True)
     names = found.column_names
     kinds = pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean

@@ -40,9 +40,9 @@ def inherit(folder: Path) -> None:
     """
     if any(folder.glob("[0-9]*.npz")):
         return
-    found, asked = [], read_json(folder / "asked.json")
+    found, asked = [], read_json(folder / "asked.json", dict)
     for note in folder.parent.glob(f"{folder.name.rpartition('-')[0]}-*/asked.json"):
-        if read_json(note) | {"steps": asked["steps"]} == asked:
+        if read_json(note, dict) | {"steps": asked["steps"]} == asked:
             found += [(int(path.stem), path) for path in note.parent.glob("[0-9]*.npz") if int(path.stem) <= asked["steps"]]
     for _, path in sorted(found, reverse=True):
         try:

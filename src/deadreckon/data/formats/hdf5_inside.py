@@ -2,10 +2,11 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import h5py
 import numpy as np
+from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]
 
 from deadreckon.data.columns import COLUMNS, NEEDED, extra_name
 from deadreckon.data.formats.layouts import layout_of
@@ -216,7 +217,7 @@ def _objects(path: Path, file: h5py.File) -> list[tuple[str, h5py.Group]]:
             found.append((name, group))
             link = group.get(key, getlink=True)
             if isinstance(link, h5py.HardLink) and group.get(key, getclass=True) is h5py.Group:
-                inner = group[key]
+                inner = cast(h5py.Group, group[key])
                 if (address := _address(inner)) not in seen:
                     seen.add(address)
                     stack.append((f"{name}/", inner, depth + 1))
@@ -225,7 +226,7 @@ def _objects(path: Path, file: h5py.File) -> list[tuple[str, h5py.Group]]:
 
 
 def _address(group: h5py.Group) -> Any:
-    return h5py.h5o.get_info(group.id).addr
+    return h5o.get_info(group.id).addr
 
 
 def _scalar(key: str, dataset: h5py.Dataset) -> dict[str, Any]:

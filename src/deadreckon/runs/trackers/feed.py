@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -19,6 +19,12 @@ from deadreckon.runs.trackers.tracker import Tracker
 
 NAME = "track.json"
 _KEYS = ("step", "seed", "episode")
+
+
+class _Told(TypedDict):
+    """What trackers know a run by."""
+
+    id: str
 
 
 class Tracking:
@@ -42,8 +48,8 @@ class Tracking:
         if not path.exists():
             write_json(path, {"id": uuid.uuid4().hex[:12]})
         whole = self.folder.path.absolute()
-        named = {"folder": str(whole), "name": "/".join(whole.parts[-2:]), "id": read_json(path)["id"]}
-        config = read_json(known.config) | named
+        named = {"folder": str(whole), "name": "/".join(whole.parts[-2:]), "id": read_json(path, _Told)["id"]}
+        config = known.read_config() | named
         self.seeds, self.started = config["seeds"], True
         for tracker in self.trackers:
             try:
