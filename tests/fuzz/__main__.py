@@ -59,7 +59,7 @@ def _fuzz(
     until, given, shown = time.time() + seconds, 0, time.time()
     pool = [Worker(trained, folder / f"beat{i}") for i in range(workers)]
     waiting: list[tuple[str, int, int]] = []
-    spent = dict.fromkeys(names, 0.0)  # inputs so far over their share
+    spent = dict.fromkeys(names, 0.0)  # seconds so far over their share: slow formats get fewer inputs, not more time
     try:
         while True:
             for worker in pool:
@@ -75,7 +75,8 @@ def _fuzz(
                         count = min(BLOCK, most - given)
                         block = name, state[name]["next"], count
                         state[name]["next"] += count
-                        spent[name] += count / TARGETS[name].share
+                        rate = (state[name]["next"] - count) / max(state[name]["seconds"], 1.0)  # an estimate until it is back
+                        spent[name] += count / max(rate, 20.0) / TARGETS[name].share
                         given += count
                     worker.began = time.time()  # type: ignore[attr-defined]
                     worker.of = block[0]  # type: ignore[attr-defined]

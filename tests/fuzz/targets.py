@@ -20,7 +20,7 @@ class Target(NamedTuple):
         sound: its sound files; takes the folder of what was trained, where `trained` is true.
         read: reads what lies in a folder.
         damage: by the ending of a file's name, "" for the rest; files whose ending is not here are left as they are.
-        share: of the inputs of a run, relative to those of the others.
+        share: of the time of a run, relative to those of the others.
         trained: whether its sound files come from a training.
     """
 
@@ -175,34 +175,34 @@ def _made_policies(folder: Path) -> list[Files]:
 
 
 TARGETS: dict[str, Target] = {
-    "csv": Target(lambda _: seeds.tables("csv"), _log("log.csv"), {"": mutate.table_text}, 0.6),
-    "csv.gz": Target(lambda _: seeds.tables("csv.gz"), _log("log.csv.gz"), {"": mutate.gzipped(mutate.table_text)}, 0.4),
-    "parquet": Target(lambda _: seeds.tables("parquet"), _log("log.parquet"), {"": parquet}, 0.6),
-    "xlsx": Target(lambda _: seeds.tables("xlsx"), _log("log.xlsx"), {"": _XML}, 0.8),
-    "sqlite": Target(lambda _: seeds.tables("sqlite"), _log("log.sqlite"), {"": mutate.havoc}, 0.8),
-    "duckdb": Target(lambda _: seeds.tables("duckdb"), _log("log.duckdb"), {"": mutate.havoc}, 0.1),
-    "npz": Target(lambda _: seeds.logs("npz"), _log("log.npz"), {"": _ARCHIVE}),
-    "hdf5": Target(lambda _: seeds.hdf5(), _log("log.hdf5"), {"": hdf5}),
-    "minari": Target(lambda _: seeds.minari(), _log("log"), {".json": mutate.json_text, ".hdf5": hdf5}, 0.1),
+    "csv": Target(lambda _: seeds.tables("csv"), _log("log.csv"), {"": mutate.table_text}, 2.0),
+    "csv.gz": Target(lambda _: seeds.tables("csv.gz"), _log("log.csv.gz"), {"": mutate.gzipped(mutate.table_text)}),
+    "parquet": Target(lambda _: seeds.tables("parquet"), _log("log.parquet"), {"": parquet}),
+    "xlsx": Target(lambda _: seeds.tables("xlsx"), _log("log.xlsx"), {"": _XML}),
+    "sqlite": Target(lambda _: seeds.tables("sqlite"), _log("log.sqlite"), {"": mutate.havoc}),
+    "duckdb": Target(lambda _: seeds.tables("duckdb"), _log("log.duckdb"), {"": mutate.havoc}),
+    "npz": Target(lambda _: seeds.logs("npz"), _log("log.npz"), {"": _ARCHIVE}, 2.0),
+    "hdf5": Target(lambda _: seeds.hdf5(), _log("log.hdf5"), {"": hdf5}, 2.0),
+    "minari": Target(lambda _: seeds.minari(), _log("log"), {".json": mutate.json_text, ".hdf5": hdf5}),
     "folder": Target(lambda _: seeds.logs("folder"), _log("log"), {".json": mutate.json_text, ".npy": mutate.npy}),
-    "pickle": Target(lambda _: seeds.pickles(), _log("log.pkl"), {"": mutate.pickled}),
+    "pickle": Target(lambda _: seeds.pickles(), _log("log.pkl"), {"": mutate.pickled}, 2.0),
     "rllib": Target(lambda _: seeds.rllib(), _log("log.json"), {"": mutate.json_lines}),
     "vw": Target(lambda _: seeds.vw(), _log("log.vw"), {"": mutate.havoc}),
-    "policy": Target(_made_policies, _policy, {"": _ARCHIVE}, 0.5),
+    "policy": Target(_made_policies, _policy, {"": _ARCHIVE}),
     "dope": Target(lambda _: seeds.published(), _published, {"": mutate.pickled}),
     "dapg": Target(lambda _: seeds.network(), _network, {"": mutate.pickled}),
     "suite": Target(lambda _: seeds.texts("suite"), _suite, {"": mutate.toml_text}),
     "claims": Target(lambda _: seeds.texts("claims"), _claims, {".toml": mutate.toml_text}),
-    "schema": Target(lambda _: seeds.texts("schema"), _schema, {".toml": mutate.toml_text}, 0.4),
+    "schema": Target(lambda _: seeds.texts("schema"), _schema, {".toml": mutate.toml_text}),
     "design": Target(lambda _: seeds.texts("design"), _design, {"": mutate.toml_text}),
     "looks": Target(lambda _: seeds.looks(), _looks, {"": mutate.json_text}),
     "ledger": Target(lambda _: seeds.cells(), _ledger, {"": mutate.json_text}),
-    "recommended": Target(lambda _: seeds.recommended(), _recommended, {"": mutate.json_text}, 0.5),
+    "recommended": Target(lambda _: seeds.recommended(), _recommended, {"": mutate.json_text}),
     "checkpoint": Target(_only("run/checkpoints"), _checkpoint, {"0004.npz": _ARCHIVE}, trained=True),
-    "run": Target(_only("run/"), _run, _RUN, 0.1, trained=True),
-    "crossfit": Target(_only("cross/"), _cross, {"crossfit.json": mutate.json_text}, 0.1, trained=True),
-    "estimates": Target(_only("ope/estimates", "run/"), _estimates, {"estimates.json": mutate.json_text}, 0.4, trained=True),
-    "explained": Target(_with_explanation, _explained, {"explain.json": mutate.json_text}, 0.3, trained=True),
+    "run": Target(_only("run/"), _run, _RUN, trained=True),
+    "crossfit": Target(_only("cross/"), _cross, {"crossfit.json": mutate.json_text}, trained=True),
+    "estimates": Target(_only("ope/estimates", "run/"), _estimates, {"estimates.json": mutate.json_text}, trained=True),
+    "explained": Target(_with_explanation, _explained, {"explain.json": mutate.json_text}, trained=True),
 }  # fmt: skip
 
 

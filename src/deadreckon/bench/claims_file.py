@@ -32,28 +32,19 @@ from deadreckon.files import read_toml
 from deadreckon.foreign.shapes import checked
 
 
-class _Test(TypedDict):
-    suite: str
-    method: str
-    than: list[str] | float
-    on: NotRequired[list[str]]
-    metric: NotRequired[str]
-    less: NotRequired[bool]
-    margin: NotRequired[float]
-    each: NotRequired[bool]
-
-
 class _Said(TypedDict):
-    id: str
-    says: str
-    place: str
+    id: NotRequired[str]
+    says: NotRequired[str]
+    place: NotRequired[str]
     note: NotRequired[str]
-    tests: NotRequired[list[_Test]]
+    tests: NotRequired[list[dict[str, Any]]]
 
 
 class _Claims(TypedDict):
+    """How a file is built; what stands where is looked at one by one."""
+
     claims: list[_Said]
-    tuned: NotRequired[dict[str, list[str]]]
+    tuned: NotRequired[dict[str, Any]]
 
 
 def claims(path: Path | str) -> list[Claim]:
@@ -66,6 +57,9 @@ def claims(path: Path | str) -> list[Claim]:
     found = read_toml(path, dict)
     _check_keys(str(path), found, {"claims", "tuned"}, ("claims",))
     checked(found, _Claims, path)
+    for agent, own in found.get("tuned", {}).items():
+        if not isinstance(own, list) or not all(isinstance(log, str) for log in own):
+            raise UserError(f"{path}, [tuned]: {agent} must be a list of logs, got {own!r}")
     suites: dict[str, Suite] = {}
     all_claims = [_claim(path, one, found.get("tuned", {}), suites) for one in found["claims"]]
     for name, count in Counter(claim.id for claim in all_claims).items():
@@ -85,8 +79,6 @@ def _check_tuned(path: Path, tuned: Mapping[str, Sequence[str]], suites: Iterabl
     for agent, own in tuned.items():
         if agent not in agents:
             raise UserError(f"{path}, [tuned]: {unknown('agent', agent, agents)}")
-        if not isinstance(own, list):
-            raise UserError(f"{path}, [tuned]: {agent} must be a list of logs, got {own!r}")
         for log in own:
             if log not in logs:
                 raise UserError(f"{path}, [tuned], {agent}: {unknown('log', str(log), logs)}")
@@ -105,13 +97,14 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
     tests = []
     for test in said.get("tests", ()):
         _check_keys(where, test, {f.name for f in fields(Test)}, ("suite", "method", "than"))
+        for key, value in test.items():
+            wanted, kind = _KINDS[key]
+            texts = not isinstance(value, list) or all(isinstance(each, str) for each in value)
+            if not isinstance(value, wanted) or (isinstance(value, bool) and wanted is not bool) or not texts:
+                raise UserError(f"{where}: {key} must be {kind}, got {value!r}")
         name = test["suite"]
         suite = suites.setdefault(name, read(path.parent / name))
         methods = {method.name: method.agent for method in suite.methods}
-        for key, value in test.items():
-            wanted, kind = _KINDS[key]
-            if not isinstance(value, wanted) or (isinstance(value, bool) and wanted is not bool):
-                raise UserError(f"{where}: {key} must be {kind}, got {value!r}")
         than = test["than"] if isinstance(test["than"], list) else float(test["than"])
         for method in [test["method"], *(than if isinstance(than, list) else ())]:
             if method not in methods:

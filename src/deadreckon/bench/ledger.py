@@ -18,7 +18,7 @@ import pyarrow as pa
 from deadreckon.bench.jobs import Job, file_name
 from deadreckon.bench.store import CURVE, RESULT, Store
 from deadreckon.bench.suite import Suite
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, reading
 from deadreckon.files import read_json, replacing
 from deadreckon.foreign.shapes import wrong
 
@@ -85,10 +85,15 @@ class Ledger(Store):
 
     def results(self) -> pa.Table:
         """All rows, the oldest first."""
-        return _results(self._files())
+        with reading(self.cells, "a ledger"):
+            return _results(self._files())
 
     def curves(self) -> pa.Table:
         """All curves."""
+        with reading(self.cells, "a ledger"):
+            return self._curves()
+
+    def _curves(self) -> pa.Table:
         points = [(cell["cell"], *point) for cell in map(_read, self._files()) for point in cell["curve"]]
         return pa.Table.from_pylist([dict(zip(CURVE.names, point)) for point in points], schema=CURVE)
 

@@ -38,7 +38,7 @@ def wrong(path: Path | str, field: str, needed: str, value: Any) -> UserError:
     """The error for a field that is not what it must be."""
     shown = f"{value!r:.60}" if not isinstance(value, dict | list) else f"{_named(value)} of {len(value)}"
     place = f"{path}: {field}" if field else f"{path}: what it holds"
-    return UserError(f"{place} must be {needed}, got {shown}; the file is damaged, or of another kind or version")
+    return UserError(f"{place} must be {needed}, got {shown}")
 
 
 def same_length(path: Path | str, field: str, values: Any, count: int) -> None:
@@ -59,14 +59,14 @@ def _check(value: Any, shape: Any, path: Path | str, field: str) -> None:
         raise wrong(path, field, words(shape), value)
     if dataclasses.is_dataclass(shape):
         known = [each.name for each in dataclasses.fields(shape)]
-        if odd := next((key for key in value if key not in known), None):
-            raise UserError(f"{path}: {field or 'it'}: {unknown('entry', odd, known)}")
+        if odd := [key for key in value if key not in known]:
+            raise UserError(f"{path}: {field or 'it'}: {unknown('entry', odd[0], known)}")
     if typing.is_typeddict(shape) or dataclasses.is_dataclass(shape):
         for key, (part, needed) in _fields(shape).items():
             if key in value:
                 _check(value[key], part, path, f"{field}.{key}" if field else key)
             elif needed:
-                raise UserError(f"{path}: {field or 'it'} lacks {key}; the file is damaged, or of another kind or version")
+                raise UserError(f"{path}: {field or 'it'} lacks {key}")
     elif origin in (list, dict) or _endless(shape):
         part = typing.get_args(shape)[0 if _endless(shape) else -1]
         if part is not Any:

@@ -16,6 +16,8 @@ from deadreckon.data.step import Step
 from deadreckon.errors import UserError, as_one_line
 from deadreckon.foreign.shapes import words
 from deadreckon.nets.mlp import MLP
+from deadreckon.policies.deployed import History, Mixture
+from deadreckon.policies.portable import KINDS
 
 _SCALARS = (int, float, str, bool, type(None))
 
@@ -31,9 +33,13 @@ def check_whole(path: Path | str, policy: Any) -> None:
         UserError: names the field that is of another kind; or says that the parts do not fit together.
     """
     _check(path, policy, "policy")
+    if isinstance(policy.inner, Mixture | History):
+        for member in policy.inner.members if isinstance(policy.inner, Mixture) else (policy.inner.member,):
+            check_whole(path, member)
+        return
     shapes = [policy.mean.shape] if policy.mean is not None else dict.fromkeys((size,) for size in _inputs(policy))
     error = None
-    for shape in shapes:
+    for shape in shapes if type(policy.inner).__name__ in KINDS else ():  # others take more than an observation, or draw long
         try:
             jax.eval_shape(functools.partial(_act, policy), jax.ShapeDtypeStruct((1, *shape), jnp.float32))
         except Exception as found:  # noqa: BLE001 - whatever arrays of wrong shapes make JAX raise

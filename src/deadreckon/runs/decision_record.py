@@ -182,7 +182,7 @@ def read_results(path: Path | str) -> dict[str, Any]:
         return found
     for key in ("estimand", "judged", "looks", "support"):
         if found.get(key) is None:
-            raise UserError(f"{path}: it lacks {key}; the file is damaged, or of another kind or version")
+            raise UserError(f"{path}: it lacks {key}")
     if choice["name"] not in [each["name"] for each in found["policies"]]:
         raise wrong(path, "choice.name", "the name of one of the policies", choice["name"])
     if choice["level"] is None or not 0.0 < choice["level"] < 1.0:

@@ -3,9 +3,8 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from deadreckon.errors import UserError, reading
-from deadreckon.policies import portable
-from deadreckon.policies.file import read_policy
+from deadreckon.errors import UserError
+from deadreckon.policies.file import numpy_player, read_policy
 from deadreckon.policies.table_predict import Predictor
 from deadreckon.runs.decision_record import read_results
 from deadreckon.runs.folder import Folder, policy_seed
@@ -104,10 +103,7 @@ def predictor(file: Path, name: str = "rows") -> Predictor:
     """
     tree, arrays = read_policy(file)
     log = tree.get("meta", {}).get("log") or {}
-    with reading(file, "a policy file"):
-        known = portable.unknown_kind(tree["policy"]) is None
-        player = portable.NumpyPolicy(tree, arrays) if known else None
-    if player is not None:
+    if (player := numpy_player(file, tree, arrays)) is not None:
         return Predictor(player, log, name)
     from deadreckon.policies import store
     from deadreckon.policies.loaded import TablePolicy
