@@ -3,6 +3,7 @@
     python -m tests.fuzz --inputs 100000           # so many more, shared among the formats
     python -m tests.fuzz --seconds 3600            # or for so long
     python -m tests.fuzz --only hdf5 pickle        # these formats alone
+    python -m tests.fuzz --again                   # only those that have failed, by today's code: which are mended?
     python -m tests.fuzz --report                  # what all runs so far have found
 
 Inputs follow from their numbers, and what is done is kept in `.cache/fuzz`, so that a run goes on where the last one ended.
@@ -17,8 +18,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from tests.fuzz import seeds
-from tests.fuzz.engine import Worker
+from tests.fuzz import records
+from tests.fuzz.engine import Block, Worker
 from tests.fuzz.targets import TARGETS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -35,13 +36,16 @@ def main() -> int:
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--folder", type=Path, default=ROOT / ".cache" / "fuzz", help="where what is done is kept")
     parser.add_argument("--no-corpus", action="store_true", help="keeps failures in the folder alone")
+    parser.add_argument("--again", action="store_true", help="reads those inputs again that have failed, and no others")
     parser.add_argument("--report", action="store_true", help="shows what was found so far, and reads nothing")
     asked = parser.parse_args()
     os.nice(19)
     asked.folder.mkdir(parents=True, exist_ok=True)
     path = asked.folder / "state.json"
     state: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
-    if not asked.report:
+    if asked.again:
+        _again(asked.folder, state)
+    elif not asked.report:
         most = asked.inputs or (10**12 if asked.seconds else 20_000)
         corpus = asked.folder / "corpus" if asked.no_corpus else CORPUS
         _fuzz(asked.only or list(TARGETS), most, asked.seconds or 1e12, asked.workers, asked.folder, state, corpus)
@@ -53,20 +57,19 @@ def _fuzz(
 ) -> None:
     trained = folder / "trained"
     if any(TARGETS[name].trained for name in names):
-        seeds.trained(trained)
+        records.trained(trained)
     for name in names:
         state.setdefault(name, {"next": 0, "read": 0, "refused": 0, "failed": 0, "kinds": {}, "seconds": 0.0})
     until, given, shown = time.time() + seconds, 0, time.time()
     pool = [Worker(trained, folder / f"beat{i}") for i in range(workers)]
-    waiting: list[tuple[str, int, int]] = []
+    waiting: list[Block] = []
     spent = dict.fromkeys(names, 0.0)  # seconds so far over their share: slow formats get fewer inputs, not more time
     try:
         while True:
             for worker in pool:
                 if worker.block is not None and (answer := worker.poll()) is not None:
-                    waiting += _noted(state, worker, answer, corpus, trained)
-                    (folder / "state.new").write_text(json.dumps(state))
-                    (folder / "state.new").replace(folder / "state.json")
+                    waiting += _noted(state, worker, answer, corpus)
+                    _save(folder, state)
                 if worker.block is None and (waiting or (given < most and time.time() < until)):
                     if waiting:
                         block = waiting.pop()
@@ -78,8 +81,6 @@ def _fuzz(
                         rate = (state[name]["next"] - count) / max(state[name]["seconds"], 1.0)  # an estimate until it is back
                         spent[name] += count / max(rate, 20.0) / TARGETS[name].share
                         given += count
-                    worker.began = time.time()  # type: ignore[attr-defined]
-                    worker.of = block[0]  # type: ignore[attr-defined]
                     worker.send(*block)
             if all(worker.block is None for worker in pool):
                 break
@@ -93,9 +94,38 @@ def _fuzz(
             worker.close()
 
 
-def _noted(state: dict[str, Any], worker: Any, answer: dict[str, Any], corpus: Path, trained: Path) -> list[tuple[str, int, int]]:
+def _again(folder: Path, state: dict[str, Any]) -> None:
+    """Reads inputs that have failed once more; those that are read or refused now count as that, and as mended."""
+    worker = Worker(folder / "trained", folder / "beat-again")
+    try:
+        for name, own in state.items():
+            for what, numbers in list(own["kinds"].items()):
+                for number in list(numbers):
+                    worker.send(name, number, 1)
+                    while (answer := worker.poll()) is None:
+                        time.sleep(0.01)
+                    counts = answer["counts"]
+                    if not counts["failed"]:
+                        numbers.remove(number)
+                        own["failed"] -= 1
+                        own["mended"] = own.get("mended", 0) + 1
+                        own["read"] += counts["read"]
+                        own["refused"] += counts["refused"]
+                if not numbers:
+                    del own["kinds"][what]
+    finally:
+        worker.close()
+    _save(folder, state)
+
+
+def _save(folder: Path, state: dict[str, Any]) -> None:
+    (folder / "state.new").write_text(json.dumps(state))
+    (folder / "state.new").replace(folder / "state.json")
+
+
+def _noted(state: dict[str, Any], worker: Worker, answer: dict[str, Any], corpus: Path) -> list[Block]:
     """Counts an answer, keeps its failures, and gives what of its block is still to be done."""
-    own = state[worker.of]
+    own = state[worker.name]
     own["seconds"] += time.time() - worker.began
     for kind, count in answer["counts"].items():
         own[kind] += count
@@ -103,13 +133,13 @@ def _noted(state: dict[str, Any], worker: Any, answer: dict[str, Any], corpus: P
         kinds = own["kinds"].setdefault(each["what"], [])
         kinds.append(each["number"])
         if len(kinds) <= 3:
-            keep(corpus, worker.of, each)
-            print(f"{worker.of} {each['number']}: {each['what']}", flush=True)
-    return [tuple(block) for block in (answer.get("again"), answer.get("rest")) if block and block[2] > 0]
+            keep(corpus, worker.name, each)
+            print(f"{worker.name} {each['number']}: {each['what']}", flush=True)
+    return [block for block in (answer.get("again"), answer.get("rest")) if block and block[2] > 0]
 
 
 def keep(corpus: Path, name: str, failure: dict[str, Any]) -> None:
-    """Puts a failed input into the corpus: its number, and where it is known its content, which outlives changes of the fuzzer."""
+    """Puts a failed input into the corpus: its number and, because fuzzers change, its content where that is small."""
     path = corpus / name / f"{failure['number']}.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps({key: value for key, value in failure.items() if key != "told"}, indent=1) + "\n")
@@ -120,14 +150,15 @@ def keep(corpus: Path, name: str, failure: dict[str, Any]) -> None:
 
 
 def _report(state: dict[str, Any]) -> int:
-    print(f"{'format':<12} {'inputs':>10} {'read':>10} {'refused':>10} {'failed':>8} {'a second':>9}")
-    total = dict.fromkeys(("read", "refused", "failed"), 0)
-    for name, own in state.items():
-        count = sum(own[kind] for kind in total)
-        total = {kind: total[kind] + own[kind] for kind in total}
-        rate = count / max(own["seconds"], 1e-9)
-        print(f"{name:<12} {count:>10,} {own['read']:>10,} {own['refused']:>10,} {own['failed']:>8,} {rate:>9,.0f}")
-    print(f"{'all':<12} {sum(total.values()):>10,} " + " ".join(f"{each:>10,}" for each in total.values()))
+    kinds = ("read", "refused", "failed", "mended")
+    print(f"| {'format':<12} | {'inputs':>10} | " + " | ".join(f"{each:>9}" for each in kinds) + " |")
+    print("|---|" + "---:|" * 5)
+    total = dict.fromkeys(kinds, 0)
+    for name, own in [*state.items(), ("all", total)]:
+        if name != "all":
+            total |= {kind: total[kind] + own.get(kind, 0) for kind in kinds}
+        count = own["read"] + own["refused"] + own["failed"]
+        print(f"| {name:<12} | {count:>10,} | " + " | ".join(f"{own.get(kind, 0):>9,}" for kind in kinds) + " |")
     for name, own in state.items():
         for what, numbers in sorted(own["kinds"].items(), key=lambda each: -len(each[1])):
             print(f"  {name}: {len(numbers)} x {what}, such as input {numbers[0]}")

@@ -1,7 +1,7 @@
 """Damaged files by number: what becomes of each, by a process that may hang or die.
 
-An input is a format and a number, from which it follows; a block of them goes to a worker. What is no `UserError` in one line is
-a failure: another exception, a hang, a crash, code that was run, a file outside the worker's folder.
+An input is a format and a number, from which it follows; a block of them goes to a worker. What is no `UserError` in one line
+is a failure: another exception, a hang, a crash, code that was run, a file outside the worker's folder.
 """
 
 import contextlib
@@ -24,7 +24,9 @@ import numpy as np
 
 from tests.fuzz.mutate import havoc
 
+Block = tuple[str, int, int]  # a format, the first number, how many
 HANGS = 30.0  # seconds, for one input
+_SMALL = 5_000  # bytes of a damaged file that is kept
 _AT = struct.Struct("<qd")  # number of the input at work, and since when
 CODE = ("os.system", "os.exec", "os.posix_spawn", "os.spawn", "os.startfile", "pty.spawn", "ctypes.dlopen", "socket.connect",
         "socket.bind", "shutil.rmtree", "os.remove", "os.rename", "os.symlink", "os.link", "os.chmod", "os.mkdir")  # fmt: skip
@@ -66,9 +68,8 @@ class Watch:
         elif event == "subprocess.Popen":
             if arguments[0] != sys.executable:
                 self.seen.append(f"runs {arguments[0]}")
-        elif event in CODE:
-            if event == "ctypes.dlopen" or not self._inside(os.fsdecode(arguments[0]) if _path(arguments) else ""):
-                self.seen.append(f"{event} {arguments!r:.100}")
+        elif event in CODE and not (_path(arguments) and self._inside(os.fsdecode(arguments[0]))):
+            self.seen.append(f"{event} {arguments!r:.100}")
 
     def _inside(self, path: str) -> bool:
         place = os.path.realpath(path)
@@ -175,7 +176,11 @@ def work(trained: Path, beat: Path) -> None:
     """A worker: takes blocks `[format, first, count]` as lines of JSON, and answers each with counts and failures."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what libraries print is no answer
-    with tempfile.TemporaryDirectory(prefix="fuzz-") as place, open(beat, "r+b") as file, mmap.mmap(file.fileno(), _AT.size) as at:
+    with (
+        tempfile.TemporaryDirectory(prefix="fuzz-") as place,
+        open(beat, "r+b") as file,
+        mmap.mmap(file.fileno(), _AT.size) as at,
+    ):
         os.environ |= {"DEADRECKON_HOME": f"{place}/home", "MINARI_DATASETS_PATH": f"{place}/minari"}
         tempfile.tempdir = place
         os.chdir(place)
@@ -191,9 +196,8 @@ def work(trained: Path, beat: Path) -> None:
                 kind, failure = bench.run(number, watch)
                 counts[kind] += 1
                 if failure is not None:
-                    known = sum(each["what"] == failure.what for each in failed)
-                    short = {"content": failure.content.hex(), "told": failure.told} if known < 2 and len(failure.content) < 50_000 else {}
-                    failed.append({"what": failure.what, "number": number, "file": failure.file, **short})
+                    told = {"what": failure.what, "number": number, "file": failure.file, "told": failure.told}
+                    failed.append(told | ({"content": failure.content.hex()} if len(failure.content) < _SMALL else {}))
             at[:] = _AT.pack(-1, time.time())
             answers.write(json.dumps({"counts": counts, "failed": failed}) + "\n")
             answers.flush()
@@ -206,7 +210,8 @@ class Worker:
         self.trained, self.beat = trained, beat
         self.beat.write_bytes(_AT.pack(-1, time.time()))
         self.process: subprocess.Popen | None = None
-        self.block: tuple[str, int, int] | None = None
+        self.block: Block | None = None
+        self.name, self.began = "", 0.0  # the format of the last block, and when that was given
 
     def send(self, name: str, first: int, count: int) -> None:
         """Gives it a block."""
@@ -220,6 +225,7 @@ class Worker:
             os.set_blocking(self.process.stdout.fileno(), False)
             self.text = ""
         self.block = name, first, count
+        self.name, self.began = name, time.time()
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps(self.block) + "\n")
         self.process.stdin.flush()
@@ -227,7 +233,9 @@ class Worker:
     def poll(self) -> dict[str, Any] | None:
         """The answer to the block; where it hung or died, what is known, and the rest of the block under `rest`."""
         process, block = self.process, self.block
-        assert process is not None and block is not None and process.stdout is not None
+        assert process is not None
+        assert block is not None
+        assert process.stdout is not None
         name, first, count = block
         with contextlib.suppress(TypeError):  # nothing there
             self.text += process.stdout.read() or ""

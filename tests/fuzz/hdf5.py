@@ -59,14 +59,17 @@ def _odd(file: h5py.File, rng: Rng) -> None:
             big = pick(rng, ((2**40,), (2**20, 2**20), (rows, 2**33), (0,), (rows, 0), (1,) * 32, (2**31, 2)))
             file.create_dataset(new, big, pick(rng, ("<f4", "u1", "<f8")), chunks=pick(rng, (None, (1,) * len(big))))
         case 5:
-            kinds = (h5py.string_dtype(), h5py.ref_dtype, h5py.vlen_dtype("<f4"), h5py.enum_dtype({"A": 1}), np.dtype("V8"),
-                     np.dtype([("a", "<f4"), ("b", "<i8")]), np.dtype("S5"), np.dtype("<c16"), np.dtype("<f2"), np.dtype("bool"),
-                     np.dtype(("<f4", (2, 2))))  # fmt: skip
+            kinds = (
+                h5py.string_dtype(), h5py.ref_dtype, h5py.vlen_dtype("<f4"), h5py.enum_dtype({"A": 1}), np.dtype("V8"),
+                np.dtype([("a", "<f4"), ("b", "<i8")]), np.dtype("S5"), np.dtype("<c16"), np.dtype("<f2"), np.dtype("bool"),
+                np.dtype(("<f4", (2, 2))),
+            )  # fmt: skip
             file.create_dataset(new, (rows,), pick(rng, kinds))
         case 6:
             target = pick(rng, (file, value)) if value is not None else file
-            what = (np.zeros(3), "text", b"\xff", np.int64(2**62), h5py.Empty("f"), np.array(["a", "b"], object), np.void(b"abc"),
-                    "{}", "[" * 5000, '{"deadreckon": 1}', '{"deadreckon": 1e99}', np.zeros((100, 70)))  # fmt: skip
+            what = (np.zeros(3), "text", b"\xff", np.int64(2**62), h5py.Empty("f"), np.array(["a", "b"], object),
+                    np.void(b"abc"), "{}", "[" * 5000, '{"deadreckon": 1}',
+                    '{"deadreckon": 1e99}', np.zeros((100, 70)))  # fmt: skip
             target.attrs[pick(rng, ("deadreckon", "x", "action_space", "env"))] = pick(rng, what)
         case 7:
             file.create_group(new)

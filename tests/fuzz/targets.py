@@ -6,9 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tests.fuzz import mutate, seeds
+from tests.fuzz import mutate, records, seeds
 from tests.fuzz.hdf5 import hdf5
 from tests.fuzz.mutate import Mutation
+from tests.fuzz.pickles import pickled
 from tests.fuzz.seeds import Files
 from tests.fuzz.tables import parquet
 
@@ -167,11 +168,11 @@ def _only(*keep: str) -> Callable[[Path], list[Files]]:
 
 
 def _with_explanation(folder: Path) -> list[Files]:
-    return [{**files, **seeds.explained()} for files in _only("run/")(folder)]
+    return [{**files, **records.explained()} for files in _only("run/")(folder)]
 
 
 def _made_policies(folder: Path) -> list[Files]:
-    return seeds.policies()
+    return records.policies()
 
 
 TARGETS: dict[str, Target] = {
@@ -185,19 +186,19 @@ TARGETS: dict[str, Target] = {
     "hdf5": Target(lambda _: seeds.hdf5(), _log("log.hdf5"), {"": hdf5}, 2.0),
     "minari": Target(lambda _: seeds.minari(), _log("log"), {".json": mutate.json_text, ".hdf5": hdf5}),
     "folder": Target(lambda _: seeds.logs("folder"), _log("log"), {".json": mutate.json_text, ".npy": mutate.npy}),
-    "pickle": Target(lambda _: seeds.pickles(), _log("log.pkl"), {"": mutate.pickled}, 2.0),
+    "pickle": Target(lambda _: seeds.pickles(), _log("log.pkl"), {"": pickled}, 2.0),
     "rllib": Target(lambda _: seeds.rllib(), _log("log.json"), {"": mutate.json_lines}),
     "vw": Target(lambda _: seeds.vw(), _log("log.vw"), {"": mutate.havoc}),
     "policy": Target(_made_policies, _policy, {"": _ARCHIVE}),
-    "dope": Target(lambda _: seeds.published(), _published, {"": mutate.pickled}),
-    "dapg": Target(lambda _: seeds.network(), _network, {"": mutate.pickled}),
-    "suite": Target(lambda _: seeds.texts("suite"), _suite, {"": mutate.toml_text}),
-    "claims": Target(lambda _: seeds.texts("claims"), _claims, {".toml": mutate.toml_text}),
-    "schema": Target(lambda _: seeds.texts("schema"), _schema, {".toml": mutate.toml_text}),
-    "design": Target(lambda _: seeds.texts("design"), _design, {"": mutate.toml_text}),
-    "looks": Target(lambda _: seeds.looks(), _looks, {"": mutate.json_text}),
-    "ledger": Target(lambda _: seeds.cells(), _ledger, {"": mutate.json_text}),
-    "recommended": Target(lambda _: seeds.recommended(), _recommended, {"": mutate.json_text}),
+    "dope": Target(lambda _: seeds.published(), _published, {"": pickled}),
+    "dapg": Target(lambda _: seeds.network(), _network, {"": pickled}),
+    "suite": Target(lambda _: records.texts("suite"), _suite, {"": mutate.toml_text}),
+    "claims": Target(lambda _: records.texts("claims"), _claims, {".toml": mutate.toml_text}),
+    "schema": Target(lambda _: records.texts("schema"), _schema, {".toml": mutate.toml_text}),
+    "design": Target(lambda _: records.texts("design"), _design, {"": mutate.toml_text}),
+    "looks": Target(lambda _: records.looks(), _looks, {"": mutate.json_text}),
+    "ledger": Target(lambda _: records.cells(), _ledger, {"": mutate.json_text}),
+    "recommended": Target(lambda _: records.recommended(), _recommended, {"": mutate.json_text}),
     "checkpoint": Target(_only("run/checkpoints"), _checkpoint, {"0004.npz": _ARCHIVE}, trained=True),
     "run": Target(_only("run/"), _run, _RUN, trained=True),
     "crossfit": Target(_only("cross/"), _cross, {"crossfit.json": mutate.json_text}, trained=True),
