@@ -1,7 +1,7 @@
 """Reads damaged files of every format, for hours: `make fuzz`.
 
     python -m tests.fuzz --inputs 100000           # so many more, shared among the formats
-    python -m tests.fuzz --seconds 3600            # or for so long
+    python -m tests.fuzz --for 2h                  # or for so long
     python -m tests.fuzz --only hdf5 pickle        # these formats alone
     python -m tests.fuzz --again                   # only those that have failed, by today's code: which are mended?
     python -m tests.fuzz --report                  # what all runs so far have found
@@ -18,6 +18,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from deadreckon.runs.durations import seconds_of
 from tests.fuzz import records
 from tests.fuzz.engine import Block, Worker
 from tests.fuzz.targets import TARGETS
@@ -31,7 +32,7 @@ def main() -> int:
     """The command; 1 where there were failures."""
     parser = argparse.ArgumentParser(description="Reads damaged files of every format.")
     parser.add_argument("--inputs", type=int, default=None, help="how many, over all formats; default 20,000")
-    parser.add_argument("--seconds", type=float, default=None, help="for how long at most")
+    parser.add_argument("--for", dest="time", type=seconds_of, default=None, help="for how long at most, such as 90s or 2h")
     parser.add_argument("--only", nargs="*", default=None, choices=sorted(TARGETS), help="formats; default all")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--folder", type=Path, default=ROOT / ".cache" / "fuzz", help="where what is done is kept")
@@ -46,9 +47,9 @@ def main() -> int:
     if asked.again:
         _again(asked.folder, state)
     elif not asked.report:
-        most = asked.inputs or (10**12 if asked.seconds else 20_000)
+        most = asked.inputs or (10**12 if asked.time else 20_000)
         corpus = asked.folder / "corpus" if asked.no_corpus else CORPUS
-        _fuzz(asked.only or list(TARGETS), most, asked.seconds or 1e12, asked.workers, asked.folder, state, corpus)
+        _fuzz(asked.only or list(TARGETS), most, asked.time or 1e12, asked.workers, asked.folder, state, corpus)
     return _report(state)
 
 

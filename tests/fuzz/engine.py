@@ -212,6 +212,7 @@ class Worker:
         self.process: subprocess.Popen | None = None
         self.block: Block | None = None
         self.name, self.began = "", 0.0  # the format of the last block, and when that was given
+        self.number, self.delayed = -1, 0.0  # the input at work, and how long its process had waited for a core before
 
     def send(self, name: str, first: int, count: int) -> None:
         """Gives it a block."""
@@ -244,7 +245,9 @@ class Worker:
             return found
         number, since = _AT.unpack(self.beat.read_bytes())
         died = process.poll() is not None
-        if not died and (number < 0 or time.time() - since < HANGS):
+        if number != self.number:
+            self.number, self.delayed = number, _delay(process.pid)
+        if not died and (number < 0 or time.time() - since - (_delay(process.pid) - self.delayed) < HANGS):
             return None
         process.kill()
         process.wait()
@@ -263,6 +266,16 @@ class Worker:
             self.process.kill()
             self.process.wait()
             self.process = None
+
+
+def _delay(pid: int) -> float:
+    """Seconds that a process and those that it has begun have waited for a core, where the system tells: that is no hang."""
+    waited = 0.0
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        waited += int(Path(f"/proc/{pid}/schedstat").read_text().split()[1]) / 1e9
+        for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split():
+            waited += _delay(int(child))
+    return waited
 
 
 if __name__ == "__main__":

@@ -92,7 +92,7 @@ def test_a_worker_that_hangs_or_dies_costs_one_input(tmp_path, monkeypatch):
     worker = Worker(tmp_path, tmp_path / "beat")
 
     class Process:
-        returncode = None
+        returncode, pid = None, 0
         stdout = property(lambda self: self)
 
         def read(self):

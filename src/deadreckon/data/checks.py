@@ -74,11 +74,11 @@ def _finals(
         return np.ascontiguousarray(following[last]), known
     if "final_observations" not in columns:
         return np.ascontiguousarray(observations[last]), np.zeros(len(last), bool)
+    _check_numbers(log, "final_observations", np.asanyarray(columns["final_observations"]))
     final, known = _observation_column(log, "final_observations", columns["final_observations"]), np.ones(len(last), bool)
     if final.shape != (len(last), *observations.shape[1:]):
         want = (len(last), *observations.shape[1:])
         raise UserError(f"{log}: final_observations have shape {final.shape}, {want} is needed, one per episode")
-    _check_numbers(log, "final_observations", final)
     if "final_known" in columns:
         known = _flag(log, "final_known", columns["final_known"])
         if len(known) != len(last):
