@@ -57,6 +57,12 @@ def test_what_has_failed_once_is_refused_now(path, benches, watch):
     assert kind != "failed", f"{what}\n{told}"
 
 
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch):
+    """Files that hang a library cost a second, not twenty."""
+    monkeypatch.setenv("DEADRECKON_MAX_SECONDS", "1")
+
+
 def _raise(error):
     raise error
 
