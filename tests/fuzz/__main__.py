@@ -63,7 +63,7 @@ def _fuzz(
         state.setdefault(name, {"next": 0, "read": 0, "refused": 0, "failed": 0, "kinds": {}, "seconds": 0.0})
     until, given, shown = time.time() + seconds, 0, time.time()
     pool = [Worker(trained, folder / f"beat{i}") for i in range(workers)]
-    waiting: list[Block] = []
+    waiting: list[Block] = [(name, int(path.stem), 1) for name in names for path in sorted(CORPUS.glob(f"{name}/*.json"))]
     spent = dict.fromkeys(names, 0.0)  # seconds so far over their share: slow formats get fewer inputs, not more time
     try:
         while True:
