@@ -186,8 +186,8 @@ def _ranges(columns: tuple[int, ...]) -> str:
 def _checked_metadata(url: str, about: Path) -> int:
     """The number of steps that Minari's metadata says; refuses metadata that our reader could not take safely."""
     try:
-        metadata = read_json(about, dict)
-        if not isinstance(metadata.get("total_steps"), int):
+        metadata = read_json(about)
+        if not isinstance(metadata, dict) or not isinstance(metadata.get("total_steps"), int):
             raise UserError("it is not the metadata of a Minari data set")
         if metadata.get("data_format") != "hdf5":
             raise UserError(f"the data set is stored as {metadata.get('data_format')}; hdf5 is needed")

@@ -10,12 +10,15 @@ import dataclasses
 import functools
 import types
 import typing
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, NotRequired, Required, Union
 
 from deadreckon.errors import UserError, unknown
 
 _WORDS: dict[Any, str] = {int: "a whole number", float: "a number", bool: "true or false", str: "a text", type(None): "null"}
+_OBJECTS, _LISTS = (dict, Mapping), (list, Sequence)
+_CONTAINERS = (*_OBJECTS, *_LISTS)
 _LEAST, _MOST = -(2**63), 2**64  # of whole numbers: those that arrays hold
 
 
@@ -67,11 +70,11 @@ def _check(value: Any, shape: Any, path: Path | str, field: str) -> None:
                 _check(value[key], part, path, f"{field}.{key}" if field else key)
             elif needed:
                 raise UserError(f"{path}: {field or 'it'} lacks {key}")
-    elif origin in (list, dict) or _endless(shape):
+    elif origin in _CONTAINERS or _endless(shape):
         part = typing.get_args(shape)[0 if _endless(shape) else -1]
         if part is not Any:
-            for key, each in value.items() if origin is dict else enumerate(value):
-                _check(each, part, path, f"{field}[{key!r:.40}]" if origin is dict else f"{field}[{key}]")
+            for key, each in value.items() if isinstance(value, dict) else enumerate(value):
+                _check(each, part, path, f"{field}[{key!r:.40}]" if isinstance(value, dict) else f"{field}[{key}]")
     elif origin is tuple:
         for key, (each, part) in enumerate(zip(value, typing.get_args(shape), strict=True)):
             _check(each, part, path, f"{field}[{key}]")
@@ -101,9 +104,9 @@ def _fits(value: Any, shape: Any) -> bool:
         return type(value) is float or (type(value) is int and abs(value) < 1e300)
     if origin is Literal:
         return any(value == each and type(value) is type(each) for each in typing.get_args(shape))
-    if typing.is_typeddict(shape) or dataclasses.is_dataclass(shape) or origin is dict or shape is dict:
+    if typing.is_typeddict(shape) or dataclasses.is_dataclass(shape) or origin in _OBJECTS or shape is dict:
         return isinstance(value, dict)
-    if origin is list or shape is list or _endless(shape):
+    if origin in _LISTS or shape is list or _endless(shape):
         return isinstance(value, list)
     if origin is tuple:
         return isinstance(value, list) and len(value) == len(typing.get_args(shape))
@@ -117,7 +120,7 @@ def words(shape: Any) -> str:
         return " or ".join(dict.fromkeys(map(words, parts)))
     if origin is Literal:
         return " or ".join(map(repr, parts))
-    if origin is list or shape is list or _endless(shape):
+    if origin in _LISTS or shape is list or _endless(shape):
         return "a list" if not parts or parts[0] is Any else f"a list of {_WORDS.get(parts[0], 'entries').removeprefix('a ')}s"
     if origin is tuple:
         return f"a list of {len(parts)}"
