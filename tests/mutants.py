@@ -1590,7 +1590,7 @@ MUTANTS = (
         "a pickle of ten bytes takes gigabytes", ("test_foreign.py",),
     ),
     Mutant(
-        "child-folder", "foreign/reader.py", '        os.chdir(request.pop("folder"))', '        request.pop("folder")',
+        "child-folder", "foreign/reader.py", '    os.chdir(request.pop("folder"))', '    request.pop("folder")',
         "relative paths are those of the first folder that a file was read in", ("test_foreign.py",),
     ),
     Mutant(

@@ -191,6 +191,20 @@ def test_groups_that_hold_themselves_and_shapes_without_end(tmp_path):
     refused(read, path, words="unpacks to .* DEADRECKON_MAX_UNPACKED")
 
 
+def test_limits_hold_for_the_next_file_though_the_process_is_an_older_one(tmp_path, monkeypatch):
+    from deadreckon.data.formats.hdf5 import write_hdf5
+
+    path = tmp_path / "log.hdf5"
+    write_hdf5(make_log(), path)
+    with h5py.File(path, "a") as file:
+        file.create_dataset("infos/x", data=np.zeros((13, 1000)), compression="gzip")
+    assert read(path).extras["x"].shape == (13, 1000)
+    monkeypatch.setenv("DEADRECKON_MAX_UNPACKED", "50k")
+    refused(read, path, words="unpacks to .* DEADRECKON_MAX_UNPACKED")
+    monkeypatch.undo()
+    assert read(path).extras["x"].shape == (13, 1000)
+
+
 def test_a_reader_that_is_silent_or_dies_is_told_and_the_next_file_is_read(tmp_path, monkeypatch):
     path = tmp_path / "x.pkl"
     path.write_bytes(pickle.dumps([1]))

@@ -77,6 +77,12 @@ def tables(kind: str) -> list[Files]:
     if kind == "csv.gz":
         csv.write_csv(found, made)
         return [{"log.csv.gz": gzip.compress(made.getvalue(), mtime=0)}]
+    if kind == "arrow":
+        from pyarrow import feather
+
+        with tempfile.TemporaryDirectory() as place:
+            feather.write_feather(found, f"{place}/log.arrow", compression="uncompressed")
+            return [{"log.arrow": Path(place, "log.arrow").read_bytes()}]
     if kind == "parquet":
         parquet.write_table(found, made)
         return [{"log.parquet": made.getvalue()}, *logs("parquet")]

@@ -38,6 +38,12 @@ def _log(name: str) -> Callable[[Path], Any]:
     return lambda folder: read(folder / name)
 
 
+def _converted(name: str) -> Callable[[Path], Any]:
+    from deadreckon.data.formats.io import convert
+
+    return lambda folder: convert(folder / name, folder / "converted", force=True)
+
+
 def _policy(folder: Path) -> None:
     from deadreckon.policies import store
     from deadreckon.runs.player import predictor
@@ -179,6 +185,8 @@ TARGETS: dict[str, Target] = {
     "csv": Target(lambda _: seeds.tables("csv"), _log("log.csv"), {"": mutate.table_text}, 2.0),
     "csv.gz": Target(lambda _: seeds.tables("csv.gz"), _log("log.csv.gz"), {"": mutate.gzipped(mutate.table_text)}),
     "parquet": Target(lambda _: seeds.tables("parquet"), _log("log.parquet"), {"": parquet}),
+    "arrow": Target(lambda _: seeds.tables("arrow"), _converted("log.arrow"), {"": mutate.havoc}),
+    "parts": Target(lambda _: seeds.tables("parquet")[:1], _converted("log.parquet"), {"": parquet}),
     "xlsx": Target(lambda _: seeds.tables("xlsx"), _log("log.xlsx"), {"": _XML}),
     "sqlite": Target(lambda _: seeds.tables("sqlite"), _log("log.sqlite"), {"": mutate.havoc}),
     "duckdb": Target(lambda _: seeds.tables("duckdb"), _log("log.duckdb"), {"": mutate.havoc}),

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from deadreckon.errors import UserError
-from deadreckon.foreign.limits import RATE, SECONDS, max_unpacked
+from deadreckon.foreign.limits import LIMITS, RATE, SECONDS, max_unpacked
 from deadreckon.foreign.reader import HEAD, SPARE, TASKS
 
 _PROGRAM = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from deadreckon.foreign.reader import main; main({})"
@@ -110,12 +110,19 @@ def read_apart(task: str, path: Path | str, kind: str, *, size: int, **arguments
     global _child
     assert task in TASKS
     most, silence = max_unpacked(size), SECONDS.value + size / RATE
-    request = {"task": task, "arguments": arguments, "memory": int(2 * most) + SPARE, "folder": os.getcwd()}
+    request = {
+        "task": task, "arguments": arguments, "memory": int(2 * most) + SPARE, "folder": _folder(),
+        "limits": {each.variable: os.environ.get(each.variable) for each in LIMITS},
+    }  # fmt: skip
     with _lock:
         if _child is None or _child.owner != os.getpid() or _child.process.poll() is not None:
             if _child is not None:
                 _child.end()
-            _child = _Child()
+            try:
+                _child = _Child()
+            except OSError as error:
+                why = error.strerror or str(error)
+                raise UserError(f"{path}: no process can be started to read it ({why}); {kind} is read by one") from error
         try:
             answer, memory = _child.ask(request, silence)
         except _Hung as error:
@@ -138,6 +145,14 @@ def read_apart(task: str, path: Path | str, kind: str, *, size: int, **arguments
     from deadreckon.foreign.parcel import unpack
 
     return unpack(answer["nodes"], memory)
+
+
+def _folder() -> str:
+    """The folder at which relative paths begin; that of the system where it has been removed."""
+    try:
+        return os.getcwd()
+    except OSError:
+        return os.sep
 
 
 def _drop() -> int:

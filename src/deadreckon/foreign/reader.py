@@ -3,6 +3,7 @@
 It is started anew, not forked, because threads of JAX do not survive a fork; it has no handles but its socket.
 """
 
+import contextlib
 import importlib
 import json
 import os
@@ -38,7 +39,11 @@ def main(handle: int) -> None:
     for line in requests:
         request = json.loads(line)
         _limit(request.pop("memory"))
-        os.chdir(request.pop("folder"))  # paths may be relative, and errors name them as they were given
+        with contextlib.suppress(OSError):  # of a folder that is gone, whose files are missing then
+            os.chdir(request.pop("folder"))  # paths may be relative, and errors name them as they were given
+        for name, value in request.pop("limits").items():  # which may be set since this process was started
+            os.environ.pop(name, None)
+            os.environ |= {} if value is None else {name: value}
         text, shared = _answer(request)
         data = json.dumps(text).encode()
         _socket.sendall(len(data).to_bytes(HEAD, "big"))
