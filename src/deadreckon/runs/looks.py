@@ -85,7 +85,8 @@ def _read(path: Path) -> Note:
     try:
         told = read_json(path, _Told)
     except UserError as error:
-        raise UserError(f"{error}: a note of looks; remove it if its counts do not matter") from error
+        why = str(error).removeprefix(f"{path}: ")
+        raise UserError(f"{path} is not a note of looks ({why}); remove it if its counts do not matter") from error
     # Notes of before knew exactly one set of episodes, by the file's name, and counts alone.
     known = {what: (at, i) if isinstance(at, int) else at for i, (what, at) in enumerate(told["looks"].items(), 1)}
     return Note(set(told.get("episodes", [])), {what: (count, number) for what, (count, number) in known.items()})

@@ -21,12 +21,12 @@ class Agent(TypedDict):
 class Provenance(TypedDict):
     """Where its log comes from."""
 
-    source: NotRequired[str]
+    source: NotRequired[str | None]
     recipe: NotRequired[str | None]
     seed: NotRequired[int | None]
-    versions: NotRequired[dict[str, str]]
+    versions: NotRequired[dict[str, Any] | None]
     path: NotRequired[str | None]
-    extra: NotRequired[dict[str, Any]]
+    extra: NotRequired[dict[str, Any] | None]
 
 
 class Behavior(TypedDict):
@@ -41,7 +41,7 @@ class Data(TypedDict):
     """The log of a run."""
 
     name: str
-    fingerprint: NotRequired[str]
+    fingerprint: NotRequired[str | None]
     rows: NotRequired[int]
     episodes: NotRequired[int]
     usable: NotRequired[int]
@@ -88,14 +88,14 @@ class RunConfig(TypedDict):
     task: str | None
     seeds: list[int]
     steps: int
-    versions: NotRequired[dict[str, str | int]]
+    versions: NotRequired[dict[str, Any]]
     evaluation: NotRequired[Evaluation]
     revisions: NotRequired[dict[str, Any]]
     online: NotRequired[Online | None]
     start: NotRequired[Start | None]
     log: NotRequired[Log | None]
     demonstrations: NotRequired[dict[str, Any] | None]
-    history: NotRequired[int | None]
+    history: NotRequired[Any]
     together: NotRequired[Any]
 
 
