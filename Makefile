@@ -21,7 +21,7 @@ define uv_sync
 endef
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test fast test-slow faults lint docs bench evidence evidence-gpu lock clean
+.PHONY: help setup demo test fast test-slow faults fuzz lint docs bench evidence evidence-gpu lock clean
 
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -55,6 +55,9 @@ docs: $(DOCS_STAMP) ## the site in site/
 
 bench: $(STAMP) ## all speed figures on an idle machine, about half an hour, into docs/results/speed.md
 	$(BIN)/python benchmarks/report.py
+
+fuzz: $(STAMP) ## damaged files of every format at the lowest priority: N=100000 inputs or FOR=2h, FORMATS="hdf5 pickle"
+	$(BIN)/python -m tests.fuzz $(if $(N),--inputs $(N)) $(if $(FOR),--for $(FOR)) $(if $(FORMATS),--only $(FORMATS))
 
 evidence: $(STAMP) ## what the results still lack, at the lowest priority; FOR=150m ends it after that time
 	$(BIN)/deadreckon bench evidence/queue.toml --out .cache/evidence --idle $(if $(FOR),--for $(FOR))

@@ -391,7 +391,8 @@ MUTANTS = (
         "a horizon cuts one step early", ("data/formats/test_hdf5.py",),
     ),
     Mutant(
-        "minari-truncations", "data/formats/minari.py", "columns[\"timeouts\"] = timeouts", "columns[\"terminals\"] = timeouts",
+        "minari-truncations", "data/formats/minari_inside.py",
+        "columns[\"timeouts\"] = timeouts", "columns[\"terminals\"] = timeouts",
         "truncations are read as terminals", ("data/formats/test_minari.py",),
     ),
     Mutant(
@@ -1139,7 +1140,7 @@ MUTANTS = (
         "rows of empty cells stay", ("data/formats/test_dialects.py",),
     ),
     Mutant(
-        "csv-gz", "files.py",
+        "csv-gz", "foreign/door.py",
         'packed = file.read(2) == b"\\x1f\\x8b"', "packed = False",
         "packed files are not unpacked", ("data/formats/test_dialects.py",),
     ),
@@ -1633,7 +1634,7 @@ MUTANTS = (
     ),
     Mutant(
         "outside-tracker", "runs/trackers/feed.py",
-        'safe_name(str(read_json(path)["id"]), f"{path}: id")', 'str(read_json(path)["id"])',
+        'safe_name(read_json(path, _Told)["id"], f"{path}: id")', 'read_json(path, _Told)["id"]',
         "the id of a tracked run is a path", ("test_hostile_names.py",),
     ),
     Mutant(
@@ -1736,6 +1737,67 @@ MUTANTS = (
         "fault-design", "cli/design.py",
         'with alone(out, what=str(out)), resumable(out / "fits"):', 'with resumable(out / "fits"):',
         "two commands propose into one folder", ("runs/test_alone.py",),
+    ),
+    # ---- files from elsewhere
+    Mutant(
+        "door-pipes", "foreign/door.py", "    _refuse_others(path, found.st_mode)\n    return found.st_size",
+        "    return found.st_size",
+        "a pipe or a device is opened before it is refused, and an archive's is waited for", ("test_foreign.py",),
+    ),
+    Mutant(
+        "door-gzip", "foreign/door.py", "if self.inner.tell() > self.most:", "if False:",
+        "gzip unpacks without end", ("test_foreign.py",),
+    ),
+    Mutant(
+        "archive-twice", "foreign/archive.py", "if name in found:", "if False:",
+        "of two members of one name the last is taken", ("test_foreign.py",),
+    ),
+    Mutant(
+        "archive-bombs", "foreign/archive.py",
+        "        check_unpacked(path, sum(each.file_size for each in members), size)\n", "",
+        "an archive unpacks to any size", ("test_foreign.py",),
+    ),
+    Mutant(
+        "hdf5-links", "data/formats/hdf5_inside.py", "h5py.ExternalLink)", "type(None))",
+        "columns of other files are read by links", ("test_foreign.py",),
+    ),
+    Mutant(
+        "hdf5-elsewhere", "data/formats/hdf5_inside.py", "if found.is_virtual or found.external:", "if found.is_virtual:",
+        "a column of HDF5 is any file's bytes", ("test_foreign.py",),
+    ),
+    Mutant(
+        "hdf5-loops", "data/formats/hdf5_inside.py", "if (address := _address(inner)) not in seen:",
+        "if (address := _address(inner)) or True:",
+        "a group that holds itself is walked until it is too deep", ("test_foreign.py",),
+    ),
+    Mutant(
+        "pickle-memory", "unpickle.py", "    bound_memory(_GROWS * len(data))", "    bound_memory(1 << 40)",
+        "a pickle of ten bytes takes gigabytes", ("test_foreign.py",),
+    ),
+    Mutant(
+        "child-folder", "foreign/reader.py", '    os.chdir(request.pop("folder"))', '    request.pop("folder")',
+        "relative paths are those of the first folder that a file was read in", ("test_foreign.py",),
+    ),
+    Mutant(
+        "child-hangs", "foreign/child.py",
+        "            _drop()\n            raise UserError(\n", "            raise UserError(\n",
+        "a process that hung is asked again", ("test_foreign.py",),
+    ),
+    Mutant(
+        "json-bool", "foreign/shapes.py", "return type(value) is int and", "return isinstance(value, int) and",
+        "true is a whole number", ("test_foreign.py",),
+    ),
+    Mutant(
+        "json-depth", "foreign/text.py", "    if deepest > most:", "    if False:",
+        "JSON is as deep as it likes", ("test_foreign.py",),
+    ),
+    Mutant(
+        "errors-escapes", "errors.py", "super().__init__(printable(message))", "super().__init__(message)",
+        "a column's name steers the terminal from within an error", ("test_foreign.py",),
+    ),
+    Mutant(
+        "policy-whole", "policies/store.py", "    check_whole(path, policy)\n", "",
+        "a policy is loaded that cannot act", ("policies/test_policies.py",),
     ),
 )
 

@@ -2,15 +2,42 @@
 
 import contextlib
 import difflib
+import unicodedata
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+
+_LONGEST = 2_000  # characters of a message
+_TURNS = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"  # which make a terminal show text in another order
 
 
 class UserError(ValueError):
     """Bad input, told in one line that names what is wrong and what would be right.
 
-    The command line prints the message and leaves with exit code 2; from Python it is an ordinary `ValueError`.
+    The command line prints the message and leaves with exit code 2; from Python it is an ordinary `ValueError`. What a message
+    quotes from a file can neither break the line nor speak to the terminal: control characters are shown as escapes.
     """
+
+    def __init__(self, message: str = ""):
+        super().__init__(printable(message))
+
+
+def printable(text: str) -> str:
+    """`text` in one line, with control characters and halves of characters as escapes, and its middle left out beyond 2,000."""
+    if len(text) > _LONGEST:
+        text = f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 + 9 :]}"
+    if text.isprintable():
+        return text
+    text = " ".join(text.split()) if any(c in text for c in "\n\r\v\f\x85\u2028\u2029") else text
+    odd = {c for c in text if unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp") or c in _TURNS}
+    return "".join(c.encode("unicode_escape").decode() if c in odd else c for c in text)
+
+
+def as_one_line(error: BaseException) -> str:
+    """What an exception of a library says, in one line that is not long; its kind where it says nothing."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    if type(error).__name__ in ("KeyError", "IndexError", "TypeError", "AttributeError", "AssertionError", "RecursionError"):
+        text = f"{type(error).__name__}: {text}"
+    return text if len(text) <= 200 else f"{text[:197]}..."
 
 
 class BusyError(UserError):
@@ -46,14 +73,23 @@ def naming(path: Path | str, name: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def reading(path: Path | str, kind: str, *more: type[Exception]) -> Iterator[None]:
-    """What a library raises on a damaged or unreadable file, `more` included, becomes one line."""
+def reading(path: Path | str, kind: str) -> Iterator[None]:
+    """Whatever a library raises on a damaged or unreadable file becomes one line.
+
+    Which exceptions these are no library says, and fuzzing has found a dozen kinds: so all are taken for damage, and the cause
+    stays with the error. What is written around a library's calls should be little, for its own mistakes read alike.
+    """
     try:
         yield
     except UserError:
         raise
     except (FileNotFoundError, PermissionError, IsADirectoryError) as error:
         raise UserError(f"{path}: {(error.strerror or 'cannot be opened').lower()}") from error
-    except (OSError, *more) as error:
-        text = " ".join(str(error).split()) or type(error).__name__
-        raise UserError(f"{path}: cannot be read as {kind}, it is damaged or cut short ({text})") from error
+    except MemoryError as error:
+        raise UserError(f"{path}: cannot be read as {kind}, it needs more memory than there is") from error
+    except Exception as error:
+        raise UserError(f"{path}: cannot be read as {kind}, it is damaged or cut short ({as_one_line(error)})") from error
+    except BaseException as error:
+        if type(error).__name__ != "PanicException":  # of a library in Rust, which is no Exception
+            raise
+        raise UserError(f"{path}: cannot be read as {kind}, it is damaged ({as_one_line(error)})") from error

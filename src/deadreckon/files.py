@@ -2,20 +2,20 @@
 
 import contextlib
 import errno
-import gzip
 import hashlib
 import json
 import os
 import shutil
-import tomllib
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, cast
+from typing import TYPE_CHECKING, Any
 
 import platformdirs
 
 from deadreckon.errors import BusyError, UserError
+from deadreckon.foreign.text import read_json as read_json  # beside `write_json`
+from deadreckon.foreign.text import read_toml as read_toml
 from deadreckon.names import shown
 from deadreckon.temporaries import beside
 
@@ -121,46 +121,6 @@ def write_json(path: Path | str, value: Any) -> None:
     """Writes `value` as readable JSON, atomically."""
     with replacing(path) as temporary:
         temporary.write_text(json.dumps(value, indent=1, sort_keys=False) + "\n")
-
-
-def read_json(path: Path | str) -> Any:
-    """Reads a JSON file.
-
-    Raises:
-        UserError: the file is missing or is not JSON.
-    """
-    try:
-        return json.loads(Path(path).read_text())
-    except FileNotFoundError as error:
-        raise UserError(f"no file {path}") from error
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is not valid JSON: {error}") from error
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror or error}") from error
-
-
-def read_toml(path: Path | str) -> dict[str, Any]:
-    """Reads a TOML file.
-
-    Raises:
-        UserError: the file cannot be read or is not TOML.
-    """
-    try:
-        return tomllib.loads(Path(path).read_text("utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"cannot read {path}: {getattr(error, 'strerror', None) or error}") from error
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{path} is not TOML: {error}") from error
-
-
-def unpacked(file: BinaryIO) -> BinaryIO:
-    """A file that is open for reading, from its beginning; what is gzipped is unpacked.
-
-    By Python's gzip, which notices a file that was cut short; pyarrow's does not.
-    """
-    packed = file.read(2) == b"\x1f\x8b"
-    file.seek(0)
-    return cast(BinaryIO, gzip.GzipFile(fileobj=file)) if packed else file
 
 
 def copy_folder(source: Path, target: Path | str) -> Path:

@@ -1,7 +1,10 @@
-"""Pickles, read without running what they ask for: plain values and numeric numpy arrays, nothing else."""
+"""Pickles, read without running what they ask for: plain values and numeric numpy arrays, nothing else.
+
+They are read in a process of their own (`foreign.child`), because a damaged one can ask for any time and any memory.
+"""
 
 import collections
-import gzip
+import importlib
 import io
 import pickle
 from collections.abc import Mapping
@@ -10,13 +13,20 @@ from typing import Any
 
 import numpy as np
 
-from deadreckon.errors import UserError, naming, reading
+from deadreckon.errors import UserError, naming
+from deadreckon.foreign.child import read_apart
+from deadreckon.foreign.door import file_size, opened, unpacked
+from deadreckon.foreign.limits import DEPTH, MEMBERS, beyond
+from deadreckon.foreign.reader import bound_memory
 
 _BUILTINS = {"list": list, "dict": dict, "tuple": tuple, "set": set, "frozenset": frozenset, "bytearray": bytearray}
-_DEEPEST = 50
-# What a damaged pickle makes the standard library raise.
-_BROKEN = (pickle.UnpicklingError, EOFError, ValueError, KeyError, IndexError, AttributeError, TypeError, OverflowError,
-           MemoryError, ImportError, AssertionError)  # fmt: skip
+_GROWS = 64  # bytes that a value may take for each byte of its pickle: a number of one byte is an object of 32 and its place
+# The unpicklers that may be named: nothing that a request says is looked up elsewhere.
+_UNPICKLERS = {
+    "plain": "deadreckon.unpickle:PlainUnpickler",
+    "log": "deadreckon.data.formats.pickles:BufferUnpickler",
+    "network": "deadreckon.policies.torch_pickle:NetworkUnpickler",
+}
 
 
 def load_pickle(path: Path | str) -> Any:
@@ -27,16 +37,29 @@ def load_pickle(path: Path | str) -> Any:
     Raises:
         UserError: one line that names what was refused, or that the file is damaged.
     """
-    return unpickle(path, PlainUnpickler)
+    return unpickle(path, "plain")
 
 
-def unpickle(path: Path | str, kind: "type[PlainUnpickler]") -> Any:
-    """The plain value in a pickle, gzipped or not, by an unpickler that finds nothing but doubles; raises as `load_pickle`."""
-    with reading(path, "a pickle", *_BROKEN), naming(path, ""), open(path, "rb") as file:
-        data = file.read()
-        if data[:2] == b"\x1f\x8b":
-            data = gzip.decompress(data)
-        return _plain(kind(data).load(), {})
+def unpickle(path: Path | str, unpickler: str) -> Any:
+    """The plain value in a pickle, gzipped or not, by an unpickler of this package; raises as `load_pickle`.
+
+    Args:
+        path: of the file.
+        unpickler: `plain`; `log`, which knows replay buffers; or `network`, which knows the layers of policies.
+    """
+    size = file_size(path)
+    with naming(path, str(path)):
+        return read_apart("pickle", path, "a pickle", size=size, file=str(path), unpickler=unpickler)
+
+
+def inside(file: str, unpickler: str, shared: Any) -> Any:
+    """The work of `unpickle`, in a process of its own."""
+    module, _, name = _UNPICKLERS[unpickler].partition(":")
+    kind = getattr(importlib.import_module(module), name)
+    with opened(file) as source:
+        data = unpacked(file, source).read()
+    bound_memory(_GROWS * len(data))  # so that an index of 2 ** 29 is no table of as many places
+    return _plain(file, kind(data).load())
 
 
 class _Type:
@@ -147,21 +170,34 @@ def _from_bytes(data: Any, dtype: _Type, shape: tuple, order: Any) -> np.ndarray
     return np.frombuffer(data, dtype.real).reshape(shape, order=order).copy()
 
 
-def _plain(value: Any, done: dict[int, Any], depth: int = 0) -> Any:
+def _plain(path: Path | str, value: Any) -> Any:
     """`value` with arrays in place of their doubles; `done` keeps what is shared from being copied over and over."""
-    if depth > _DEEPEST:
-        raise UserError("refused: containers nested too deep")
-    if isinstance(value, ArrayDouble):
-        if value.value is None:
-            raise UserError("refused: a numpy array without data")
-        return value.value
-    if isinstance(value, ObjectDouble):
-        value = value.fields
-    if not isinstance(value, (Mapping, list, tuple)):
-        return value
-    if id(value) not in done:
-        if isinstance(value, Mapping):
-            done[id(value)] = {key: _plain(item, done, depth + 1) for key, item in value.items()}
-        else:
-            done[id(value)] = type(value)(_plain(item, done, depth + 1) for item in value)
-    return done[id(value)]
+    done: dict[int, Any] = {}
+    most, deepest = MEMBERS.value * 100, DEPTH.value
+    count = 0
+
+    def plain(value: Any, depth: int) -> Any:
+        nonlocal count
+        count += 1
+        if depth > deepest:
+            raise beyond(path, depth, deepest, DEPTH, "has containers nested in")
+        if count > most:
+            raise beyond(path, count / 100, most / 100, MEMBERS, "holds hundreds of values:")
+        if isinstance(value, ArrayDouble):
+            if value.value is None:
+                raise UserError("refused: a numpy array without data")
+            return value.value
+        if isinstance(value, ObjectDouble):
+            value = value.fields
+        if isinstance(value, _Type):
+            return value.code
+        if not isinstance(value, (Mapping, list, tuple)):
+            return value
+        if id(value) not in done:
+            if isinstance(value, Mapping):
+                done[id(value)] = {plain(key, depth + 1): plain(item, depth + 1) for key, item in value.items()}
+            else:
+                done[id(value)] = type(value)(plain(item, depth + 1) for item in value)
+        return done[id(value)]
+
+    return plain(value, 0)

@@ -24,6 +24,7 @@ from deadreckon.policies.deployed import Mixture
 from deadreckon.policies.kinds import Categorical, ClippedGaussian, Deterministic, TanhGaussian, TanhMeanGaussian
 from deadreckon.policies.planner import Planner
 from deadreckon.policies.policy import KINDS, NormalizedPolicy
+from deadreckon.runs.player import predictor
 
 KEY = jax.random.key(0)
 SPEC = Spec.empty((3,), Box((-1.0, -1.0), (1.0, 1.0)), "any")
@@ -348,3 +349,27 @@ def test_rows_without_the_legal_actions_or_without_any_are_refused(tmp_path):
             play(np.zeros(2))
         with pytest.raises(error, match="no action is legal in row 1; at least one must be"):
             play(np.zeros((2, 2)), legal=[[True, True, False], [False, False, False]])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda inner, arrays: inner.update(net="none"), r"policy.inner.net must be of the kind MLP, got 'none'"),
+        (lambda inner, arrays: inner["net"].update(activation="cube"), "activation must be |do not fit together.*cube"),
+        (lambda inner, arrays: inner["net"].update(weights=None), "weights"),
+        (lambda inner, arrays: arrays.update({inner["net"]["weights"][0][1:]: np.zeros((5, 7), "f4")}), "do not fit together"),
+        (lambda inner, arrays: inner["net"]["weights"].pop(), "do not fit together|is damaged"),
+    ],
+)  # fmt: skip
+def test_a_policy_that_could_not_act_is_refused_when_it_is_loaded(tmp_path, change, words):
+    net = MLP.create(3, (4,), 2, jax.random.key(0))
+    store.save(tmp_path / "p.npz", EnvPolicy(Deterministic(net), jnp.zeros(3), jnp.ones(3), -jnp.ones(2), jnp.ones(2)))
+    with np.load(tmp_path / "p.npz") as file:
+        arrays = dict(file)
+    tree = json.loads(arrays.pop("policy.json").tobytes())
+    change(tree["policy"]["inner"], arrays)
+    np.savez(tmp_path / "p.npz", **arrays, **{"policy.json": np.frombuffer(json.dumps(tree).encode(), np.uint8)})
+    with pytest.raises(UserError, match=words):
+        store.load(tmp_path / "p.npz")
+    with pytest.raises(UserError):
+        predictor(tmp_path / "p.npz")

@@ -185,11 +185,14 @@ def test_input_that_does_not_fit_is_an_error_and_leaves_nothing(doing, tmp_path)
 
 
 def test_estimates_that_are_there_are_the_card_even_if_the_check_hangs(doing, tmp_path):
-    result = {"method": "DR", "title": "dr (DR)", "value": [2.0, 1.0], "low": [1.5, 0.9], "high": [2.5, 1.1]}
+    result = {"method": "DR", "title": "dr (DR)", "value": [2.0, 1.0], "low": [1.5, 0.9], "high": [2.5, 1.1],
+              "gain": [[1.0, 0.4, 1.6]], "effective": None}  # fmt: skip
     choice = {"name": "bc seed 0", "deploy": True, "gain": [1.0, 0.4, 1.6], "level": 0.975, "reason": "it is better",
               "evidence": [], "warnings": [], "objections": [[]]}  # fmt: skip
     told = {"log": "near", "estimand": {"words": "expected return"}, "truth": None, "results": [result], "choice": choice,
-            "policies": [{"name": "bc seed 0"}], "judged": {"words": "8 held-out episodes of 40"},
+            "policies": [{"name": "bc seed 0", "run": "bc", "seed": 0}],
+            "judged": {"words": "8 held-out episodes of 40", "episodes": 8, "of": 40, "fresh": True, "cluster": None},
+            "looks": {"number": 1, "policies": 1, "counted": True},
             "support": {"missing": [0.1], "ratio": [1.0]}}  # fmt: skip
     doing(STATES + f"open(job['out'] + '/estimates.json', 'w').write({json.dumps(told)!r}); time.sleep(600)")
     found = recommend(a_log(), 2.0, out=tmp_path / "out", page=recommended.write)

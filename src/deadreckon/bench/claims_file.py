@@ -23,12 +23,28 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 from deadreckon.bench.claims import Claim, Test
 from deadreckon.bench.suite import Suite, read
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml
+from deadreckon.foreign.shapes import checked
+
+
+class _Said(TypedDict):
+    id: NotRequired[str]
+    says: NotRequired[str]
+    place: NotRequired[str]
+    note: NotRequired[str]
+    tests: NotRequired[list[dict[str, Any]]]
+
+
+class _Claims(TypedDict):
+    """How a file is built; what stands where is looked at one by one."""
+
+    claims: list[_Said]
+    tuned: NotRequired[dict[str, Any]]
 
 
 def claims(path: Path | str) -> list[Claim]:
@@ -38,8 +54,12 @@ def claims(path: Path | str) -> list[Claim]:
         UserError: the file cannot be read, or says something that cannot be: one line says what.
     """
     path = Path(path)
-    found = read_toml(path)
+    found = read_toml(path, dict)
     _check_keys(str(path), found, {"claims", "tuned"}, ("claims",))
+    checked(found, _Claims, path)
+    for agent, own in found.get("tuned", {}).items():
+        if not isinstance(own, list) or not all(isinstance(log, str) for log in own):
+            raise UserError(f"{path}, [tuned]: {agent} must be a list of logs, got {own!r}")
     suites: dict[str, Suite] = {}
     all_claims = [_claim(path, one, found.get("tuned", {}), suites) for one in found["claims"]]
     for name, count in Counter(claim.id for claim in all_claims).items():
@@ -59,8 +79,6 @@ def _check_tuned(path: Path, tuned: Mapping[str, Sequence[str]], suites: Iterabl
     for agent, own in tuned.items():
         if agent not in agents:
             raise UserError(f"{path}, [tuned]: {unknown('agent', agent, agents)}")
-        if not isinstance(own, list):
-            raise UserError(f"{path}, [tuned]: {agent} must be a list of logs, got {own!r}")
         for log in own:
             if log not in logs:
                 raise UserError(f"{path}, [tuned], {agent}: {unknown('log', str(log), logs)}")
@@ -79,13 +97,14 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
     tests = []
     for test in said.get("tests", ()):
         _check_keys(where, test, {f.name for f in fields(Test)}, ("suite", "method", "than"))
+        for key, value in test.items():
+            wanted, kind = _KINDS[key]
+            texts = not isinstance(value, list) or all(isinstance(each, str) for each in value)
+            if not isinstance(value, wanted) or (isinstance(value, bool) and wanted is not bool) or not texts:
+                raise UserError(f"{where}: {key} must be {kind}, got {value!r}")
         name = test["suite"]
         suite = suites.setdefault(name, read(path.parent / name))
         methods = {method.name: method.agent for method in suite.methods}
-        for key, value in test.items():
-            wanted, kind = _KINDS[key]
-            if not isinstance(value, wanted) or (isinstance(value, bool) and wanted is not bool):
-                raise UserError(f"{where}: {key} must be {kind}, got {value!r}")
         than = test["than"] if isinstance(test["than"], list) else float(test["than"])
         for method in [test["method"], *(than if isinstance(than, list) else ())]:
             if method not in methods:

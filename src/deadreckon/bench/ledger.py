@@ -11,17 +11,48 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 import pyarrow as pa
 
 from deadreckon.bench.jobs import Job, file_name
 from deadreckon.bench.store import CURVE, RESULT, Store
 from deadreckon.bench.suite import Suite
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, reading
 from deadreckon.files import read_json, replacing
+from deadreckon.foreign.shapes import wrong
 
 _OBJECTS = ("settings", "asked", "more", "revisions", "versions")  # JSON in the columns of a store, objects here
+
+
+class _Cell(TypedDict):
+    """A file of a ledger."""
+
+    cell: str
+    content: NotRequired[str]
+    suite: str
+    kind: str
+    method: str
+    agent: NotRequired[str | None]
+    settings: dict[str, Any]
+    preset: NotRequired[str | None]
+    on: str
+    data: NotRequired[str | None]
+    asked: dict[str, Any]
+    seed: int
+    score: float | None
+    raw: NotRequired[float | None]
+    more: NotRequired[dict[str, Any]]
+    episodes: NotRequired[list[float | None] | None]
+    log: NotRequired[str | None]
+    failure: NotRequired[str | None]
+    seconds: NotRequired[float | None]
+    steps: NotRequired[int | None]
+    revisions: NotRequired[dict[str, Any] | None]
+    versions: NotRequired[dict[str, Any]]
+    finished: str
+    job: NotRequired[str | None]
+    curve: list[list[float | None]]
 
 
 @dataclass(frozen=True)
@@ -54,10 +85,15 @@ class Ledger(Store):
 
     def results(self) -> pa.Table:
         """All rows, the oldest first."""
-        return _results(self._files())
+        with reading(self.cells, "a ledger"):
+            return _results(self._files())
 
     def curves(self) -> pa.Table:
         """All curves."""
+        with reading(self.cells, "a ledger"):
+            return self._curves()
+
+    def _curves(self) -> pa.Table:
         points = [(cell["cell"], *point) for cell in map(_read, self._files()) for point in cell["curve"]]
         return pa.Table.from_pylist([dict(zip(CURVE.names, point)) for point in points], schema=CURVE)
 
@@ -84,7 +120,10 @@ def store_of(suites: Sequence[Suite], path: Path) -> Store:
 
 @cache
 def _read(path: Path) -> dict[str, Any]:
-    return read_json(path)
+    cell = read_json(path, _Cell)
+    if any(len(point) != len(CURVE.names) - 1 for point in cell["curve"]):
+        raise wrong(path, "curve", f"points of {len(CURVE.names) - 1} numbers", cell["curve"])
+    return cell
 
 
 @lru_cache(maxsize=1)

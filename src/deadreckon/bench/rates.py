@@ -8,7 +8,7 @@ from functools import cache
 from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict
 
 from deadreckon.bench.jobs import Job
 from deadreckon.files import read_json, write_json
@@ -41,6 +41,16 @@ class _Entry(NamedTuple):
         return self.device in device and self.agent == job.agent and alike
 
 
+class _Kept(TypedDict):
+    """An entry, as a file has it."""
+
+    device: str
+    agent: str
+    settings: dict[str, Any]
+    lanes: list[int]
+    rates: list[float]
+
+
 @cache
 def _table() -> dict[str, Any]:
     return tomllib.loads(files("deadreckon.bench").joinpath("rates.toml").read_text("utf-8"))
@@ -61,7 +71,7 @@ class Rates:
     cores: int = field(default_factory=lambda: _table()["device"]["cores"])
 
     def __post_init__(self):
-        known = read_json(self.path) if self.path is not None and self.path.exists() else []
+        known = read_json(self.path, list[_Kept]) if self.path is not None and self.path.exists() else []
         own = [entry for entry in known if entry["device"] == self.device]
         # The newest first, and those of the package last.
         self._entries = [_Entry(**entry) for entry in [*reversed(own), *_table()["measured"]]]
@@ -90,7 +100,7 @@ class Rates:
         entry = _Entry(self.device, job.agent, shape, [lanes], [float(f"{rate:.4g}")])
         self._entries.insert(0, entry)
         if self.path is not None:
-            known = read_json(self.path) if self.path.exists() else []
+            known = read_json(self.path, list[_Kept]) if self.path.exists() else []
             same = entry._replace(rates=[])._asdict()
             write_json(self.path, [one for one in known if one | {"rates": []} != same] + [entry._asdict()])
 

@@ -194,5 +194,5 @@ def _with_present_names(rows: pa.Table) -> pa.Table:
 @cache
 def _read(part: Path, written: int) -> pa.Table:
     """A part, read once; `written` tells it from what may lie there later."""
-    with reading(part, "a table of results", pa.ArrowException):
+    with reading(part, "a table of results"):
         return pq.ParquetFile(part).read(use_threads=False)  # a third of the time of `read_table`, which looks for folders

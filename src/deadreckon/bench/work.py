@@ -5,7 +5,7 @@ import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -58,6 +58,12 @@ def perform(
     return results
 
 
+class _Kept(TypedDict):
+    """What is kept of it in a file."""
+
+    seconds: float
+
+
 class _Spent:
     """Seconds that a program has taken so far, kept in a file beside its folder, so that those before a kill count.
 
@@ -70,7 +76,7 @@ class _Spent:
         # Of the processor, which does not count what others take or a pause; one that waits for a GPU is not at work.
         self.clock = time.process_time if jax.default_backend() == "cpu" else time.perf_counter
         self.path, self.began = path, self.clock()
-        self.before = read_json(path)["seconds"] if path.exists() else 0.0
+        self.before = read_json(path, _Kept)["seconds"] if path.exists() else 0.0
 
     @property
     def seconds(self) -> float:

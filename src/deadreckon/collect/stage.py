@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
 
@@ -44,8 +44,16 @@ def same_collection(scratch: Path, asked: dict[str, Any]) -> None:
     note = scratch / "asked.json"
     if not note.exists():
         write_json(note, asked)
-    elif different := differences(read_json(note), asked):
+    elif different := differences(read_json(note, dict), asked):
         raise UserError(f"{scratch} holds the beginning of another collection ({different[0]}); delete it to begin anew")
+
+
+class _State(TypedDict):
+    """How much counts, as its file has it."""
+
+    rows: int
+    finals: int
+    episodes: list[int]
 
 
 class Stage:
@@ -58,7 +66,7 @@ class Stage:
         self.kinds = {**kinds, "final_observations": (task.observation_shape, np.float32)}
         same_collection(folder, asked)
         if self._state.exists():
-            found = read_json(self._state)
+            found = read_json(self._state, _State)
             self.rows, self.finals, self.episodes = found["rows"], found["finals"], found["episodes"]
 
     @property

@@ -74,11 +74,11 @@ def _finals(
         return np.ascontiguousarray(following[last]), known
     if "final_observations" not in columns:
         return np.ascontiguousarray(observations[last]), np.zeros(len(last), bool)
+    _check_numbers(log, "final_observations", np.asanyarray(columns["final_observations"]))
     final, known = _observation_column(log, "final_observations", columns["final_observations"]), np.ones(len(last), bool)
     if final.shape != (len(last), *observations.shape[1:]):
         want = (len(last), *observations.shape[1:])
         raise UserError(f"{log}: final_observations have shape {final.shape}, {want} is needed, one per episode")
-    _check_numbers(log, "final_observations", final)
     if "final_known" in columns:
         known = _flag(log, "final_known", columns["final_known"])
         if len(known) != len(last):
@@ -139,7 +139,7 @@ def _flat(log: str, key: str, column: np.ndarray, dtype: Any) -> np.ndarray:
     column = column.reshape(len(column))
     if dtype == np.float32:
         return _float32(log, key, column)
-    return column if column.dtype == dtype else column.astype(dtype)
+    return column if dtype is None or column.dtype == dtype else column.astype(dtype)
 
 
 def _float32(log: str, key: str, column: np.ndarray) -> np.ndarray:
@@ -154,7 +154,7 @@ def _float32(log: str, key: str, column: np.ndarray) -> np.ndarray:
 
 
 def _flag(log: str, key: str, column: np.ndarray) -> np.ndarray:
-    column = np.asanyarray(column)
+    column = _flat(log, key, column, None)
     if column.dtype != bool:
         wrong = ~np.isin(column, (0, 1))
         if wrong.any():

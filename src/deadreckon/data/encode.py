@@ -223,8 +223,9 @@ class Encoder:
             self.extra["action_levels"] = list(column.levels or ())
             return codes
         found = levels_of_whole_numbers(values)
-        if found is None:
-            raise UserError(f"{self.name}: column {column.name} holds other than whole numbers, as discrete actions must be")
+        if found is None or max(found) >= 2**63:
+            what = "other than whole numbers" if found is None else f"{max(found)}"
+            raise UserError(f"{self.name}: column {column.name} holds {what}; discrete actions are whole numbers below 2 ** 63")
         codes = values.cast(pa.int64()).to_numpy(zero_copy_only=False)
         self._in_range(column, codes)
         if column.levels is not None:

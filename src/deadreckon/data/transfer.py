@@ -253,7 +253,7 @@ def _remembered(part: Path, url: str) -> _Said | None:
     if not part.exists() or not _beside(part).exists():
         return None
     try:
-        said = _Said(**read_json(_beside(part)))
+        said = _Said(**read_json(_beside(part), _Said))
         said = replace(said, sums={who: (algorithm, value) for who, (algorithm, value) in said.sums.items()})
     except (UserError, TypeError, ValueError, AttributeError):  # costs a transfer from the start, and nothing else
         return None

@@ -152,6 +152,8 @@ class DesignSchema:
         for key in _LISTS:
             if not isinstance(given.get(key, []), list):
                 raise UserError(f"{path}: {key} must be a list, got {given[key]!r}")
+        if not isinstance(given.get("table", {}), Mapping):
+            raise UserError(f"{path}: [table] holds options of the file such as separator, got {given['table']!r}")
         for key in given.get("table", {}):
             if key not in READING:
                 raise UserError(f"{path}, [table]: {unknown('entry', key, READING)}")

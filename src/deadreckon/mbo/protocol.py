@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -122,7 +122,7 @@ def evaluate_designers(
         folder = None if out is None else Path(out) / file_part(problem.name)
         path = None if folder is None else folder / f"{file_part(name)}-{digest(asked, 4)}.json"
         if path is not None and path.exists():
-            result = _from_json(read_json(path)["result"])
+            result = _from_json(read_json(path, _Kept)["result"])
         else:
             found = []
             for at in range(0, len(seeds), together or len(seeds)):
@@ -142,6 +142,28 @@ def evaluate_designers(
         results.append(result)
         on_result(result)
     return results
+
+
+class _Told(TypedDict):
+    problem: str
+    method: str
+    seeds: list[int]
+    true: list[list[float]]
+    predicted: list[list[float]]
+    predicted_std: list[list[float]]
+    nn_distance: list[list[float]]
+    low: float
+    high: float
+    data_best: float
+    about: str
+    settings: str
+    seconds: float
+
+
+class _Kept(TypedDict):
+    """A file of a result."""
+
+    result: _Told
 
 
 def _to_json(result: Result) -> dict[str, Any]:

@@ -162,7 +162,7 @@ def evaluate_log(
 
 def _kept(path: Path) -> Result:
     try:
-        return from_json(read_json(path)["result"])
+        return from_json(read_json(path, dict)["result"])
     except (KeyError, TypeError, ValueError) as error:
         raise UserError(f"{path} is not a whole result ({error}); delete it, and it is computed again") from error
 

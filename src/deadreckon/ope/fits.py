@@ -5,7 +5,7 @@ import hashlib
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -20,6 +20,12 @@ from deadreckon.training.learner import lane_of
 
 BLOCK = 65_536  # rows at a time
 SETTLED = 0.05  # relative change of a fit's metric over its last fifth beyond which one is warned
+
+
+class _Kept(TypedDict):
+    """The metrics of a fit, as a file has them."""
+
+    metrics: list[tuple[int, dict[str, float]]]
 
 
 class Fits:
@@ -64,7 +70,7 @@ class Fits:
     def _train(self, learner: Any, rows: TransitionSource, steps: int, what: str, folder: Path | None) -> Any:
         job = Fit([learner], rows, [self.seed], steps, chunk=max(1, min(1000, steps // 10)), folder=folder)
         kept = None if folder is None else folder / "metrics.json"
-        known = read_json(kept)["metrics"] if kept is not None and kept.exists() else []
+        known = read_json(kept, _Kept)["metrics"] if kept is not None and kept.exists() else []
         seen = self._metrics[what] = {step: metrics for step, metrics in known}
 
         def told(progress: Chunk) -> None:

@@ -13,7 +13,6 @@ With the files `table_*.py` beside this one, which need numpy alone too, rows of
 
 import importlib
 import json
-import zipfile
 
 import numpy as np
 
@@ -38,30 +37,31 @@ RENAMED = {
 _EDGE = 1.0 - 1e-6
 _CHOOSING = ("Categorical", "GreedyActions", "ThresholdedPolicy")  # among discrete actions
 _SAMPLERS = ("TanhGaussian", "VAEDecoder", "PerturbedPolicy", "OneStep")
-_KINDS = (*_CHOOSING, *_SAMPLERS, "Deterministic", "GreedyQ", "Gaussian", "ClippedGaussian", "TanhMeanGaussian")
+KINDS = (*_CHOOSING, *_SAMPLERS, "Deterministic", "GreedyQ", "Gaussian", "ClippedGaussian", "TanhMeanGaussian")
 
 
 def read(path):
     """The JSON tree and the arrays of a policy file; ValueError in one line if it is none."""
     try:
         with open(path, "rb") as file:
-            if file.read(4) != b"PK\x03\x04":
-                raise ValueError(f"{path} is not a policy file (.npz)")
-    except OSError as error:
-        raise ValueError(f"cannot read {path}: {error.strerror or error}") from error
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        if "policy.json" not in arrays:
-            raise ValueError("no policy.json in it")
-        tree = json.loads(arrays.pop("policy.json").tobytes())
-        if tree["format"] != FORMAT:
-            raise ValueError(f"format {tree['format']}, this reader knows {FORMAT}")
-        # Weights may be stored as float16; one acts with float32.
-        arrays = {name: a.astype(np.float32) if a.dtype == np.float16 else a for name, a in arrays.items()}
-        return tree | {"policy": _with_noise(_with_present_names(tree["policy"]), arrays, "policy")}, arrays
-    except (OSError, KeyError, TypeError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{path} is not a whole policy file: {error}") from error
+            if file.read(4) == b"PK\x03\x04":
+                file.seek(0)
+                return tree_of(dict(np.load(file, allow_pickle=False)))
+    except Exception as error:
+        what = "cannot read {}: {}" if isinstance(error, OSError) else "{} is not a whole policy file: {}"
+        raise ValueError(what.format(path, getattr(error, "strerror", None) or error)) from error
+    raise ValueError(f"{path} is not a policy file (.npz)")
+
+
+def tree_of(arrays):
+    """The JSON tree of a policy file, and its other arrays, as float32; an error of any kind if it is none."""
+    if "policy.json" not in arrays:
+        raise ValueError("no policy.json in it")
+    tree = json.loads(arrays.pop("policy.json").tobytes())
+    if tree["format"] != FORMAT:
+        raise ValueError(f"format {tree['format']}, this reader knows {FORMAT}")
+    arrays = {name: a.astype(np.float32) if a.dtype == np.float16 else a for name, a in arrays.items()}
+    return tree | {"policy": _with_noise(_with_present_names(tree["policy"]), arrays, "policy")}, arrays
 
 
 def _with_present_names(node):
@@ -108,7 +108,7 @@ def unknown_kind(policy):
     """The first kind of policy in a file's tree that is not played here, or None."""
     inner = policy["inner"]
     parts = inner.get("members", [inner["member"]] if inner["kind"] == "History" else [])
-    unknown = [] if parts or inner["kind"] in _KINDS else [inner["kind"]]
+    unknown = [] if parts or inner["kind"] in KINDS else [inner["kind"]]
     return next(iter([*unknown, *filter(None, map(unknown_kind, parts))]), None)
 
 

@@ -8,15 +8,17 @@ from typing import Any
 import jax
 import numpy as np
 
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, reading
 from deadreckon.files import replacing
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.transformer import Block, Transformer
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import candidates, planner, portable  # noqa: F401 - kinds of policy register themselves
 from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.policies.file import read_policy
 from deadreckon.policies.policy import KINDS
 from deadreckon.policies.sequence import Sequence
+from deadreckon.policies.whole import check_whole
 
 _TAUGHT, _HELD = "taught", "held"  # arrays beside those of the policy, which all start with `policy.`
 _EXACT = ("mean", "std", "low", "high")  # the coordinates of a `EnvPolicy`
@@ -80,7 +82,7 @@ def load(path: Path | str) -> EnvPolicy:
     Raises:
         UserError: the file is missing, broken or not a policy file.
     """
-    tree, arrays = _read(path)
+    tree, arrays = read_policy(path)
 
     def decode(value: Any) -> Any:
         if isinstance(value, dict):
@@ -95,18 +97,17 @@ def load(path: Path | str) -> EnvPolicy:
             return jax.device_put(arrays[value[1:]])
         return value
 
-    try:
+    with reading(path, "a policy file"):
         policy = decode(tree["policy"])
-    except (KeyError, TypeError) as error:
-        raise UserError(f"{path} is not a whole policy file: {error}") from error
     if not isinstance(policy, EnvPolicy):
         raise UserError(f"{path} does not hold a policy")
+    check_whole(path, policy)
     return policy
 
 
 def meta(path: Path | str) -> dict[str, Any]:
     """The JSON values kept beside a saved policy."""
-    return portable.read(path)[0]["meta"]
+    return read_policy(path)[0]["meta"]
 
 
 def taught(path: Path | str) -> np.ndarray | None:
@@ -115,7 +116,7 @@ def taught(path: Path | str) -> np.ndarray | None:
     Raises:
         UserError: the file is missing, broken or not a policy file.
     """
-    return _read(path)[1].get(_TAUGHT)
+    return read_policy(path)[1].get(_TAUGHT)
 
 
 def held(path: Path | str) -> np.ndarray | None:
@@ -124,13 +125,4 @@ def held(path: Path | str) -> np.ndarray | None:
     Raises:
         UserError: see `taught`.
     """
-    return _read(path)[1].get(_HELD)
-
-
-def _read(path: Path | str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    if not Path(path).exists():
-        raise UserError(f"no file {path}")
-    try:
-        return portable.read(path)
-    except ValueError as error:
-        raise UserError(str(error)) from error
+    return read_policy(path)[1].get(_HELD)

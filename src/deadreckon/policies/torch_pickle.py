@@ -23,10 +23,10 @@ def load_network(path: Path | str) -> Any:
     Raises:
         UserError: one line that names what was refused, or that the file is damaged.
     """
-    return unpickle(path, _NetworkUnpickler)
+    return unpickle(path, "network")
 
 
-class _NetworkUnpickler(PlainUnpickler):
+class NetworkUnpickler(PlainUnpickler):
     """Knows the names that mjrl's policies and torch 1's layers are pickled under, too, as doubles that hold their fields."""
 
     OBJECTS = (
@@ -35,6 +35,7 @@ class _NetworkUnpickler(PlainUnpickler):
     )  # fmt: skip
 
     def find_class(self, module_name: str, global_name: str) -> Any:
+        """The double of what the pickle asks for; all else is refused."""
         if (module_name, global_name) in self.OBJECTS:
             return ObjectDouble
         known = {

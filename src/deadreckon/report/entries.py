@@ -12,10 +12,11 @@ import pyarrow as pa
 
 from deadreckon.agents import AGENTS
 from deadreckon.errors import UserError
-from deadreckon.files import read_json
+from deadreckon.foreign.archive import read_arrays
 from deadreckon.online import Online
 from deadreckon.runs.crossfit import NAME as CROSS_FIT
 from deadreckon.runs.folder import Folder
+from deadreckon.runs.records import read_status
 from deadreckon.runs.train import Run
 from deadreckon.tasks import registry
 from deadreckon.tasks.task import Task
@@ -206,10 +207,7 @@ def _config(path: Path) -> dict[str, Any]:
     config = Folder(path).config
     if not config.exists():
         raise UserError(f"{path} holds no run (no run.json)")
-    found = Folder(path).read_config()
-    if not isinstance(found, dict) or not {"agent", "data", "task", "seeds", "steps"} <= found.keys():
-        raise UserError(f"{config} is not the record of a run")
-    return found
+    return Folder(path).read_config()
 
 
 def _written(agent: str) -> str:
@@ -243,7 +241,10 @@ def _entry(group: list[tuple[Path, dict[str, Any]]], label: str) -> Entry:
     folders = tuple((Folder(path), config["seeds"]) for path, config in group)
     config = group[0][1] | {"seeds": [seed for _, config in group for seed in config["seeds"]]}
     paths = [path / "status.json" for path, _ in group]
-    found = [read_json(path) if path.exists() else {"step": 0, "finished": False} for path in paths]
+    found = [
+        read_status(path, len(config["seeds"])) if path.exists() else {"step": 0, "finished": False}
+        for path, (_, config) in zip(paths, group)
+    ]
     failures = [f for each, (_, seeds) in zip(found, folders) for f in each.get("failures") or [None] * len(seeds)]
     status = {
         "step": min(each.get("step", 0) for each in found), "failures": failures,
@@ -256,10 +257,7 @@ def _entry(group: list[tuple[Path, dict[str, Any]]], label: str) -> Entry:
 def _columns(folders: Sequence[Folder], kind: str) -> Columns:
     tables = []
     for folder in folders:
-        try:
-            tables.append(folder.table(kind))
-        except (pa.ArrowInvalid, OSError) as error:
-            raise UserError(f"{folder.path} has a broken table: {error}") from error
+        tables.append(folder.table(kind))
     table = pa.concat_tables([table for table in tables if len(table)] or tables[:1], promote_options="permissive")
     return {name: table[name].to_numpy() for name in table.column_names}
 
@@ -267,8 +265,4 @@ def _columns(folders: Sequence[Folder], kind: str) -> Columns:
 def _array(path: Path, name: str) -> np.ndarray | None:
     if not path.exists():
         return None
-    try:
-        with np.load(path) as file:
-            return file.get(name, None)
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path} cannot be read: {error}") from error
+    return read_arrays(path, "arrays of a run").get(name)

@@ -15,7 +15,7 @@ SHOWN = 12  # columns
 def section(page: Page) -> Markup | None:
     """One part for each run of which it is known."""
     files = [folder.path / NAME for entry in page.entries for folder, _ in entry.folders]
-    parts = [part(Explained.from_json(read_json(file))) for file in files if file.exists()]
+    parts = [part(Explained.from_json(read_json(file, Explained))) for file in files if file.exists()]
     return join(*parts) if parts else None
 
 

@@ -73,7 +73,7 @@ def robust(points: Sequence[float], spreads: Sequence[Interval]) -> tuple[float,
 
     One interval from two seeds, a hundred times as wide as the rest, would leave the rest no room to differ.
     """
-    points = [v for v in points if math.isfinite(v)]
+    points = [v for v in points if math.isfinite(v)] or [0.0]
     low, high = min(points), max(points)
     halves = [(s.high - s.low) / 2 for s in spreads if math.isfinite(s.low) and math.isfinite(s.high)]
     room = max(high - low, 1.5 * float(np.median(halves)) if halves else 0.0) or 0.5 * abs(high) or 1.0

@@ -4,11 +4,12 @@ import functools
 from pathlib import Path
 
 from deadreckon.errors import UserError
-from deadreckon.files import read_json, replacing
+from deadreckon.files import replacing
 from deadreckon.report import decision, page
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.parts import note
 from deadreckon.runs import recommend as recommending
+from deadreckon.runs.decision_record import read_results
 from deadreckon.runs.durations import in_words
 from deadreckon.runs.offline import NAME
 
@@ -26,8 +27,8 @@ def write(out: Path | str, quick: bool = False) -> Path:
         UserError: it holds no recommendation, or cannot be written.
     """
     out = Path(out)
-    told = read_json(out / NAME)
-    if not isinstance(told, dict) or "recommend" not in told:
+    told = read_results(out / NAME)
+    if "recommend" not in told:
         raise UserError(f"{out / NAME} is not from `recommend`")
     learned = [out / each["name"] for each in told["recommend"]["candidates"] if each["state"] == "learned"]
     if learned and told["results"] and not quick:

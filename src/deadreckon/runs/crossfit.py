@@ -20,7 +20,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.split import RANDOM, Fold, group_of
 from deadreckon.data.split import folds as dealt
 from deadreckon.errors import UserError, unknown
-from deadreckon.files import read_json, write_json
+from deadreckon.files import write_json
 from deadreckon.interrupts import resumable
 from deadreckon.names import file_part
 from deadreckon.policies import store
@@ -28,6 +28,7 @@ from deadreckon.policies.deployed import EnvPolicy, Mixture
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.lanes import lanes_of
 from deadreckon.runs.reading import noted
+from deadreckon.runs.records import read_cross_fit
 from deadreckon.runs.seen import seen
 from deadreckon.runs.settings import TrainOptions, TrainSettings
 from deadreckon.runs.train import Run, load, train
@@ -184,9 +185,7 @@ def load_cross_fit(path: Path | str) -> CrossFit:
     path = Path(path)
     if not (path / NAME).exists():
         raise UserError(f"{path} holds no cross-fit (no {NAME})")
-    config = read_json(path / NAME)
-    if not isinstance(config, dict) or not {"folds", "by", "seed", "data", "deliver"} <= config.keys():
-        raise UserError(f"{path / NAME} is not a cross-fit's: it misses folds, by, seed, data or deliver")
+    config = read_cross_fit(path / NAME)
     missing = [each for each in range(config["folds"]) if not (path / f"fold{each}" / "run.json").exists()]
     found = CrossFit(path, config, [] if missing else [load(path / f"fold{each}") for each in range(config["folds"])])
     if missing or not found.policy_path.exists():
@@ -204,7 +203,7 @@ def _begin(path: Path, config: dict[str, Any], resume: bool) -> None:
     if (path / NAME).exists():
         if not resume:
             raise UserError(f"{path} holds a cross-fit already; --resume goes on with it, or choose another --out")
-        before = read_json(path / NAME)
+        before = read_cross_fit(path / NAME)
         if different := differences(before, config, ("folds", "by", "seed", "agent", "data")):
             raise UserError(f"{path} holds another cross-fit: {different[0]}; choose another --out")
     elif path.exists() and not (path.is_dir() and all(p.suffix == ".tmp" for p in path.iterdir())):

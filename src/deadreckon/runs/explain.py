@@ -93,7 +93,7 @@ class Explained(Shown):
     @classmethod
     def from_json(cls, told: dict[str, Any]) -> "Explained":
         """The inverse of `as_json`."""
-        tree = None if told["tree"] is None else Node.from_json(told["tree"])
+        tree = None if told.get("tree") is None else Node.from_json(told["tree"])
         return cls(**{**told, "tree": tree, "columns": tuple(Matters(**each) for each in told["columns"])})
 
     @property

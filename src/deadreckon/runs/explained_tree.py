@@ -23,7 +23,7 @@ class Node:
     @classmethod
     def from_json(cls, told: dict[str, Any]) -> "Node":
         """Of nested dictionaries."""
-        parts = {key: None if told[key] is None else cls.from_json(told[key]) for key in ("yes", "no")}
+        parts = {key: None if told.get(key) is None else cls.from_json(told[key]) for key in ("yes", "no")}
         return cls(told["text"], told["share"], **parts)
 
     @property

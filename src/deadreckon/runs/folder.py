@@ -28,8 +28,11 @@ import pyarrow.parquet as pq
 
 from deadreckon.agents import AGENTS, agent_class, plugins
 from deadreckon.errors import UserError, reading
-from deadreckon.files import alone, read_json, replacing, write_json
+from deadreckon.files import alone, replacing, write_json
+from deadreckon.foreign.archive import read_arrays
+from deadreckon.foreign.door import file_size
 from deadreckon.interrupts import resumable
+from deadreckon.runs.records import read_run
 from deadreckon.training.field_names import with_field_names
 from deadreckon.versions import differences
 
@@ -80,8 +83,10 @@ class Folder:
         """What `note_episodes` wrote, `taught` or `held`; None in folders from before it did."""
         if not (path := self.path / "episodes.npz").exists():
             return None
-        with np.load(path, allow_pickle=False) as file:
-            return file[which]
+        found = read_arrays(path, "a note of episodes").get(which)
+        if found is None or found.dtype != np.uint64 or found.ndim != 1:
+            raise UserError(f"{path}: {which} must be a list of ids of episodes; the file is damaged or of another kind")
+        return found
 
     def replay(self, seed: int) -> Path:
         """Every environment step of an online run's seed."""
@@ -104,7 +109,9 @@ class Folder:
     def table(self, kind: str) -> pa.Table:
         """All parts of a kind as one table, in order of steps; empty if there are none."""
         parts = sorted((self.path / kind).glob("*.parquet"))
-        return pa.concat_tables(list(map(_read, parts)), promote_options="default") if parts else pa.table({})
+        with reading(self.path / kind, "tables of a run"):
+            read = [_part(each, kind) for each in parts]
+            return pa.concat_tables(read, promote_options="default") if read else pa.table({})
 
     def drop_after(self, step: int) -> None:
         """Forgets what a killed run wrote beyond its last checkpoint, and temporary files it left."""
@@ -117,11 +124,9 @@ class Folder:
 
     def read_config(self) -> Any:
         """The configuration in run.json, with hyperparameters under the present names of their fields."""
-        config = read_json(self.config)
-        if not isinstance(config, dict) or not isinstance(config.get("agent"), dict):
-            return config
-        name, fields = str(config["agent"].get("name")), config["agent"].get("fields", {})
-        module, colon, _ = ("", "", "") if name in AGENTS else plugins().get(name, name).partition(":")
+        config = read_run(self.config)
+        name, fields = config["agent"]["name"], config["agent"]["fields"]
+        module, colon, _ = ("", "", "") if name in AGENTS else str(plugins().get(name, name)).partition(":")
         if name not in AGENTS and not (colon and module in sys.modules):  # a folder must not name code that is then run
             return config
         return config | {"agent": {**config["agent"], "fields": with_field_names(agent_class(name), fields)}}
@@ -171,20 +176,30 @@ class Folder:
 
     def shorten(self, steps: int) -> None:
         """Takes note that the run has ended with fewer updates than were asked for."""
-        write_json(self.config, read_json(self.config) | {"steps": steps})
+        write_json(self.config, read_run(self.config) | {"steps": steps})
 
     def lengthen(self, config: dict[str, Any]) -> None:
         """Takes note that more updates are asked for than the run has had; called once it can be gone on with."""
-        before = read_json(self.config)
+        before = read_run(self.config)
         if before["steps"] < config["steps"]:
             for number in config["seeds"]:
                 self.policy(number).unlink(missing_ok=True)  # with it, the run is no longer finished
             write_json(self.config, before | {"steps": config["steps"]})
 
 
-def _read(part: Path) -> pa.Table:
-    with reading(part, "a table of a run", pa.ArrowException):
-        return pq.read_table(part)
+def _part(path: Path, kind: str) -> pa.Table:
+    """One part of a table: numbers alone in columns that have names of their own, among them the step."""
+    file_size(path)
+    with reading(path, "a table of a run"):
+        found = pq.read_table(path, partitioning=None)  # pyright: ignore[reportArgumentType]
+        found.validate(full=True)
+    names = found.column_names
+    kinds = pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean
+    numbers = all(any(test(each) for test in kinds) for each in found.schema.types)
+    if len(set(names)) < len(names) or not {"step", "seed"} <= set(names) or not numbers:
+        raise UserError(f"{path}: {kind} are columns of numbers with names of their own, among them step and seed; "
+                        "the file is damaged or of another kind")  # fmt: skip
+    return found
 
 
 def policy_seed(name: str, seeds: Sequence[int], failures: Sequence[Any], seed: int | None) -> int:

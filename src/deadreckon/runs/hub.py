@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from deadreckon._version import __version__
 from deadreckon.data.dataset import Dataset
@@ -148,7 +148,7 @@ def _checked(manifest: Any, repo: str) -> dict[str, dict[str, Any]]:
 
 
 def _loaded(folder: Path, repo: str, commit: str) -> Dataset | Run | EnvPolicy:
-    kind = read_json(folder / MANIFEST)["kind"]
+    kind = read_json(folder / MANIFEST, _Kind)["kind"]
     if kind == "run":
         return load(folder)
     if kind == "policy":
@@ -176,6 +176,12 @@ def _card(thing: Any, kind: str, repo: str) -> str:
     use = ["", "```python", "import deadreckon as dr", "", f'found = dr.from_hub("{place}")', "```"]
     head = ["---", "library_name: deadreckon", "tags: [offline-reinforcement-learning, deadreckon]", "---", ""]
     return "\n".join([*head, *facts, *use]) + "\n"
+
+
+class _Kind(TypedDict):
+    """What a repository holds."""
+
+    kind: str
 
 
 class _Hub:

@@ -8,7 +8,7 @@ without regard to earlier answers.
 """
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NotRequired, TypedDict
 
 import numpy as np
 
@@ -31,6 +31,13 @@ class Look(NamedTuple):
     number: int
     alpha: float
     policies: int
+
+
+class _Told(TypedDict):
+    """A note, as its file has it."""
+
+    looks: dict[str, tuple[int, int] | int]
+    episodes: NotRequired[list[int]]
 
 
 class Note(NamedTuple):
@@ -75,11 +82,11 @@ def look(episodes: np.ndarray, policies: str, count: int) -> Look:
 
 
 def _read(path: Path) -> Note:
-    told = read_json(path)
     try:
-        # Notes of before knew exactly one set of episodes, by the file's name, and counts alone.
-        known = {what: (at, i) if isinstance(at, int) else at for i, (what, at) in enumerate(told["looks"].items(), 1)}
-        looks = {str(what): (int(count), int(number)) for what, (count, number) in known.items()}
-        return Note({int(each) for each in told.get("episodes", [])}, looks)
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise UserError(f"{path} is not a note of looks; remove it if its counts do not matter") from error
+        told = read_json(path, _Told)
+    except UserError as error:
+        why = str(error).removeprefix(f"{path}: ")
+        raise UserError(f"{path} is not a note of looks ({why}); remove it if its counts do not matter") from error
+    # Notes of before knew exactly one set of episodes, by the file's name, and counts alone.
+    known = {what: (at, i) if isinstance(at, int) else at for i, (what, at) in enumerate(told["looks"].items(), 1)}
+    return Note(set(told.get("episodes", [])), {what: (count, number) for what, (count, number) in known.items()})

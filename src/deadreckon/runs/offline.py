@@ -13,7 +13,7 @@ from deadreckon.data.spec import Spec
 from deadreckon.data.split import RANDOM, TIME, group_of
 from deadreckon.data.split import clusters as clusters_of
 from deadreckon.errors import UserError
-from deadreckon.files import alone, digest, read_json, write_json
+from deadreckon.files import alone, digest, write_json
 from deadreckon.interrupts import resumable
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.decide import Decision, check, decide
@@ -23,6 +23,7 @@ from deadreckon.ope.registry import as_estimators, fits_name, titled
 from deadreckon.ope.select import Choice, gains, supported
 from deadreckon.ope.settings import DecisionSettings, EstimateSettings
 from deadreckon.provided import provided
+from deadreckon.runs.decision_record import read_results
 from deadreckon.runs.evaluate import evaluate
 from deadreckon.runs.gather import Gathered, check_encodings, for_case, fresh, gather
 from deadreckon.runs.looks import Look, look
@@ -283,9 +284,7 @@ def read_estimates(path: Path | str) -> dict[str, Any]:
     path = path / NAME if path.is_dir() else path
     if not path.exists():
         raise UserError(f"no estimates in {path}; `deadreckon ope --out FOLDER` writes them")
-    results = read_json(path)
-    if "estimand" not in results:
-        raise UserError(f"{path} is from a version that judged policies on the rows that taught them; estimate them again")
+    results = read_results(path)
     if not results["results"]:
         raise UserError(f"{path} holds no estimates: {results['choice']['reason']}")
     return results

@@ -4,10 +4,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from deadreckon.errors import UserError
-from deadreckon.files import read_json
-from deadreckon.policies import portable
+from deadreckon.policies.file import numpy_player, read_policy
 from deadreckon.policies.table_predict import Predictor
+from deadreckon.runs.decision_record import read_results
 from deadreckon.runs.folder import Folder, policy_seed
+from deadreckon.runs.records import read_status
 
 ESTIMATES = "estimates.json"  # of `ope` and `recommend`, whose choice is taken
 CROSS_FIT = "crossfit.json"
@@ -63,7 +64,7 @@ def chosen(path: Path | str, seed: int | None = None) -> Chosen:
 
 def _of_run(folder: Folder, seed: int | None) -> Chosen:
     config, status = folder.read_config(), folder.path / "status.json"
-    told = read_json(status) if status.exists() else {}
+    told = read_status(status, len(config["seeds"])) if status.exists() else {}
     which = policy_seed(str(folder.path), config["seeds"], told.get("failures") or [None] * len(config["seeds"]), seed)
     if not (file := folder.policy(which)).exists():
         raise UserError(f"{folder.path} is not finished; `deadreckon train ... --out {folder.path} --resume` goes on with it")
@@ -72,10 +73,10 @@ def _of_run(folder: Folder, seed: int | None) -> Chosen:
 
 
 def _of_decision(path: Path) -> Chosen:
-    results = read_json(path / ESTIMATES)
-    choice = results.get("choice") or {}
-    if not choice.get("deploy"):
-        reason = f": {choice['reason']}" if choice.get("reason") else ""
+    results = read_results(path / ESTIMATES)
+    choice = results["choice"]
+    if not choice["deploy"]:
+        reason = f": {choice['reason']}" if choice["reason"] else ""
         raise UserError(f"{path}: the decision is to deploy none of its policies{reason}; name a run to use one all the same")
     file = next((each["file"] for each in results["policies"] if each["name"] == choice["name"]), None)
     if file is None or not Path(file).exists():
@@ -100,13 +101,10 @@ def predictor(file: Path, name: str = "rows") -> Predictor:
     Raises:
         UserError: the file is missing, broken or not a policy file.
     """
-    try:
-        tree, arrays = portable.read(file)
-    except ValueError as error:
-        raise UserError(str(error)) from error
-    log = tree["meta"].get("log", {})
-    if portable.unknown_kind(tree["policy"]) is None:
-        return Predictor(portable.NumpyPolicy(tree, arrays), log, name)
+    tree, arrays = read_policy(file)
+    log = tree.get("meta", {}).get("log") or {}
+    if (player := numpy_player(file, tree, arrays)) is not None:
+        return Predictor(player, log, name)
     from deadreckon.policies import store
     from deadreckon.policies.loaded import TablePolicy
 

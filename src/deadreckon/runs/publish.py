@@ -79,7 +79,7 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
     # The library that is there stays whole until the new one is.
     out, work = Path(options.out), Path(options.out) / f".{task}.part"
     state, published = work / "about.json", out / f"{task}.json"
-    about = read_json(state if state.exists() else published) if state.exists() or published.exists() else {}
+    about = read_json(state if state.exists() else published, dict) if state.exists() or published.exists() else {}
     run = {"agent": config["agent"]["fields"], "online": online, "seed": 0, "updates": total,
            "environment_steps": steps(total), "versions": config["versions"]}  # fmt: skip
     run |= {} if online else {"data": {key: config["data"][key] for key in ("name", "fingerprint")}}

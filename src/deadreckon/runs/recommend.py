@@ -19,12 +19,13 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.folder import write_folder
 from deadreckon.errors import UserError
-from deadreckon.files import alone, read_json, write_json
+from deadreckon.files import alone, write_json
 from deadreckon.ope.select import Choice
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.provided import Shown
 from deadreckon.runs.attempt import Job
 from deadreckon.runs.clock import Clock
+from deadreckon.runs.decision_record import read_results
 from deadreckon.runs.durations import in_words
 from deadreckon.runs.follow import Found, followed
 from deadreckon.runs.offline import NAME, checked, supports
@@ -163,7 +164,7 @@ def _written(out: Path, log: str, again: str | None, found: Found, clock: Clock)
     path = out / NAME
     state = found.state
     candidates = state.get("candidates", [])
-    told = read_json(path) if path.exists() else None
+    told = read_results(path) if path.exists() else None
     mine = {
         "budget": clock.budget, "seconds": clock.spent(), "rows": state.get("rows"), "episodes": state.get("episodes"),
         "candidates": candidates, "late": found.late, "failed": found.fault is not None,

@@ -8,12 +8,13 @@ import numpy as np
 import pyarrow as pa
 
 from deadreckon.errors import UserError
-from deadreckon.files import copy_folder, read_json
+from deadreckon.files import copy_folder
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.loaded import TablePolicy
 from deadreckon.provided import Shown
 from deadreckon.runs.folder import Folder, policy_seed
+from deadreckon.runs.records import read_status
 from deadreckon.training.fit import Failure
 
 
@@ -113,15 +114,11 @@ def load(path: Path | str) -> Run:
     if not folder.config.exists():
         raise UserError(f"{path} holds no run (no run.json)")
     config = folder.read_config()
-    if not isinstance(config, dict) or not {"agent", "data", "task", "seeds", "steps"} <= config.keys():
-        raise UserError(f"{folder.config} is not a run's: it misses agent, data, task, seeds or steps")
     missing = [seed for seed in config["seeds"] if not folder.policy(seed).exists()]
     if missing:
         again = "train_together" if "together" in config else f"deadreckon train ... --out {path} --resume"
         raise UserError(f"{path} is not finished; `{again}` goes on with it")
-    status = read_json(folder.path / "status.json")
-    if not isinstance(status, dict) or "failures" not in status:
-        raise UserError(f"{folder.path / 'status.json'} is not a run's: it misses failures")
+    status = read_status(folder.path / "status.json", len(config["seeds"]))
     policies = [store.load(folder.policy(seed)) for seed in config["seeds"]]
-    failures = [None if f is None else Failure(*f) for f in status["failures"]]
+    failures = [None if f is None else Failure(*f) for f in status.get("failures") or [None] * len(config["seeds"])]
     return Run(folder.path, config, config["seeds"], policies, failures)

@@ -15,6 +15,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.runs.decision_record import read_results
 from deadreckon.runs.gather import gather
 from deadreckon.runs.offline import NAME
 from deadreckon.runs.player import CROSS_FIT, chosen
@@ -186,8 +187,10 @@ def estimates_of(one: Subject, given: Path | str | None = None) -> tuple[dict[st
         file = place / NAME if place.is_dir() or given is None else place
         if not file.exists():
             continue
-        told = read_json(file)
-        if not isinstance(told, dict) or "estimand" not in told or not told.get("results"):
+        if "estimand" not in read_json(file, dict):  # of another version, and not refused where it only lies beside
+            continue
+        told = read_results(file)
+        if not told["results"]:
             continue
         for i, each in enumerate(told["policies"]):
             if each["run"] == one.run and each["seed"] == one.seed:

@@ -1,7 +1,6 @@
 """Pytrees of arrays on disk, without pickle, in files that are either whole or absent."""
 
 import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +10,9 @@ import numpy as np
 from deadreckon._version import __version__
 from deadreckon.errors import UserError
 from deadreckon.files import digest, read_json, replacing, write_json
+from deadreckon.foreign.archive import read_arrays
+from deadreckon.foreign.shapes import checked
+from deadreckon.foreign.text import parse_json
 from deadreckon.training.revisions import of_learning
 
 _META = "meta.json"
@@ -38,9 +40,9 @@ def inherit(folder: Path) -> None:
     """
     if any(folder.glob("[0-9]*.npz")):
         return
-    found, asked = [], read_json(folder / "asked.json")
+    found, asked = [], read_json(folder / "asked.json", dict)
     for note in folder.parent.glob(f"{folder.name.rpartition('-')[0]}-*/asked.json"):
-        if read_json(note) | {"steps": asked["steps"]} == asked:
+        if read_json(note, dict) | {"steps": asked["steps"]} == asked:
             found += [(int(path.stem), path) for path in note.parent.glob("[0-9]*.npz") if int(path.stem) <= asked["steps"]]
     for _, path in sorted(found, reverse=True):
         try:
@@ -63,14 +65,10 @@ def load_arrays(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     Raises:
         UserError: the file is missing, truncated or of another kind.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        return arrays, json.loads(arrays.pop(_META).tobytes())
-    except FileNotFoundError as error:
-        raise UserError(f"no file {path}") from error
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise UserError(f"{path} is not a whole deadreckon file: {error}") from error
+    arrays = read_arrays(path, "a checkpoint")
+    if (text := arrays.pop(_META, None)) is None:
+        raise UserError(f"{path} is not a whole deadreckon file: it lacks {_META}")
+    return arrays, checked(parse_json(path, text.tobytes()), dict, path)
 
 
 def _named(tree: Any) -> dict[str, Any]:

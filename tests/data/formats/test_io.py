@@ -64,7 +64,7 @@ def test_convert_refuses_what_would_lose_data(log, tmp_path):
         (b"", "the file is empty"),
         (b"just a sentence\nand another", "not a log in a format that is read"),
         (bytes(range(256)), "not a log in a format that is read"),
-        (b"\x1f\x8b\x08\x00garbage", "cannot be unpacked"),
+        (b"\x1f\x8b\x08\x00garbage", "cannot be read as gzip"),
         (gzip.compress(b"PAR1", mtime=0), "a gzipped parquet file; unpack it first"),
         (b"\x89HDF\r\n\x1a\n", "cannot be read as hdf5"),
         (b"PAR1", "cannot be read as Parquet"),

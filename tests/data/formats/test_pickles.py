@@ -82,7 +82,7 @@ def test_truncated_and_foreign_pickles_are_told_in_one_line(tmp_path):
     for _ in range(300):
         deep = [deep]
     path.write_bytes(pickle.dumps(deep))
-    with pytest.raises(UserError, match="nested too deep"):
+    with pytest.raises(UserError, match="nested in 101 levels"):
         load_pickle(path)
 
 

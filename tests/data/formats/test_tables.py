@@ -180,7 +180,7 @@ def test_damaged_files(log, tmp_path):
             reader(path)
         assert "\n" not in str(caught.value)
     np.savez(tmp_path / "objects.npz", observations=np.array([object()]), actions=np.zeros(1), rewards=np.zeros(1))
-    with pytest.raises(UserError, match="cannot be read as npz"):
+    with pytest.raises(UserError, match="holds Python objects"):
         read_npz(tmp_path / "objects.npz")
     np.savez(tmp_path / "less.npz", observations=np.zeros(1), actions=np.zeros(1))
     with pytest.raises(UserError, match="no column rewards"):

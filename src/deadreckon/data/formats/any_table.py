@@ -12,6 +12,8 @@ from deadreckon.data.formats.dialect import Dialect
 from deadreckon.data.formats.kind import DIALECT, READING, no_options, sniff
 from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError, reading
+from deadreckon.foreign.door import file_size
+from deadreckon.foreign.limits import check_unpacked
 
 
 def read_table(
@@ -79,8 +81,13 @@ def table_of_kind(
 
         from deadreckon.data.text_dates import with_dates
 
-        with reading(path, "Parquet", pa.ArrowException):
+        size = file_size(path)
+        with reading(path, "Parquet"):
+            about = parquet.read_metadata(path)
+            groups = (about.row_group(group).total_byte_size for group in range(about.num_row_groups))
+            check_unpacked(path, sum(groups), size)
             stored = parquet.read_table(path)
+            stored.validate(full=True)
         found, order, told = with_dates(stored, asked.dates)
         for index, name in enumerate(found.column_names):
             found = found.set_column(index, name, stored[name]) if name in known.texts else found

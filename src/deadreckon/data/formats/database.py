@@ -5,6 +5,8 @@ Files are opened for reading alone, and neither a query nor a view can write or 
 
 import contextlib
 import sqlite3
+import threading
+import time
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -12,9 +14,12 @@ from urllib.parse import quote
 import pyarrow as pa
 
 from deadreckon.data.formats.values import column_of
-from deadreckon.errors import UserError, reading, unknown
+from deadreckon.errors import UserError, as_one_line, reading, unknown
+from deadreckon.foreign.door import file_size
+from deadreckon.foreign.limits import RATE, SECONDS
 
 _BATCH = 10_000  # rows that are fetched at once
+_STEPS = 100_000  # of SQLite's machine between two looks at the clock
 # What a query may do; VACUUM INTO and ATTACH would write files although the database is opened for reading alone.
 _MAY = (sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE)
 # A query, which may be somebody else's, and the views of a file read no other file, and no variables of Python.
@@ -40,9 +45,9 @@ def read_database(
     """
     if query is not None and table is not None:
         raise UserError(f"{path}: --query and --table exclude each other; name the table in the query")
-    with reading(path, "a database"), open(path, "rb"):  # SQLite's own error does not say why
-        pass
-    found, told = _sqlite(path, query, table) if kind == "sqlite" else _duckdb(path, query, table)
+    seconds = SECONDS.value + file_size(path) / RATE  # which also says why a file cannot be opened, as SQLite does not
+    with reading(path, f"a database of {'SQLite' if kind == 'sqlite' else 'DuckDB'}"):
+        found, told = (_sqlite if kind == "sqlite" else _duckdb)(path, query, table, seconds)
     seen: set[str] = set()
     for index, name in enumerate(found.column_names):
         if not name.strip():
@@ -53,7 +58,7 @@ def read_database(
     return found, told
 
 
-def _sqlite(path: Path | str, query: str | None, table: str | None) -> tuple[pa.Table, list[str]]:
+def _sqlite(path: Path | str, query: str | None, table: str | None, seconds: float) -> tuple[pa.Table, list[str]]:
     denied: list[int] = []
 
     def allowed(action: int, *_: Any) -> int:
@@ -66,6 +71,8 @@ def _sqlite(path: Path | str, query: str | None, table: str | None) -> tuple[pa.
     try:
         with contextlib.closing(sqlite3.connect(place, uri=True)) as base:
             base.set_authorizer(allowed)
+            until = time.monotonic() + seconds
+            base.set_progress_handler(lambda: time.monotonic() > until, _STEPS)  # a view may have rows without end
             if query is None:
                 listed = base.execute(
                     "SELECT name FROM sqlite_master WHERE type IN ('table', 'view') AND name NOT LIKE 'sqlite_%' ORDER BY name"
@@ -82,7 +89,7 @@ def _sqlite(path: Path | str, query: str | None, table: str | None) -> tuple[pa.
     except (sqlite3.Error, sqlite3.Warning) as error:  # a Warning: of several statements
         if denied:
             raise UserError(f"{path}: --query takes a SELECT that only reads tables of the file, not {query!r:.80}") from error
-        raise _wrong(path, "SQLite", error, query) from error
+        raise _wrong(path, "SQLite", error, query, seconds) from error
     arrays, told = [], []
     for name, values in zip(names, columns, strict=True):
         array, lines = column_of(path, f"column {name}", values, lambda row: f"row {row}", decimal=True)
@@ -91,7 +98,7 @@ def _sqlite(path: Path | str, query: str | None, table: str | None) -> tuple[pa.
     return pa.table(arrays, names=names), told
 
 
-def _duckdb(path: Path | str, query: str | None, table: str | None) -> tuple[pa.Table, list[str]]:
+def _duckdb(path: Path | str, query: str | None, table: str | None, seconds: float) -> tuple[pa.Table, list[str]]:
     try:
         import duckdb
     except ImportError as error:
@@ -108,9 +115,14 @@ def _duckdb(path: Path | str, query: str | None, table: str | None) -> tuple[pa.
             statements = base.extract_statements(query)
             if len(statements) != 1 or statements[0].type != duckdb.StatementType.SELECT:
                 raise UserError(f"{path}: --query takes one SELECT, which gives rows, not {query[:60]!r}")
-            found = base.sql(query).to_arrow_table()
+            ends = threading.Timer(seconds, base.interrupt)
+            ends.start()
+            try:
+                found = base.sql(query).to_arrow_table()
+            finally:
+                ends.cancel()
     except duckdb.Error as error:
-        raise _wrong(path, "DuckDB", error, query) from error
+        raise _wrong(path, "DuckDB", error, query, seconds) from error
     for name, values in zip(found.column_names, found.columns, strict=True):
         if pa.types.is_binary(values.type) or pa.types.is_large_binary(values.type):
             raise UserError(f"{path}: column {name} holds binary data, which nothing can learn from; leave it out with --query")
@@ -133,8 +145,11 @@ def _quoted(name: str) -> str:
     return '"' + name.replace('"', '""') + '"'
 
 
-def _wrong(path: Path | str, what: str, error: Exception, query: str | None) -> UserError:
-    text = " ".join(str(error).split())[:200]
+def _wrong(path: Path | str, what: str, error: Exception, query: str | None, seconds: float) -> UserError:
+    text = as_one_line(error)
+    if "interrupt" in text.lower():
+        how = f"{SECONDS.variable} sets another limit"
+        return UserError(f"{path}: {what} has not ended {str(query)[:80]!r} after {seconds:.0f} s; {how}")
     if query is None or "not a database" in text or "malformed" in text or "disk image" in text:
         return UserError(f"{path}: cannot be read as a database of {what}, it is damaged or in use ({text})")
     return UserError(f"{path}: {what} cannot run {query[:80]!r} ({text})")

@@ -3,7 +3,6 @@
 import codecs
 import csv
 import io
-import zlib
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from deadreckon.data.formats.marks import LARGEST, of_large
 from deadreckon.data.formats.spool import Spool
 from deadreckon.data.formats.words import with_words
 from deadreckon.errors import UserError, reading
-from deadreckon.files import unpacked
+from deadreckon.foreign.door import opened, unpacked
 
 _BLOCK = 1 << 22  # bytes that are parsed at once; no row may be longer
 _SEEN = 2_000  # rows of the head, whose cells are looked at as they stand
@@ -46,8 +45,8 @@ def read_delimited(
     Raises:
         UserError: one line with the file and the line or the column.
     """
-    with reading(path, "CSV", pa.ArrowException, EOFError, zlib.error), open(path, "rb") as file:
-        source = unpacked(file)
+    with reading(path, "CSV"), opened(path) as file:
+        source = unpacked(path, file)
         head, whole = _head(source)
         dialect, told = sniff(path, head, whole, asked)
         source.seek(0)
@@ -128,8 +127,8 @@ def _of_large(source: BinaryIO, table: pa.Table, dialect: Dialect) -> list[str]:
 
 def _diagnose(path: Path | str, dialect: Dialect) -> None:
     """Refuses the first row that cannot be read, by its line; does nothing if there is none."""
-    with open(path, "rb") as file:  # anew: threads of pyarrow may still be reading from the other
-        _refuse_rows(path, io.TextIOWrapper(unpacked(file), dialect.encoding or "utf-8", newline=""), dialect)
+    with opened(path) as file:  # anew: threads of pyarrow may still be reading from the other
+        _refuse_rows(path, io.TextIOWrapper(unpacked(path, file), dialect.encoding or "utf-8", newline=""), dialect)
 
 
 def _refuse_rows(path: Path | str, lines: io.TextIOWrapper, dialect: Dialect) -> None:

@@ -1,5 +1,6 @@
 """Sheets of spreadsheets (.xlsx, and .xls and .ods, which the same library reads) as pyarrow tables."""
 
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,8 @@ import pyarrow as pa
 
 from deadreckon.data.formats.values import column_of
 from deadreckon.errors import UserError, reading, unknown
+from deadreckon.foreign.door import file_size
+from deadreckon.foreign.limits import check_unpacked
 
 
 def read_excel(path: Path | str, sheet: str | int | None = None) -> tuple[pa.Table, list[str]]:
@@ -27,7 +30,11 @@ def read_excel(path: Path | str, sheet: str | int | None = None) -> tuple[pa.Tab
         import python_calamine as calamine
     except ImportError as error:
         raise UserError(f"{path}: spreadsheets are read with python-calamine: pip install 'deadreckon[tables]'") from error
-    with reading(path, "a spreadsheet", calamine.CalamineError):
+    size = file_size(path)
+    with reading(path, "a spreadsheet"):
+        if zipfile.is_zipfile(path):  # all but .xls
+            with zipfile.ZipFile(path) as archive:
+                check_unpacked(path, sum(each.file_size for each in archive.infolist()), size)
         try:
             book = calamine.CalamineWorkbook.from_path(str(path))
         except calamine.PasswordError as error:

@@ -11,8 +11,10 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.build import build, columns_of
 from deadreckon.data.formats.header import Header, damaged
-from deadreckon.errors import UserError, reading
+from deadreckon.errors import UserError
 from deadreckon.files import missing_folders
+from deadreckon.foreign.archive import read_array
+from deadreckon.foreign.door import read_bytes
 from deadreckon.names import safe_name
 from deadreckon.temporaries import beside, put, recover
 
@@ -67,9 +69,7 @@ def read_folder(path: Path | str, *, mmap: bool = True, strict: bool = False, na
         UserError: one line that names the file that is missing or damaged.
     """
     path = Path(path)
-    with reading(path / HEADER, "a header", UnicodeDecodeError):
-        text = (path / HEADER).read_text()
-    header = Header.parse(path / HEADER, text)
+    header = Header.parse(path / HEADER, read_bytes(path / HEADER))
     keys = header.columns
     if not isinstance(keys, list) or not all(isinstance(key, str) for key in keys):
         raise damaged(path / HEADER, "no list of columns")
@@ -78,8 +78,7 @@ def read_folder(path: Path | str, *, mmap: bool = True, strict: bool = False, na
         file = path / f"{key}.npy"
         if Path(key).name != key or not file.is_file():
             raise UserError(f"{path}: column file {key}.npy is missing")
-        with reading(file, "a .npy column", ValueError, EOFError):
-            columns[key] = np.load(file, mmap_mode="r" if mmap else None, allow_pickle=False)
+        columns[key] = read_array(file, mmap=mmap)
     return build(path, columns, header, name=name, strict=strict)
 
 

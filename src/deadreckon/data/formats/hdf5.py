@@ -11,23 +11,23 @@ from typing import Any
 import h5py
 import numpy as np
 
-from deadreckon.data.columns import COLUMNS, NEEDED, extra_name
+from deadreckon.data.columns import COLUMNS
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.arrange import arranged
 from deadreckon.data.formats.build import build, columns_of, refuse_mmap
+from deadreckon.data.formats.hdf5_inside import HEADER
 from deadreckon.data.formats.header import Header
 from deadreckon.data.formats.layouts import layout_of, told
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Discrete
-from deadreckon.errors import UserError, naming, reading
-from deadreckon.files import digest, replacing, reserve
+from deadreckon.errors import UserError
+from deadreckon.files import replacing, reserve
+from deadreckon.foreign.child import read_apart
+from deadreckon.foreign.door import file_size
 from deadreckon.names import safe_name
 
 _BLOCK = 262_144  # rows copied at a time
-_HEADER = "deadreckon"  # attribute that holds the header as JSON
 _OVERHEAD = 65_536  # bytes of a file beside its columns: names, header, alignment
-# D4RL's name for the behaviour policy's log-probability of the logged action, and ours.
-_RENAMED = {"infos/action_log_probs": "behavior_log_probs"}
 
 
 def read_hdf5(
@@ -57,42 +57,40 @@ def read_hdf5(
     Raises:
         UserError: one line: not an hdf5 file, cut short, columns missing or wrong, or not to be memory-mapped.
     """
-    with reading(path, "hdf5", RuntimeError, KeyError, ValueError), h5py.File(path, "r") as file:
-        header = _header(path, file)
-        if header is None and "episode_0" in file:
-            raise UserError(f"{path}: the inside of a Minari data set; give its folder, which holds metadata.json")
-        layout = None if header else layout_of(key for key, _ in _leaves(file))
-        if layout is not None and not layout.ours:
-            if mmap and scratch is None:
-                raise refuse_mmap(path, f"it has {layout.library}'s layout")
-            found = arranged(path, {**dict(file.attrs), **{key: dataset[()] for key, dataset in _leaves(file)}})
-            return build(
-                path, found.columns, source="hdf5", name=name, action_space=found.space, extra=found.extra, strict=strict,
-                horizon=horizon, warnings=found.told,
-            )  # fmt: skip
-        rows = _rows(path, file)
-        columns: dict[str, Any] = {}
-        metadata: dict[str, Any] = {}
-        left_out: list[str] = []
-        for key, dataset in _leaves(file):
-            if key in COLUMNS:
-                columns[key] = _load(path, key, dataset, mmap, scratch)
-        for key, dataset in _leaves(file):
-            if key.startswith("metadata/"):
-                metadata |= _scalar(key.removeprefix("metadata/"), dataset)
-            elif key not in COLUMNS and dataset.shape[:1] == (rows,) and dataset.dtype.kind not in "fiub":
-                left_out.append(key)
-            elif key not in COLUMNS and dataset.shape[:1] == (rows,):
-                extra = _RENAMED.get(key) if header is None else None
-                with naming(path, ""):
-                    extra = extra or extra_name(key, columns)
-                columns[extra] = _load(path, key, dataset, mmap, scratch)
-    notes = {"metadata": metadata, "left_out": left_out, "layout": layout and layout.library}
+    held = read_apart(
+        "hdf5", path, "hdf5", size=file_size(path), file=str(path), mmap=mmap, scratch=None if scratch is None else str(scratch)
+    )
+    header = None if held["header"] is None else Header.parse(path, held["header"])
+    if (layout := held["layout"]) is not None and held["found"] is None and "columns" not in held:
+        raise refuse_mmap(path, f"it has {layout}'s layout")
+    if held["found"] is not None:
+        found = arranged(path, held["found"])
+        return build(
+            path, found.columns, source="hdf5", name=name, action_space=found.space, extra=found.extra, strict=strict,
+            horizon=horizon, warnings=found.told,
+        )  # fmt: skip
+    if held["obstacle"] is not None:
+        raise refuse_mmap(path, held["obstacle"])
+    columns = {key: _taken(value, mmap) for key, value in held["columns"].items()}
+    notes = {"metadata": held["metadata"], "left_out": held["left_out"], "layout": layout}
     extra = {key: value for key, value in notes.items() if value}
-    lines = [told(layout)] if layout else []
+    known = layout_of(held["names"]) if layout else None
+    lines = [told(known)] if known else []
     return build(
         path, columns, header, source="d4rl-hdf5", name=name, extra=extra, strict=strict, horizon=horizon, warnings=lines
     )
+
+
+def _taken(value: Any, mmap: bool) -> Any:
+    """A column: an array, or one that lies in a file as it is, read from there or mapped."""
+    if not isinstance(value, tuple):
+        return value
+    path, offset, shape, kind = value
+    if mmap:
+        return np.memmap(path, kind, "r", offset, shape)
+    dtype = np.dtype(kind)
+    raw = np.fromfile(path, np.uint8 if dtype == np.bool_ else dtype, math.prod(shape), offset=offset).reshape(shape)
+    return raw != 0 if dtype == np.bool_ else raw
 
 
 def write_hdf5(log: Dataset, path: Path | str) -> None:
@@ -149,7 +147,7 @@ class Writer:
 
     def close(self) -> None:
         """Stores the header; `create` calls it."""
-        self.file.attrs[_HEADER] = json.dumps(replace(self._header, provenance=self.provenance).to_json())
+        self.file.attrs[HEADER] = json.dumps(replace(self._header, provenance=self.provenance).to_json())
 
 
 @contextlib.contextmanager
@@ -205,65 +203,3 @@ def copy_rows(source: Any, target: Any) -> None:
 
 def _place(column: str) -> str:
     return column if column in COLUMNS else f"infos/{column}"
-
-
-def _leaves(group: h5py.Group, prefix: str = "") -> Iterator[tuple[str, h5py.Dataset]]:
-    for key, value in group.items():
-        if isinstance(value, h5py.Group):
-            yield from _leaves(value, f"{prefix}{key}/")
-        elif isinstance(value, h5py.Dataset):
-            yield prefix + key, value
-
-
-def _rows(path: Path | str, file: h5py.File) -> int:
-    actions = file.get("actions")
-    if not isinstance(actions, h5py.Dataset) or actions.ndim == 0:
-        found = ", ".join(key for key, _ in _leaves(file)) or "nothing"
-        raise UserError(f"{path}: no column actions; a D4RL file has {', '.join(NEEDED)}, this one has {found[:200]}")
-    return len(actions)
-
-
-def _load(path: Path | str, key: str, dataset: h5py.Dataset, mmap: bool, scratch: Path | str | None) -> np.ndarray:
-    if not mmap:
-        return dataset[()]
-    obstacle = None
-    if dataset.chunks is not None or dataset.compression is not None:
-        obstacle = "is stored in chunks or compressed"
-    elif key in COLUMNS and dataset.dtype not in (np.float32, np.uint8, np.int32, np.bool_):
-        # Anything that would have to be converted would be loaded whole, which is not what was asked for.
-        obstacle = f"holds {dataset.dtype}"
-    if obstacle and scratch is None:
-        raise refuse_mmap(path, f"column {key} {obstacle}")
-    if obstacle:
-        if dataset.ndim == 0 or dataset.size == 0:
-            return dataset[()]
-        return _copied(dataset, Path(scratch or "") / digest(key, 16), key in COLUMNS)  # a key is a path in the file
-    offset = dataset.id.get_offset()
-    if offset is None:  # never written: h5py gives no place for columns without bytes
-        return dataset[()]
-    return np.memmap(path, dataset.dtype, "r", offset, dataset.shape)
-
-
-def _copied(dataset: h5py.Dataset, place: Path, core: bool) -> np.ndarray:
-    """A memory map of a copy of `dataset` at `place`; float64 becomes float32 in the columns that a log has anyway."""
-    dtype = np.dtype(np.float32) if core and dataset.dtype == np.float64 else dataset.dtype
-    try:
-        with open(place, "wb") as file:  # written, not mapped: a full disk is then an error and not a killed process
-            for start in range(0, len(dataset), _BLOCK):
-                with np.errstate(over="ignore"):  # an infinity is told with its row by the checks that follow
-                    file.write(np.ascontiguousarray(dataset[start : start + _BLOCK], dtype).data)
-    except OSError as error:
-        text = error.strerror or str(error)
-        raise UserError(f"cannot copy column {dataset.name} to {place}: {text}") from error
-    return np.memmap(place, dtype, "r", shape=dataset.shape)
-
-
-def _scalar(key: str, dataset: h5py.Dataset) -> dict[str, Any]:
-    if dataset.shape not in ((), (1,)):
-        return {}
-    value = np.asarray(dataset[()]).reshape(()).item()
-    return {key: value.decode("utf-8", "replace") if isinstance(value, bytes) else value}
-
-
-def _header(path: Path | str, file: h5py.File) -> Header | None:
-    return Header.parse(path, str(file.attrs[_HEADER])) if _HEADER in file.attrs else None

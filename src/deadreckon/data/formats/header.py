@@ -1,16 +1,45 @@
 """What our own files say of a log beside its columns: a header of JSON values."""
 
-import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NotRequired, TypedDict
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Discrete, action_space_from_json, action_space_to_json
 from deadreckon.errors import UserError
+from deadreckon.foreign.shapes import checked
+from deadreckon.foreign.text import parse_json
 
 FORMAT = 1  # raised when an older deadreckon could not read what we write
+
+
+class _Provenance(TypedDict):
+    source: str
+    recipe: str | None
+    seed: int | None
+    versions: dict[str, str]
+    path: str | None
+    extra: dict[str, Any]
+
+
+class _Discrete(TypedDict):
+    kind: Literal["Discrete"]
+    n: int
+    masked: NotRequired[bool]
+
+
+class _Box(TypedDict):
+    kind: Literal["Box"]
+    low: list[float]
+    high: list[float]
+
+
+class _Header(TypedDict):
+    deadreckon: int
+    name: str
+    action_space: _Discrete | _Box | None
+    provenance: _Provenance
 
 
 @dataclass(frozen=True)
@@ -48,9 +77,9 @@ class Header:
             UserError: one line: it is damaged, or a newer deadreckon's.
         """
         try:
-            value = json.loads(text)
-        except (ValueError, RecursionError) as error:
-            raise damaged(path, f"not valid JSON: {error}") from error
+            value = parse_json(path, text)
+        except UserError as error:
+            raise damaged(path, str(error)) from error
         return cls.from_json(path, value)
 
     @classmethod
@@ -62,13 +91,11 @@ class Header:
         if version > FORMAT:
             raise UserError(f"{path}: written by a newer deadreckon (format {version}); update to read it")
         try:
-            provenance, space = Provenance(**value["provenance"]), value["action_space"]
-            for part, kind in ((value["name"], str), (provenance.extra, dict), (provenance.versions, dict)):
-                if not isinstance(part, kind):
-                    raise TypeError(f"{part!r} is no {kind.__name__}")
-            space = None if space is None else action_space_from_json(space)
+            checked(value, _Header, path)
+            space = None if value["action_space"] is None else action_space_from_json(value["action_space"])
+            provenance = Provenance(**value["provenance"])
         except (KeyError, TypeError, ValueError) as error:
-            raise damaged(path, f"{type(error).__name__}: {error}") from error
+            raise damaged(path, str(error).removeprefix(f"{path}: ")) from error
         return cls(value["name"], space, provenance, value.get("columns"))
 
 

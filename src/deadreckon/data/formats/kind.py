@@ -1,10 +1,8 @@
 """Of which format a file is: its content says, not its name. And which options that format takes."""
 
-import gzip
 import pickle
 import re
 import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +11,8 @@ from deadreckon.data.formats import minari_ids as minaris
 from deadreckon.data.formats.dialect import is_table
 from deadreckon.data.formats.rllib import files_of, is_rllib
 from deadreckon.data.formats.vw import is_vw
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, reading
+from deadreckon.foreign.door import opened, unpacked
 
 FORMATS = (
     "hdf5, Parquet, CSV with commas, semicolons, tabs or bars, spreadsheets, SQLite, DuckDB, npz, pickle, "
@@ -54,19 +53,11 @@ def sniff(path: Path | str, separator: str | None = None) -> str:
         if files_of(path):
             return "rllib"
         raise UserError(f"{path}: this folder holds no log ({folders.HEADER} or Minari's data/metadata.json)")
-    packed = False
-    try:
-        with open(path, "rb") as file:
-            head = file.read(4096)
-            if packed := head[:2] == b"\x1f\x8b":
-                file.seek(0)
-                head = gzip.GzipFile(fileobj=file).read(4096)
-    except FileNotFoundError as error:
-        raise UserError(minaris.missing(str(path)) if minaris.is_id(str(path)) else f"no file {path}") from error
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise UserError(f"{path}: cannot be unpacked, it is damaged or cut short ({error})") from error
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror or error}") from error
+    if minaris.is_id(str(path)) and not path.exists():
+        raise UserError(minaris.missing(str(path)))
+    with opened(path) as file, reading(path, "gzip"):
+        packed = file.read(2) == b"\x1f\x8b"
+        head = unpacked(path, file).read(4096)
     if not head:
         raise UserError(f"{path}: the file is empty")
     kind = next((kind for magic, kind in _MAGIC if head.startswith(magic)), "duckdb" if head[8:12] == b"DUCK" else "")
@@ -110,22 +101,25 @@ def no_options(path: Path | str, kind: str, given: dict[str, Any]) -> None:
 
 def _is_spreadsheet(path: Path, head: bytes) -> bool:
     """Whether a zip archive is one of Excel's or of OpenDocument's; a damaged one is by what it begins with."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            names = archive.namelist()
-    except (zipfile.BadZipFile, OSError):
+    names = _members(path)
+    if names is None:
         return any(name in head for name in (_CONTENTS.encode(), b"opendocument.spreadsheet", b"xl/"))
     return (_CONTENTS in names and any(name.startswith("xl/") for name in names)) or b"opendocument.spreadsheet" in head
 
 
 def _no_array(path: Path) -> str | None:
     """The first file in a zip archive that holds files and none of them an array; None for others and for damaged ones."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            names = [name for name in archive.namelist() if not name.endswith("/")]
-    except (zipfile.BadZipFile, OSError):
-        return None
+    names = [name for name in _members(path) or () if not name.endswith("/")]
     return None if not names or any(name.endswith(".npy") for name in names) else names[0]
+
+
+def _members(path: Path) -> list[str] | None:
+    """The names in a zip archive; None of a damaged one, which its reader will refuse."""
+    try:
+        with reading(path, "a zip archive"), zipfile.ZipFile(path) as archive:
+            return archive.namelist()
+    except UserError:
+        return None
 
 
 def _is_pickle(head: bytes) -> bool:

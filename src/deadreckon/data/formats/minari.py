@@ -4,23 +4,20 @@ import contextlib
 import os
 import shutil
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from deadreckon.data.columns import extra_name
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.environments import environment_of
 from deadreckon.data.formats.build import build
-from deadreckon.data.formats.flatten import bounds, flatten_space, join_actions
 from deadreckon.data.formats.header import Header
 from deadreckon.data.formats.minari_ids import METADATA, PREFIX, ROOT, checked_id, find, root
 from deadreckon.data.formats.minari_rows import buffers, spaces_of
-from deadreckon.data.spec import Box, Discrete
-from deadreckon.errors import UserError, naming, reading
+from deadreckon.data.spec import action_space_from_json
+from deadreckon.errors import UserError, naming
 from deadreckon.files import alone, read_json
+from deadreckon.foreign.child import read_apart
+from deadreckon.foreign.door import file_size
 from deadreckon.names import safe_name
 from deadreckon.temporaries import beside, put, recover
 
@@ -45,29 +42,21 @@ def read_minari(source: Path | str, *, strict: bool = False, name: str | None = 
         UserError: one line with the folder, the episode and what is wrong.
     """
     folder = find(source)
-    metadata = read_json(folder / METADATA)
-    if not isinstance(metadata, dict) or "data_format" not in metadata:
+    metadata = read_json(folder / METADATA, dict)
+    if "data_format" not in metadata:
         raise UserError(f"{folder / METADATA}: no data_format; is this a Minari data set?")
-    from minari.dataset.minari_storage import MinariStorage
-
-    broken = (ValueError, KeyError, TypeError, RuntimeError, AssertionError, NotImplementedError)
-    with reading(folder, "a Minari data set", *broken), naming(folder, ""):
-        storage = MinariStorage.read(folder)
-        extra = {key: metadata[key] for key in _KEPT if key in metadata}
-        parts: dict[str, list[np.ndarray]] = {}
-        for episode in storage.get_episodes(range(storage.total_episodes)):
-            for key, column in _episode(episode, storage.observation_space, extra).items():
-                parts.setdefault(key, []).append(column)
-        if not parts:
-            raise UserError("the data set has no episodes")
-        columns = _joined(parts)
-        space, lines = _actions(storage.action_space, columns, extra)
+    said = {key: metadata[key] for key in _KEPT if key in metadata}
+    with naming(folder, str(folder)):
+        held = read_apart("minari", folder, "a Minari data set", size=_size(folder), folder=str(folder), said=said)
+    columns, extra = held["columns"], held["extra"]
+    space = None if held["space"] is None else action_space_from_json(held["space"])
     about = metadata.get("deadreckon")
     header = None if about is None else Header.from_json(folder / METADATA, about)
     if name is None and header is None:
         name = str(metadata.get("dataset_id", folder.parent.name)).rpartition("/")[2]
     return build(
-        folder, columns, header, source="minari", name=name, action_space=space, extra=extra, strict=strict, warnings=lines
+        folder, columns, header, source="minari", name=name, action_space=space, extra=extra, strict=strict,
+        warnings=held["told"],
     )
 
 
@@ -145,74 +134,16 @@ def _root_is(folder: str) -> Iterator[None]:
             os.environ[ROOT] = before
 
 
-def _actions(space: Any, columns: dict[str, np.ndarray], extra: dict[str, Any]) -> tuple[Box | Discrete | None, list[str]]:
-    """Our action space, None where the bounds are not finite, and what to say; `columns["actions"]` become actions of it."""
-    from gymnasium import spaces
+def _size(folder: Path) -> int:
+    """Bytes of the files that are read, all of which lie in the folder.
 
-    if isinstance(space, spaces.Discrete):
-        columns["actions"] = columns["actions"] - int(space.start)
-        return Discrete(int(space.n)), []
-    if isinstance(space, (spaces.MultiDiscrete, spaces.MultiBinary)):
-        columns["actions"], joined, extra["action_levels"] = join_actions(space, columns["actions"])
-        return joined, [f"actions of {space} are joined into {joined.n} discrete ones, one for each combination"]
-    if not isinstance(space, spaces.Box):
-        raise UserError(f"actions are {type(space).__name__}; Box, Discrete, MultiDiscrete or MultiBinary is needed")
-    return bounds(space), []
-
-
-def _observations(space: Any, values: Any, extra: dict[str, Any]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """(T + 1, *shape) observations of an episode, and what else came with them."""
-    from gymnasium import spaces
-
-    if isinstance(space, spaces.Box):
-        return np.asarray(values), {}
-    if isinstance(space, spaces.Dict) and isinstance(space.spaces.get("observation"), spaces.Box):
-        further = dict(_leaves(values, ""))
-        return further.pop("observation"), further
-    column, extra["observation_names"] = flatten_space(space, values)
-    return column, {}
-
-
-def _episode(episode: Mapping[str, Any], space: Any, extra: dict[str, Any]) -> dict[str, np.ndarray]:
-    """Columns of one episode, T rows each; extras under their Minari paths."""
-    number, steps = episode["id"], len(episode["rewards"])
-    if not steps:
-        raise UserError(f"episode {number} has no steps")
-    main, observed = _observations(space, episode["observations"], extra)
-    if isinstance(episode["actions"], (dict, tuple)):
-        raise UserError("actions are a dict or a tuple; one array is needed")
-    if len(main) != steps + 1:
-        raise UserError(f"episode {number} has {len(main)} observations for {steps} steps, {steps + 1} are needed")
-    columns = {"observations": main[:-1], "next_observations": main[1:], "actions": np.asarray(episode["actions"]),
-               "rewards": episode["rewards"], "terminals": episode["terminations"]}  # fmt: skip
-    timeouts = np.array(episode["truncations"], bool)
-    timeouts[-1] |= not columns["terminals"][-1]
-    columns["timeouts"] = timeouts
-    for key, value in (*observed.items(), *_leaves(episode["infos"] or {}, "infos/")):
-        # Infos and goals come with every observation, the first of reset included: those at action time are kept.
-        if value.dtype.kind in "fiub" and value.ndim and len(value) in (steps, steps + 1):
-            columns[key if key.startswith("infos/") else f"observation/{key}"] = value[:steps]
-    return columns
-
-
-def _leaves(value: Any, prefix: str) -> Iterator[tuple[str, np.ndarray]]:
-    if isinstance(value, Mapping):
-        for key, inner in value.items():
-            yield from _leaves(inner, f"{prefix}{key}" if not isinstance(inner, Mapping) else f"{prefix}{key}/")
-    elif isinstance(value, (tuple, list)):
-        raise UserError("observations are a tuple or texts; an array, or a dict with one called observation, is needed")
-    else:
-        yield prefix, np.asarray(value)
-
-
-def _joined(parts: dict[str, list[np.ndarray]]) -> dict[str, np.ndarray]:
-    episodes = len(parts["actions"])
-    columns: dict[str, np.ndarray] = {}
-    for key, values in parts.items():
-        if len(values) == episodes and len({value.shape[1:] for value in values}) == 1:
-            own = "/" not in key
-            place = key if own else extra_name(key.removeprefix("observation/"), columns)
-            columns[place] = np.concatenate(values)
-        elif "/" not in key:
-            raise UserError(f"{key} have different shapes in different episodes")
-    return columns
+    Raises:
+        UserError: one is no file, or is a link.
+    """
+    size = 0
+    for place, folders, names in os.walk(folder):
+        for name in (*folders, *names):
+            if (path := Path(place, name)).is_symlink():
+                raise UserError(f"{path} is a link, which is not followed in a Minari data set; put the file itself there")
+        size += sum(file_size(Path(place, name)) for name in names)
+    return size

@@ -10,8 +10,9 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.arrange import Arranged, arranged
 from deadreckon.data.formats.build import build, columns_of
 from deadreckon.data.formats.header import Header
-from deadreckon.errors import UserError, reading
+from deadreckon.errors import UserError
 from deadreckon.files import replacing
+from deadreckon.foreign.archive import read_arrays
 from deadreckon.names import safe_name
 
 _HEADER = "deadreckon"  # the array that holds the header as JSON
@@ -23,11 +24,7 @@ def read_npz(path: Path | str, *, strict: bool = False, name: str | None = None,
     Raises:
         UserError: one line: damaged, columns missing or wrong, or arrays that hold Python objects.
     """
-    with (
-        reading(path, "npz", ValueError, KeyError, EOFError, zipfile.BadZipFile),
-        np.load(path, allow_pickle=False) as file,
-    ):
-        columns = {key: file[key] for key in file.files}
+    columns = read_arrays(path)
     text = columns.pop(_HEADER, None)
     header = None if text is None else Header.parse(path, str(text))
     found = Arranged(columns) if header else arranged(path, columns)

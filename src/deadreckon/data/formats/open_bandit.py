@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from deadreckon.files import unpacked
+from deadreckon.foreign.door import opened, unpacked
 
 _NEEDED = ("item_id", "position", "click", "propensity_score")
 _CONTEXT = re.compile(r"user_feature_\d+|user-item_affinity_\d+")
@@ -25,8 +25,8 @@ def open_bandit(path: Path | str, kind: str, mapping: dict[str, Any]) -> tuple[d
     """
     if kind != "csv" or any(value is not None for value in mapping.values()):
         return mapping, []
-    with open(path, "rb") as file:
-        lines = io.TextIOWrapper(unpacked(file), encoding="utf-8", errors="replace", newline="")
+    with opened(path) as file:
+        lines = io.TextIOWrapper(unpacked(path, file), encoding="utf-8", errors="replace", newline="")
         names = next(csv.reader([lines.readline()]), [])
     context = [name for name in names if _CONTEXT.fullmatch(name)]
     if not context or not all(name in names for name in _NEEDED):

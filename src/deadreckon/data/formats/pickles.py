@@ -27,7 +27,7 @@ class _Ignored(ObjectDouble):
         pass
 
 
-class _BufferUnpickler(PlainUnpickler):
+class BufferUnpickler(PlainUnpickler):
     """Knows Stable-Baselines3's replay buffers and Gymnasium's spaces, too, as doubles that hold their fields."""
 
     def find_class(self, module_name: str, global_name: str) -> Any:
@@ -52,7 +52,7 @@ def read_pickle(path: Path | str, *, strict: bool = False, name: str | None = No
     Raises:
         UserError: one line that names file, episode, column and row.
     """
-    value = unpickle(path, _BufferUnpickler)
+    value = unpickle(path, "log")
     if isinstance(value, Mapping):
         found = arranged(path, value)
         columns = {key: column for key, column in found.columns.items() if isinstance(column, np.ndarray)}

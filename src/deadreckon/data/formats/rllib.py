@@ -32,7 +32,7 @@ def read_rllib(path: Path | str, *, strict: bool = False, name: str | None = Non
     files = files_of(path) or [Path(path)]
     columns: dict[str, list[np.ndarray]] = {}
     for file in files:
-        with reading(file, "RLlib's JSON lines", UnicodeDecodeError), naming(file, ""), open(file, encoding="utf-8") as lines:
+        with reading(file, "RLlib's JSON lines"), naming(file, ""), open(file, encoding="utf-8") as lines:
             for number, line in enumerate(lines, 1):
                 if line.strip():
                     _add(columns, _batch(line, number), number)

@@ -59,7 +59,7 @@ def streamed_format(source: Path | str, separator: str | None = None) -> str | N
     if kind == "parquet":
         from pyarrow import parquet
 
-        with reading(source, "Parquet", pa.ArrowException):
+        with reading(source, "Parquet"):
             return None if _OURS in (parquet.read_schema(source).metadata or {}) else kind
     if kind is None and source.stat().st_size > _LARGE and sniff(source, separator) == "csv":
         return "csv"
@@ -78,7 +78,7 @@ def advice(source: Path | str, separator: str | None = None) -> str | None:
     if kind == "parquet":
         from pyarrow import parquet
 
-        with reading(source, "Parquet", pa.ArrowException):
+        with reading(source, "Parquet"):
             about = [parquet.read_metadata(file) for file in files]
         size = sum(each.row_group(group).total_byte_size for each in about for group in range(each.num_row_groups))
     if size <= SHARE * memory:
@@ -172,7 +172,7 @@ def _of_text(
 def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> tuple[pa.Table, list[str]]:
     """The table, memory-mapped from parts below `work`, of which those that are there already are kept, and what to tell."""
     hive = dataset.HivePartitioning.discover(infer_dictionary=True)  # as pyarrow.parquet.read_table has it
-    with reading(source, "a table", pa.ArrowException):
+    with reading(source, "a table"):
         opened: Any = functools.partial(
             dataset.dataset, source, format=kind, partitioning=hive if Path(source).is_dir() else None
         )
@@ -255,5 +255,5 @@ def _parts(groups: Sequence[tuple[Any, int]], rows: int) -> Iterator[tuple[list[
 
 def _batches(source: Path | str, fragments: Sequence[Any], schema: pa.Schema) -> Iterator[pa.RecordBatch]:
     for fragment in fragments:
-        with reading(source, "a table", pa.ArrowException):
+        with reading(source, "a table"):
             yield from fragment.to_batches(schema=schema, batch_size=_ROWS, batch_readahead=2, fragment_readahead=1)

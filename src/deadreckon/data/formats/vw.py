@@ -13,7 +13,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.build import build
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError, naming, reading
-from deadreckon.files import unpacked
+from deadreckon.foreign.door import opened, unpacked
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _LABEL = re.compile(rf"(\d+):({_NUMBER}):({_NUMBER})")
@@ -54,8 +54,8 @@ def read_vw(path: Path | str, *, strict: bool = False, name: str | None = None, 
     """
     if horizon is not None:
         raise UserError(f"{path}: each example is an episode of one step; a horizon is for files that do not say")
-    with reading(path, "VW's text", UnicodeDecodeError, EOFError), naming(path, ""), open(path, "rb") as file:
-        lines = io.TextIOWrapper(unpacked(file), encoding="utf-8")
+    with reading(path, "VW's text"), naming(path, ""), opened(path) as file:
+        lines = io.TextIOWrapper(unpacked(path, file), encoding="utf-8")
         examples, unlabelled, several = _examples(lines)
         columns, names, actions = _columns(examples)
     told = ["read as VW's layout: each example is an episode of one terminal step, the reward is minus the cost"]

@@ -12,7 +12,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pyarrow as pa
 from jaxtyping import Array, Float, Int
 from pyarrow import csv
 
@@ -51,7 +50,7 @@ def gfp(*, path: Path | str | None = None, least: float = 50.0, most: float = 60
         UserError: the file is missing or holds something else.
     """
     place = file_of("gfp", path, FILE, SOURCE)
-    with reading(place, "TSV", pa.ArrowException):
+    with reading(place, "TSV"):
         table = csv.read_csv(place, parse_options=csv.ParseOptions(delimiter="\t"))
     if not {"variant", "score"} <= set(table.column_names):
         raise UserError(f"{place}: columns variant and score are needed, separated by tabs")

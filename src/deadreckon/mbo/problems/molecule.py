@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 from pyarrow import csv
 
 from deadreckon.errors import UserError, reading
@@ -55,7 +54,7 @@ def molecule(*, path: Path | str | None = None, column: str | None = None, shown
         UserError: the file is missing or holds something else, or RDKit or scikit-learn are needed and not installed.
     """
     place = file_of("molecule", path, FILE, SOURCE)
-    with reading(place, "CSV", pa.ArrowException):
+    with reading(place, "CSV"):
         table = csv.read_csv(place)
     wanted = [column] if column else [c for c in ACTIVITIES if c in table.column_names]
     if "smiles" not in table.column_names or not wanted or wanted[0] not in table.column_names:

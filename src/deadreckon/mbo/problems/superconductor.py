@@ -120,7 +120,7 @@ def superconductor(
     if form not in FORMS:
         raise unknown("form", form, FORMS)
     place = file_of("superconductor", path, FILE, SOURCE)
-    with reading(place, "CSV", pa.ArrowException):
+    with reading(place, "CSV"):
         table = arrow_csv.read_csv(place)
     columns = set(table.column_names)
     wide = _names(form) if form == "composition" else [f for f in table.column_names if f != "critical_temp"]

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -20,6 +20,12 @@ from deadreckon.runs.trackers.tracker import Tracker
 
 NAME = "track.json"
 _KEYS = ("step", "seed", "episode")
+
+
+class _Told(TypedDict):
+    """What trackers know a run by."""
+
+    id: str
 
 
 class Tracking:
@@ -43,9 +49,9 @@ class Tracking:
         if not path.exists():
             write_json(path, {"id": uuid.uuid4().hex[:12]})
         whole = self.folder.path.absolute()
-        known_id = safe_name(str(read_json(path)["id"]), f"{path}: id")
+        known_id = safe_name(read_json(path, _Told)["id"], f"{path}: id")
         named = {"folder": str(whole), "name": "/".join(whole.parts[-2:]), "id": known_id}
-        config = read_json(known.config) | named
+        config = known.read_config() | named
         self.seeds, self.started = config["seeds"], True
         for tracker in self.trackers:
             try:

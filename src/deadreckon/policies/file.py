@@ -1,0 +1,76 @@
+"""What a policy file holds, read without JAX: its JSON tree and its arrays."""
+
+from pathlib import Path
+from typing import Any, NotRequired, TypedDict
+
+import numpy as np
+
+from deadreckon.errors import UserError, as_one_line, reading
+from deadreckon.foreign.archive import read_arrays
+from deadreckon.foreign.shapes import checked
+from deadreckon.foreign.text import parse_json
+from deadreckon.policies import portable
+
+
+class _Policy(TypedDict):
+    kind: str
+    inner: dict[str, Any]
+
+
+class _Tree(TypedDict):
+    format: int
+    policy: _Policy
+    meta: NotRequired["_Meta"]
+
+
+class _Meta(TypedDict):
+    log: NotRequired[dict[str, Any] | None]
+
+
+def read_policy(path: Path | str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """The JSON tree of a policy file, and its arrays.
+
+    Raises:
+        UserError: the file is missing, broken or not a policy file.
+    """
+    arrays = read_arrays(path, "a policy file")
+    if (text := arrays.get("policy.json")) is not None:
+        checked(parse_json(path, text.tobytes()), _Tree, path)
+    with reading(path, "a policy file"):
+        return portable.tree_of(arrays)
+
+
+def numpy_player(path: Path | str, tree: dict[str, Any], arrays: dict[str, np.ndarray]) -> portable.NumpyPolicy | None:
+    """The policy of a file by numpy alone, which has acted once; None of a kind that numpy alone does not play.
+
+    Args:
+        path: of the file, for errors.
+        tree: see `read_policy`.
+        arrays: see there.
+
+    Raises:
+        UserError: its parts are of wrong kinds or do not fit together.
+    """
+    with reading(path, "a policy file"):
+        if portable.unknown_kind(tree["policy"]) is not None:
+            return None
+        player, inner = portable.NumpyPolicy(tree, arrays), tree["policy"]["inner"]
+        parts = inner.get("members", [inner["member"]] if inner["kind"] == "History" else [])
+    for part in parts:
+        numpy_player(path, {"policy": part}, arrays)
+    if parts:
+        return player
+    with reading(path, "a policy file"):
+        mean = tree["policy"].get("mean")
+        sizes = {array.shape[-2] for array in arrays.values() if array.ndim >= 2}
+        sizes = sizes if mean is None else {arrays[mean[1:]].shape[-1]}
+    error = None
+    for size in sorted(sizes):  # without a mean, one of the networks takes the observation alone
+        try:
+            with np.errstate(all="ignore"):
+                portable.NumpyPolicy(tree, arrays)(np.zeros((1, size), np.float32), first=True)
+        except Exception as found:  # noqa: BLE001 - whatever wrong parts make numpy raise
+            error = error or found
+        else:
+            return portable.NumpyPolicy(tree, arrays)
+    raise UserError(f"{path}: the parts of its policy do not fit together ({as_one_line(error or ValueError('no networks'))})")

@@ -1,0 +1,197 @@
+"""The shape of `estimates.json`, which `judge` and `recommend` write: it is checked before anything looks into it."""
+
+from pathlib import Path
+from typing import Any, Literal, NotRequired, TypedDict
+
+from deadreckon.errors import UserError
+from deadreckon.files import read_json
+from deadreckon.foreign.shapes import checked, same_length, wrong
+
+Number = float | None
+
+
+class Estimand(TypedDict):
+    """What is estimated."""
+
+    words: str
+    discount: NotRequired[float]
+    horizon: NotRequired[int | None]
+    greedy: NotRequired[bool]
+
+
+class JudgedPolicy(TypedDict):
+    """A policy that was judged."""
+
+    name: str
+    run: str
+    seed: int | None
+    file: NotRequired[str | None]
+
+
+class JudgedOn(TypedDict):
+    """The episodes that they were judged on."""
+
+    words: str
+    episodes: int
+    of: int
+    fresh: bool
+    cluster: str | None
+    units: NotRequired[int]
+    clusters: NotRequired[int | None]
+
+
+class Looks(TypedDict):
+    """How often these episodes were looked at."""
+
+    number: int
+    policies: int
+    counted: bool
+    alpha: NotRequired[float]
+
+
+class Support(TypedDict):
+    """What the log can speak for, a number each policy."""
+
+    missing: list[Number]
+    ratio: list[Number]
+    degenerate: NotRequired[list[bool]]
+
+
+class Result(TypedDict):
+    """The answers of an estimator: of each policy, and the behaviour policy's last."""
+
+    method: str
+    title: str
+    value: list[Number]
+    low: list[Number]
+    high: list[Number]
+    gain: list[tuple[Number, Number, Number]]
+    effective: list[Number] | None
+    corrected: NotRequired[bool]
+    seconds: NotRequired[Number]
+    warnings: NotRequired[list[str]]
+    diagnostics: NotRequired[dict[str, list[Number]]]
+
+
+class Cost(TypedDict):
+    """The total of a cost."""
+
+    column: str
+    limit: float | None
+    ends: list[tuple[Number, Number, Number]]
+
+
+class Group(TypedDict):
+    """The gain in a group."""
+
+    name: str
+    episodes: int
+    gain: Number
+    low: Number
+    high: Number
+
+
+class Groups(TypedDict):
+    """Gains in groups, or why they are not known."""
+
+    column: str
+    refused: NotRequired[str]
+    values: NotRequired[list[Group]]
+
+
+class Choice(TypedDict):
+    """The decision."""
+
+    name: str | None
+    deploy: bool
+    gain: tuple[Number, Number, Number]
+    level: float | None
+    reason: str
+    evidence: list[str]
+    warnings: list[str]
+    objections: list[list[str]]
+    costs: NotRequired[list[Cost]]
+    groups: NotRequired[Groups]
+
+
+class Truth(TypedDict):
+    """What a simulator says."""
+
+    episodes: int
+    mean: list[float]
+    error: list[float]
+    task: NotRequired[str]
+
+
+class Candidate(TypedDict):
+    """What `recommend` has tried."""
+
+    name: str
+    updates: int
+    planned: int
+    state: str
+    why: str | None
+
+
+class Recommended(TypedDict):
+    """What `recommend` adds."""
+
+    budget: float
+    seconds: float
+    rows: int | None
+    episodes: int | None
+    candidates: list[Candidate]
+    late: Any
+    failed: bool
+
+
+class Estimates(TypedDict):
+    """`estimates.json`."""
+
+    log: str
+    estimand: Estimand | None
+    truth: Truth | None
+    policies: list[JudgedPolicy]
+    judged: JudgedOn | None
+    results: list[Result]
+    choice: Choice
+    looks: NotRequired[Looks]
+    support: NotRequired[Support]
+    propensities: NotRequired[Literal["logged", "learned"]]
+    seed: NotRequired[int]
+    recommend: NotRequired[Recommended]
+
+
+def read_results(path: Path | str) -> dict[str, Any]:
+    """`estimates.json`, whose lists have a number for each policy.
+
+    Raises:
+        UserError: names the field that is not what `judge` writes.
+    """
+    found = read_json(path, dict)
+    if "estimand" not in found:
+        raise UserError(f"{path} is from a version that judged policies on the rows that taught them; estimate them again")
+    checked(found, Estimates, path)
+    policies, choice = len(found["policies"]), found["choice"]
+    for number, each in enumerate(found["results"]):
+        for field in ("value", "low", "high", *(["effective"] if each["effective"] else [])):
+            same_length(path, f"results[{number}].{field}", each[field], policies + 1)
+        if len(each["gain"]) not in (policies, policies + 1):
+            raise wrong(path, f"results[{number}].gain", f"a list of {policies + 1}", each["gain"])
+    if not found["results"]:
+        return found
+    for key in ("estimand", "judged", "looks", "support"):
+        if found.get(key) is None:
+            raise UserError(f"{path}: it lacks {key}")
+    if choice["name"] not in [each["name"] for each in found["policies"]]:
+        raise wrong(path, "choice.name", "the name of one of the policies", choice["name"])
+    if choice["level"] is None or not 0.0 < choice["level"] < 1.0:
+        raise wrong(path, "choice.level", "a number between 0 and 1", choice["level"])
+    for key in ("missing", "ratio"):
+        same_length(path, f"support.{key}", found["support"][key], policies)
+    same_length(path, "choice.objections", choice["objections"], policies)
+    for number, cost in enumerate(choice.get("costs", ())):
+        same_length(path, f"choice.costs[{number}].ends", cost["ends"], policies + 1)
+    for key in ("mean", "error") if found["truth"] else ():
+        same_length(path, f"truth.{key}", found["truth"][key], policies)
+    return found
