@@ -59,6 +59,7 @@ def listening(last: Callable[[int], Any], numbers: tuple[int, ...] = SIGNALS) ->
         sys.unraisablehook = shown
         for number in heard:
             signal.signal(number, before[number])
+        _arrived = None  # a program that goes on, such as a notebook's, has no signal waiting
 
 
 def _hear(number: int, frame: Any) -> None:

@@ -68,7 +68,7 @@ class Watch:
         elif event == "subprocess.Popen":
             if arguments[0] != sys.executable:
                 self.seen.append(f"runs {arguments[0]}")
-        elif event in CODE and not (_path(arguments) and self._inside(os.fsdecode(arguments[0]))):
+        elif event in CODE and not ((path := _path(arguments)) and self._inside(path)):
             self.seen.append(f"{event} {arguments!r:.100}")
 
     def _inside(self, path: str) -> bool:
@@ -76,8 +76,13 @@ class Watch:
         return place.startswith(self.inside) or "/deadreckon-" in place or place.startswith("/dev/null")
 
 
-def _path(arguments: tuple) -> bool:
-    return bool(arguments) and isinstance(arguments[0], str | bytes)
+def _path(arguments: tuple) -> str | None:
+    """The path that an event is about; where it is relative to an open folder, as `shutil.rmtree` has it, in that folder."""
+    if not arguments or not isinstance(arguments[0], str | bytes | os.PathLike):
+        return None
+    folder = arguments[-1] if len(arguments) > 1 and isinstance(arguments[-1], int) and arguments[-1] >= 0 else None
+    path = os.fsdecode(arguments[0])
+    return path if folder is None else os.path.join(os.readlink(f"/proc/self/fd/{folder}"), path)
 
 
 def attempt(read: Callable[[], Any], watch: Watch | None = None) -> tuple[str, str, str]:

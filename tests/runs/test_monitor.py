@@ -45,9 +45,17 @@ def place(tmp_path_factory):
 
 
 def promise(folder, low):
-    value = {"method": "truth", "value": [0.5], "low": [low], "high": [0.6]}
-    told = {"estimand": {"discount": 1.0, "horizon": 1, "greedy": True},
-            "policies": [{"name": "run seed 0", "run": "run", "seed": 0}], "results": [value]}  # fmt: skip
+    gain = [0.1, 0.0, 0.2]
+    value = {"method": "truth", "title": "truth", "value": [0.5, 0.4], "low": [low, 0.3], "high": [0.6, 0.5], "gain": [gain],
+             "effective": None}  # fmt: skip
+    told = {
+        "log": "log", "estimand": {"words": "mean reward", "discount": 1.0, "horizon": 1, "greedy": True}, "truth": None,
+        "policies": [{"name": "run seed 0", "run": "run", "seed": 0}], "results": [value],
+        "judged": {"words": "", "episodes": 1, "of": 1, "fresh": True, "cluster": None},
+        "looks": {"number": 1, "policies": 1, "counted": True}, "support": {"missing": [0.0], "ratio": [1.0]},
+        "choice": {"name": "run seed 0", "deploy": True, "gain": gain, "level": 0.95, "reason": "", "evidence": [],
+                   "warnings": [], "objections": [[]]},
+    }  # fmt: skip
     write_json(folder / "estimates.json", told)
 
 

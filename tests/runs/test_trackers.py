@@ -18,6 +18,8 @@ from deadreckon.runs.trackers.wandb_runs import WandB
 
 SETTINGS = {"steps": 60, "seeds": 2, "chunk": 20, "evaluate_every": 30, "task": False, "holdout": 0}
 
+CONFIG = {"agent": {"name": "bc", "fields": {}}, "data": {"name": "log"}, "task": None, "seeds": [0], "steps": 50}
+
 
 @pytest.fixture(scope="module")
 def log():
@@ -112,7 +114,7 @@ def test_a_finished_run_can_be_shown_afterwards(whole, log, tmp_path):
 
 def test_a_point_is_told_when_its_checkpoint_and_its_evaluation_are_there(tmp_path):
     folder, kept = Folder(tmp_path), Kept()
-    write_json(folder.config, {"seeds": [0]})
+    write_json(folder.config, CONFIG)
     tracking = feed.Tracking(folder, [kept])
     tracking.start()
     for step in (20, 30, 50):  # the checkpoint of a chunk is written when the next one begins
@@ -258,7 +260,7 @@ def test_a_tracker_that_fails_is_dropped_and_the_run_goes_on(log, whole, tmp_pat
 
 def test_points_that_cannot_be_read_are_told(tmp_path):
     folder, kept = Folder(tmp_path), Kept()
-    write_json(folder.config, {"seeds": [0]})
+    write_json(folder.config, CONFIG)
     tracking = feed.Tracking(folder, [kept])
     tracking.start()
     folder.part("metrics", 20).parent.mkdir()

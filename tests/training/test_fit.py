@@ -209,7 +209,7 @@ def test_checkpoints_are_whole_or_absent(tmp_path):
     with pytest.raises(UserError, match=r"does not fit: \['a'\] is \(\(3,\)"):
         load_tree(path, {**tree, "a": jnp.zeros(4)})
     path.write_bytes(path.read_bytes()[:200])
-    with pytest.raises(UserError, match="not a whole deadreckon file"):
+    with pytest.raises(UserError, match="cannot be read as a checkpoint"):
         load_arrays(path)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
@@ -222,7 +222,7 @@ def test_a_broken_newest_checkpoint_is_passed_over(tmp_path):
     newest = tmp_path / f"{30:010d}.npz"
     newest.write_bytes(newest.read_bytes()[:100])
     again = Fit([Collector()], rows, [0], 30, chunk=10, folder=tmp_path)
-    with pytest.warns(UserWarning, match=f"passed over, and update 20 is gone on from: {newest} is not a whole"):
+    with pytest.warns(UserWarning, match=f"passed over, and update 20 is gone on from: {newest}: cannot be read"):
         again.resume()
     assert again.step == 20
     for _ in again.chunks():

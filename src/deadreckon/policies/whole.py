@@ -37,7 +37,7 @@ def check_whole(path: Path | str, policy: Any) -> None:
         for member in policy.inner.members if isinstance(policy.inner, Mixture) else (policy.inner.member,):
             check_whole(path, member)
         return
-    shapes = [policy.mean.shape] if policy.mean is not None else dict.fromkeys((size,) for size in _inputs(policy))
+    shapes = [policy.mean.shape] if policy.mean is not None else [(size,) for size in _sizes(list(_networks(policy)))]
     error = None
     for shape in shapes if type(policy.inner).__name__ in KINDS else ():  # others take more than an observation, or draw long
         try:
@@ -55,16 +55,22 @@ def _act(policy: Any, observation: Any) -> Any:
     return policy.act(step, policy.start(1), jax.random.key(0), greedy=True)[0]
 
 
-def _inputs(part: Any) -> Iterator[int]:
-    """What the networks in a policy take: one of them takes the observation alone."""
+def _sizes(networks: list[MLP]) -> list[int]:
+    """What an observation may measure: networks take it alone, or beside an action or noise as wide as one."""
+    inputs = [net.weights[0].shape[-2] for net in networks]
+    outputs = [net.weights[-1].shape[-1] for net in networks]
+    return [size for size in dict.fromkeys(taken - beside for beside in (0, *outputs) for taken in inputs) if size > 0]
+
+
+def _networks(part: Any) -> Iterator[MLP]:
     if isinstance(part, MLP):
-        yield part.weights[0].shape[-2]
+        yield part
     elif dataclasses.is_dataclass(part):
         for field in dataclasses.fields(part):
-            yield from _inputs(getattr(part, field.name))
+            yield from _networks(getattr(part, field.name))
     elif isinstance(part, tuple):
         for each in part:
-            yield from _inputs(each)
+            yield from _networks(each)
 
 
 def _check(path: Path | str, value: Any, name: str) -> None:

@@ -256,4 +256,6 @@ def _parts(groups: Sequence[tuple[Any, int]], rows: int) -> Iterator[tuple[list[
 def _batches(source: Path | str, fragments: Sequence[Any], schema: pa.Schema) -> Iterator[pa.RecordBatch]:
     for fragment in fragments:
         with reading(source, "a table"):
-            yield from fragment.to_batches(schema=schema, batch_size=_ROWS, batch_readahead=2, fragment_readahead=1)
+            for batch in fragment.to_batches(schema=schema, batch_size=_ROWS, batch_readahead=2, fragment_readahead=1):
+                batch.validate(full=True)  # texts that are no UTF-8 would fail wherever they are first looked at
+                yield batch
