@@ -33,7 +33,7 @@ def refused(function, *arguments, words):
 
 @pytest.mark.parametrize("kind", ["pipe", "socket", "device", "folder"])
 @pytest.mark.parametrize("reader", [load_pickle, read_array, read_arrays, read_json, read_toml, load_arrays, read_run])
-def test_what_is_no_file_is_refused_and_nobody_waits_for_it(tmp_path, kind, reader):
+def test_what_is_no_file_is_refused_and_nobody_waits_for_it(tmp_path, monkeypatch, kind, reader):
     path = tmp_path / "x"
     if kind == "pipe":
         os.mkfifo(path)
@@ -43,7 +43,7 @@ def test_what_is_no_file_is_refused_and_nobody_waits_for_it(tmp_path, kind, read
         path.mkdir()
     else:
         with socket.socket(socket.AF_UNIX) as server:
-            os.chdir(tmp_path)  # names of sockets are short
+            monkeypatch.chdir(tmp_path)  # names of sockets are short
             server.bind("x")
     refused(reader, path, words=f"{path} is a (named pipe|socket|device|folder), and a file is needed")
 

@@ -7,7 +7,7 @@ import json
 import os
 import shutil
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,9 +71,14 @@ def replacing(path: Path | str, *, keep: bool = False) -> Iterator[Path]:
         raise UserError(f"cannot write {path}: {text!r} holds half a character, which no encoding has") from error
     finally:
         if not path.exists():
-            for folder in made:  # innermost first; one that others have filled meanwhile stays
-                with contextlib.suppress(OSError):
-                    folder.rmdir()
+            drop_empty(made)
+
+
+def drop_empty(folders: Iterable[Path]) -> None:
+    """Removes folders, innermost first; one that holds something, such as what others have put there meanwhile, stays."""
+    for folder in folders:
+        with contextlib.suppress(OSError):
+            folder.rmdir()
 
 
 def missing_folders(path: Path) -> list[Path]:
@@ -132,12 +137,17 @@ def copy_folder(source: Path, target: Path | str) -> Path:
     target = Path(target)
     if target.exists():
         raise UserError(f"{target} exists already; choose another place")
+    made = missing_folders(target)
     try:
+        target.parent.mkdir(parents=True, exist_ok=True)
         with beside(target, folder=True) as aside:
             shutil.copytree(source, aside, ignore=shutil.ignore_patterns(".*.tmp", ".*.lock"), dirs_exist_ok=True)
             aside.rename(target)
     except OSError as error:  # copytree's is a list of those of all files
         raise UserError(f"cannot write {target}: {error.strerror or error}") from error
+    finally:
+        if not target.exists():
+            drop_empty(made)
     return target
 
 
@@ -203,9 +213,7 @@ def alone(path: Path, wait: str = "", what: str = "") -> Iterator[None]:
                 lock.unlink()
             held.release()
     finally:
-        for folder in made:  # innermost first; one that holds something stays
-            with contextlib.suppress(OSError):
-                folder.rmdir()
+        drop_empty(made)
 
 
 def _locked(lock: Path, wait: str) -> "FileLock | None":

@@ -9,8 +9,9 @@ from pyarrow import parquet
 
 import deadreckon as dr
 from deadreckon.cli.main import main
-from deadreckon.files import read_json, write_json
+from deadreckon.files import write_json
 from deadreckon.runs.train import train
+from tests.recorded import decision
 
 ROWS = 40
 
@@ -103,8 +104,9 @@ def test_policies_that_a_folder_stands_for(run, tmp_path, capsys):
     table().to_csv(tmp_path / "new.csv", index=False)
     choice = {"name": "bc seed 1", "deploy": True, "reason": "it is better"}
     policies = [{"name": f"bc seed {seed}", "file": str(run.path / "policies" / f"seed{seed}.npz")} for seed in (0, 1)]
+    told = decision(policies, choice=choice, estimand={"greedy": False})
     words = ["predict", str(tmp_path), str(tmp_path / "new.csv"), "--out", str(tmp_path / "a.csv")]
-    write_json(tmp_path / "estimates.json", {"choice": choice, "policies": policies, "estimand": {"greedy": False}})
+    write_json(tmp_path / "estimates.json", told)
     assert main([*words, "--sampled"]) == 0
     assert capsys.readouterr().err == ""
     assert main(words) == 0
@@ -113,7 +115,7 @@ def test_policies_that_a_folder_stands_for(run, tmp_path, capsys):
     assert f"bc seed 1, the policy to deploy by {tmp_path}: actions in 40 rows" in said.out
     want = run.predictor(1).encoder.named(run.policies[1](log.observations)).tolist()
     assert pd.read_csv(tmp_path / "a.csv")["offer"].tolist() == want
-    write_json(tmp_path / "estimates.json", read_json(tmp_path / "estimates.json") | {"choice": {**choice, "deploy": False}})
+    write_json(tmp_path / "estimates.json", told | {"choice": told["choice"] | {"deploy": False}})
     assert main(words) == 2
     assert "the decision is to deploy none of its policies: it is better; name a run" in capsys.readouterr().err
     assert main([*words, "--policy-seed", "1"]) == 2
@@ -122,7 +124,7 @@ def test_policies_that_a_folder_stands_for(run, tmp_path, capsys):
     assert main(words) == 2
     assert "is a folder without a run, a cross-fit or estimates" in capsys.readouterr().err
     assert main(["predict", str(tmp_path / "new.csv"), *words[2:]]) == 2
-    assert "is not a policy file" in capsys.readouterr().err
+    assert "cannot be read as a policy file" in capsys.readouterr().err
 
 
 def test_a_policy_without_a_schema(tmp_path, capsys):

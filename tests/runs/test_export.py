@@ -21,6 +21,7 @@ from deadreckon.runs import export as exporting
 from deadreckon.runs.export import export
 from deadreckon.runs.exported import Rows, check
 from deadreckon.runs.subject import subject
+from tests.recorded import decision
 
 
 def rows_of_table(rows, seed=0):
@@ -80,14 +81,9 @@ def test_the_card_tells_what_it_is_and_what_it_cannot(place, numpys):
 
 
 def test_the_card_has_the_decision_and_the_estimates(place):
-    value = {"method": "dr", "title": "DR", "value": [0.5], "low": [0.4], "high": [0.6], "gain": [[0.1, 0.05, None]]}
-    told = {
-        "log": "log", "estimand": {"discount": 1.0, "horizon": 1, "greedy": False, "words": "expected reward"},
-        "policies": [{"name": "run seed 0", "run": "run", "seed": 0}], "results": [value],
-        "judged": {"cluster": None, "words": "60 episodes"}, "looks": {"number": 1, "policies": 1, "counted": True},
-        "choice": {"name": "run seed 0", "deploy": True, "reason": "its gain is above zero", "level": 0.95,
-                   "evidence": ["IS agrees"], "objections": [["few rows"]], "warnings": []},
-    }  # fmt: skip
+    value = {"value": [0.5, 0.4], "low": [0.4, 0.3], "high": [0.6, 0.5], "gain": [[0.1, 0.05, None]]}
+    told = decision([{"name": "run seed 0"}], [value], estimand={"greedy": False},
+                    choice={"evidence": ["IS agrees"], "objections": [["few rows"]]})  # fmt: skip
     write_json(place / "told" / "estimates.json", told)
     card = (export(place / "run", "numpy", place / "judged", estimates=place / "told") / "card.md").read_text()
     for text in ("**DEPLOY** run seed 0", "| DR | 0.50 [0.40, 0.60] | +0.10 ", "- few rows", "sample from the output"):

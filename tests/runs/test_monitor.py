@@ -18,6 +18,7 @@ from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import Deterministic
 from deadreckon.runs.monitor import monitor
 from deadreckon.runs.realised import Realised, finished, returns_of
+from tests.recorded import decision
 
 BC = dr.agents.BC(hidden=(4,), batch_size=8)
 
@@ -45,17 +46,7 @@ def place(tmp_path_factory):
 
 
 def promise(folder, low):
-    gain = [0.1, 0.0, 0.2]
-    value = {"method": "truth", "title": "truth", "value": [0.5, 0.4], "low": [low, 0.3], "high": [0.6, 0.5], "gain": [gain],
-             "effective": None}  # fmt: skip
-    told = {
-        "log": "log", "estimand": {"words": "mean reward", "discount": 1.0, "horizon": 1, "greedy": True}, "truth": None,
-        "policies": [{"name": "run seed 0", "run": "run", "seed": 0}], "results": [value],
-        "judged": {"words": "", "episodes": 1, "of": 1, "fresh": True, "cluster": None},
-        "looks": {"number": 1, "policies": 1, "counted": True}, "support": {"missing": [0.0], "ratio": [1.0]},
-        "choice": {"name": "run seed 0", "deploy": True, "gain": gain, "level": 0.95, "reason": "", "evidence": [],
-                   "warnings": [], "objections": [[]]},
-    }  # fmt: skip
+    told = decision([{"name": "run seed 0"}], [{"value": [0.5, 0.4], "low": [low, 0.3], "high": [0.6, 0.5]}])
     write_json(folder / "estimates.json", told)
 
 

@@ -1,6 +1,5 @@
 """A log as a folder of .npy columns and a log.json: plain, memory-mappable, for logs larger than memory."""
 
-import contextlib
 import json
 import os
 from pathlib import Path
@@ -12,7 +11,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.build import build, columns_of
 from deadreckon.data.formats.header import Header, damaged
 from deadreckon.errors import UserError
-from deadreckon.files import missing_folders
+from deadreckon.files import drop_empty, missing_folders
 from deadreckon.foreign.archive import read_array
 from deadreckon.foreign.door import read_bytes
 from deadreckon.names import safe_name
@@ -57,9 +56,7 @@ def write_folder(log: Dataset, path: Path | str, *, force: bool = False) -> None
         raise UserError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         if not path.exists():
-            for folder in made:  # innermost first; one that others have filled meanwhile stays
-                with contextlib.suppress(OSError):
-                    folder.rmdir()
+            drop_empty(made)
 
 
 def read_folder(path: Path | str, *, mmap: bool = True, strict: bool = False, name: str | None = None) -> Dataset:
