@@ -75,6 +75,7 @@ def made(job, scores, failure=""):
     return JobResult(rows, [])
 
 
+@pytest.mark.slow
 def test_jobs_are_done_once_though_a_process_is_killed_and_a_job_fails(suite, tmp_path):
     jobs = plan(suite)[:1]
     lost = dataclasses.replace(jobs[0], method="lost", on="no-such-log", data="no-such-log", program=None)

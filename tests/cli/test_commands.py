@@ -96,6 +96,7 @@ def test_options_that_would_do_nothing_are_refused(tmp_path, monkeypatch, capsys
         assert words in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_table_of_ones_own_by_its_columns(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(0)

@@ -33,6 +33,7 @@ def made(once, tmp_path):
     return shutil.copytree(once, tmp_path, dirs_exist_ok=True)
 
 
+@pytest.mark.slow
 def test_from_files_to_a_decision(made, capsys):
     common = ["ope", "--data", str(made / "log.hdf5"), "--policies", str(made / "bc"), "--discount", "0.9", *SMALL]
     assert main([*common, "--estimators", "fqe,is", "--select", "--out", str(made / "ope")]) == 0

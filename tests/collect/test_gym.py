@@ -63,6 +63,7 @@ def test_random_is_a_policy_and_uniform_is_not():
     assert abs(uniform.actions.std() - 1 / np.sqrt(3)) < 0.02
 
 
+@pytest.mark.slow
 def test_medium_replay_trains_again_and_goes_on_after_a_kill(monkeypatch, tmp_path):
     about = library.about("hopper")
     run = about["run"]

@@ -114,10 +114,8 @@ def score(proposals):
     return -np.square(proposals.x - 0.5).sum(1)
 
 
-# With its defaults NEMO is one of the designers of test_designers.py too.
-@pytest.mark.parametrize(
-    "fields", [pytest.param({}, marks=pytest.mark.slow), {"label_weight": None, "steps": 400, "design_lr": 0.02}]
-)
+@pytest.mark.slow  # of its parts there are fast tests, and golden numbers of the whole
+@pytest.mark.parametrize("fields", [{}, {"label_weight": None, "steps": 400, "design_lr": 0.02}])
 def test_designs_improve_and_stay_within_bounds(bowl, fields):
     found = NEMO(**{"bins": 12, "hidden": (32, 32), "pretrain": 400} | fields).propose(bowl, 16)
     assert np.median(score(found)) > bowl.y.max()
