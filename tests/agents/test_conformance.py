@@ -18,6 +18,7 @@ from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.ope.tables import Actor
 from deadreckon.policies import EnvPolicy, store
+from deadreckon.policies.file import numpy_player, read_policy
 from deadreckon.policies.portable import load as load_portable
 from deadreckon.training.fit import Fit, fit
 from tests import golden
@@ -151,6 +152,9 @@ def test_policy_acts_in_bounds_and_survives_its_file(trained, tmp_path):
     play = load_portable(tmp_path / "p.npz")
     np.testing.assert_allclose(play(observations), actions, atol=1e-5)
     assert play(observations[0]).shape == (1,)
+    player = numpy_player(tmp_path / "p.npz", *read_policy(tmp_path / "p.npz"))
+    assert player is not None
+    np.testing.assert_array_equal(player(observations), play(observations))
 
 
 def test_greedy_actions_are_a_function_of_the_state(trained):

@@ -1,5 +1,6 @@
 """What a policy file holds, read without JAX: its JSON tree and its arrays."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
@@ -62,10 +63,10 @@ def numpy_player(path: Path | str, tree: dict[str, Any], arrays: dict[str, np.nd
         return player
     with reading(path, "a policy file"):
         mean = tree["policy"].get("mean")
-        sizes = {array.shape[-2] for array in arrays.values() if array.ndim >= 2}
-        sizes = sizes if mean is None else {arrays[mean[1:]].shape[-1]}
+        layers = [array.shape[-2:] for array in arrays.values() if array.ndim >= 2]
+        sizes = observation_sizes(layers) if mean is None else [arrays[mean[1:]].shape[-1]]
     error = None
-    for size in sorted(sizes):  # without a mean, one of the networks takes the observation alone
+    for size in sizes:
         try:
             with np.errstate(all="ignore"):
                 portable.NumpyPolicy(tree, arrays)(np.zeros((1, size), np.float32), first=True)
@@ -74,3 +75,12 @@ def numpy_player(path: Path | str, tree: dict[str, Any], arrays: dict[str, np.nd
         else:
             return portable.NumpyPolicy(tree, arrays)
     raise UserError(f"{path}: the parts of its policy do not fit together ({as_one_line(error or ValueError('no networks'))})")
+
+
+def observation_sizes(layers: Iterable[tuple[int, int]]) -> list[int]:
+    """What an observation of a policy without a mean may measure, by (inputs, outputs) of its networks, or of all their layers.
+
+    A network takes the observation alone, or beside an action, or noise, as wide as what another one gives.
+    """
+    inputs, outputs = zip(*layers) if (layers := list(layers)) else ((), ())
+    return [size for size in dict.fromkeys(taken - beside for beside in (0, *outputs) for taken in inputs) if size > 0]

@@ -17,6 +17,7 @@ from deadreckon.errors import UserError, as_one_line
 from deadreckon.foreign.shapes import words
 from deadreckon.nets.mlp import MLP
 from deadreckon.policies.deployed import History, Mixture
+from deadreckon.policies.file import observation_sizes
 from deadreckon.policies.portable import KINDS
 
 _SCALARS = (int, float, str, bool, type(None))
@@ -37,7 +38,8 @@ def check_whole(path: Path | str, policy: Any) -> None:
         for member in policy.inner.members if isinstance(policy.inner, Mixture) else (policy.inner.member,):
             check_whole(path, member)
         return
-    shapes = [policy.mean.shape] if policy.mean is not None else [(size,) for size in _sizes(list(_networks(policy)))]
+    ends = ((net.weights[0].shape[-2], net.weights[-1].shape[-1]) for net in _networks(policy))
+    shapes = [policy.mean.shape] if policy.mean is not None else [(size,) for size in observation_sizes(ends)]
     error = None
     for shape in shapes if type(policy.inner).__name__ in KINDS else ():  # others take more than an observation, or draw long
         try:
@@ -53,13 +55,6 @@ def check_whole(path: Path | str, policy: Any) -> None:
 def _act(policy: Any, observation: Any) -> Any:
     step = Step(observation, jnp.zeros(1), jnp.ones(1, bool))
     return policy.act(step, policy.start(1), jax.random.key(0), greedy=True)[0]
-
-
-def _sizes(networks: list[MLP]) -> list[int]:
-    """What an observation may measure: networks take it alone, or beside an action or noise as wide as one."""
-    inputs = [net.weights[0].shape[-2] for net in networks]
-    outputs = [net.weights[-1].shape[-1] for net in networks]
-    return [size for size in dict.fromkeys(taken - beside for beside in (0, *outputs) for taken in inputs) if size > 0]
 
 
 def _networks(part: Any) -> Iterator[MLP]:
