@@ -51,6 +51,9 @@ def test_what_is_no_file_is_refused_and_nobody_waits_for_it(tmp_path, monkeypatc
 def test_logs_and_runs_that_are_pipes_are_refused(tmp_path):
     os.mkfifo(tmp_path / "log.hdf5")
     refused(read, tmp_path / "log.hdf5", words="is a named pipe")
+    (tmp_path / "batches").mkdir()
+    os.mkfifo(tmp_path / "batches" / "output-0.json")
+    refused(read, tmp_path / "batches", words="output-0.json is a named pipe")
     os.mkfifo(tmp_path / "run.json")
     refused(load_run, tmp_path, words="is a named pipe")
     (tmp_path / "log").mkdir()

@@ -1,5 +1,6 @@
 """RLlib's logs: JSON lines of sample batches, as its JsonWriter writes them without compression, in a file or a folder."""
 
+import io
 import json
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from deadreckon.data.formats.arrange import arranged
 from deadreckon.data.formats.build import build, stem
 from deadreckon.data.formats.layouts import flat
 from deadreckon.errors import UserError, naming, reading
+from deadreckon.foreign.door import opened
 
 _BATCHES = "output-*.json"  # the files in a folder that RLlib has written
 _NO_ARRAYS = ("type", "infos", "count")
@@ -32,8 +34,8 @@ def read_rllib(path: Path | str, *, strict: bool = False, name: str | None = Non
     files = files_of(path) or [Path(path)]
     columns: dict[str, list[np.ndarray]] = {}
     for file in files:
-        with reading(file, "RLlib's JSON lines"), naming(file, ""), open(file, encoding="utf-8") as lines:
-            for number, line in enumerate(lines, 1):
+        with reading(file, "RLlib's JSON lines"), naming(file, ""), opened(file) as source:
+            for number, line in enumerate(io.TextIOWrapper(source, encoding="utf-8"), 1):
                 if line.strip():
                     _add(columns, _batch(line, number), number)
     whole: dict[str, Any] = {key: np.concatenate(values) for key, values in columns.items()}
