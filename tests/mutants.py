@@ -1588,7 +1588,7 @@ MUTANTS = (
         "devices of Windows with an ending are names", ("test_names.py",),
     ),
     Mutant(
-        "outside-reordering", "names.py",
+        "outside-reordering", "errors.py",
         ' or c in _REORDERING', '',
         "characters that reorder others are shown", ("test_names.py",),
     ),

@@ -5,9 +5,11 @@ import difflib
 import unicodedata
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 _LONGEST = 2_000  # characters of a message
-_TURNS = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"  # which make a terminal show text in another order
+# Characters that are not seen and reorder those around them, so that a text reads as another one.
+_REORDERING = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 
 
 class UserError(ValueError):
@@ -25,11 +27,26 @@ def printable(text: str) -> str:
     """`text` in one line, with control characters and halves of characters as escapes, and its middle left out beyond 2,000."""
     if len(text) > _LONGEST:
         text = f"{text[: _LONGEST // 2]} ... {text[-_LONGEST // 2 + 9 :]}"
-    if text.isprintable():
+    return shown(" ".join(text.split()) if any(c in text for c in "\n\r\v\f\x85\u2028\u2029") else text)
+
+
+def shown(text: Any, keep: str = "") -> str:
+    """`text` as it is shown on a terminal or a page: control characters, which could steer either, appear as escapes.
+
+    Args:
+        text: to be shown; anything else is made a text first.
+        keep: control characters that stay.
+    """
+    text = str(text)
+    if text.isprintable():  # nearly always, and quickly found
         return text
-    text = " ".join(text.split()) if any(c in text for c in "\n\r\v\f\x85\u2028\u2029") else text
-    odd = {c for c in text if unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp") or c in _TURNS}
-    return "".join(c.encode("unicode_escape").decode() if c in odd else c for c in text)
+    return "".join(c.encode("unicode_escape").decode() if is_control(c) and c not in keep else c for c in text)
+
+
+def is_control(c: str) -> bool:
+    """Whether a character does something instead of being seen."""
+    # Also halves of characters, which no encoding has, and the separators of lines and paragraphs.
+    return unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp") or c in _REORDERING
 
 
 def as_one_line(error: BaseException) -> str:

@@ -5,18 +5,15 @@ is ever a path: what makes a file's name of one calls `safe_name`, which refuses
 """
 
 import re
-import unicodedata
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any
 
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, is_control, shown
 
 LONGEST = 200  # bytes of a name; file systems take 255, and endings come behind it
 _SEPARATORS = "/\\:"  # on any system; the colon stands behind the letter of a drive
 # Names that Windows keeps for devices, whatever ending follows.
 _DEVICE = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[0-9¹²³])(?= *(\.|$))", re.IGNORECASE)
-# Characters that are not seen and reorder those around them, so that a name reads as another one.
-_REORDERING = frozenset("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069")
 
 
 def safe_name(name: str, what: str) -> str:
@@ -68,19 +65,6 @@ def file_part(name: str, longest: int = LONGEST) -> str:
     return plain or "-"
 
 
-def shown(text: Any, keep: str = "") -> str:
-    """`text` as it is shown on a terminal or a page: control characters, which could steer either, appear as escapes.
-
-    Args:
-        text: to be shown; anything else is made a text first.
-        keep: control characters that stay.
-    """
-    text = str(text)
-    if text.isprintable():  # nearly always, and quickly found
-        return text
-    return "".join(c.encode("unicode_escape").decode() if is_control(c) and c not in keep else c for c in text)
-
-
 class Terminal:
     """A stream of text, such as `sys.stdout`, on which names from outside appear by `shown`; lines and tabs stay."""
 
@@ -116,9 +100,3 @@ def _fault(name: str) -> str | None:
     if _DEVICE.match(name):
         return "is the name of a device on Windows"
     return None
-
-
-def is_control(c: str) -> bool:
-    """Whether a character does something instead of being seen."""
-    # Also halves of characters, which no encoding has, and the separators of lines and paragraphs.
-    return unicodedata.category(c) in ("Cc", "Cs", "Zl", "Zp") or c in _REORDERING
