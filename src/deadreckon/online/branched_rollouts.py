@@ -15,7 +15,6 @@ from deadreckon.errors import UserError
 from deadreckon.files import replacing
 from deadreckon.online.model_learning import ModelLearning
 from deadreckon.randomness import generator, key_for
-from deadreckon.training.learner import lane_of
 
 EPOCH = 1000  # real steps, in which rollout lengths are counted
 SPARE = 10  # times as many rows are made up at a time as are kept of a fit, at most; half as many are enough
@@ -69,9 +68,8 @@ class BranchedRollouts(ModelLearning):
         states = super()._fitted(learner, states, turn)
         length = self.agent.rollout_length_at((self.environment_steps - self.settings.explore) // EPOCH)
         found = []
-        for lane, seed in enumerate(self.seeds):
-            agent, state = lane_of(learner, lane), lane_of(states, lane)
-            rng = generator(seed, "rollouts", turn)
+        for lane, (agent, state) in enumerate(self._apart(learner, states)):
+            rng = generator(self.seeds[lane], "rollouts", turn)
             real, n = self.real(lane), agent.rollouts_per_step * agent.model_train_freq
             starts = jnp.asarray(real[rng.integers(len(real), size=n), : self.spec.observation_size])
             key = key_for(jax.random.key(self._mixed(lane, turn)), "rollouts")

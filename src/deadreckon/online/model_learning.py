@@ -1,6 +1,7 @@
 """Experience of agents with a learned model: real steps, and an ensemble that is fitted to them anew every so often."""
 
 import zlib
+from collections.abc import Iterator
 from typing import Any, ClassVar
 
 import jax
@@ -14,7 +15,7 @@ from deadreckon.dynamics.ensemble import FEWEST
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.online.exploration import Exploration
 from deadreckon.online.rows import unpacked
-from deadreckon.training.learner import lane_of
+from deadreckon.training.learner import unstack
 
 
 class ModelLearning(Exploration):
@@ -54,8 +55,7 @@ class ModelLearning(Exploration):
     def _fitted(self, learner: Any, states: Any, turn: int) -> Any:
         """The states with their ensembles fitted to all real rows."""
         ensembles, reports = [], []
-        for lane in range(len(self.seeds)):
-            agent, state = lane_of(learner, lane), lane_of(states, lane)
+        for lane, (agent, state) in enumerate(self._apart(learner, states)):
             real, start = unpacked(self.real(lane), self.columns), state.model if turn else None
             try:
                 ensemble, report = agent.trainer.fit(agent.model, self.spec, real, self._mixed(lane, turn), start)
@@ -67,6 +67,10 @@ class ModelLearning(Exploration):
         self.metrics["model_error"] = np.array([report.elite_error for report in reports])
         self.metrics["model_epochs"] = np.array([float(report.epochs) for report in reports])
         return states._replace(model=jax.tree.map(lambda *leaves: jnp.stack(leaves), *ensembles))
+
+    def _apart(self, learner: Any, states: Any) -> Iterator[tuple[Any, Any]]:
+        """The agent and the state of each lane."""
+        return zip(unstack(learner, len(self.seeds)), unstack(states, len(self.seeds)))
 
     def turn(self, step: int) -> tuple[int, int]:
         """Which fit of the model the block of updates from `step` on uses, and how many blocks came since."""

@@ -45,8 +45,6 @@ class State(NamedTuple):
 class Folds(eqx.Module):
     """What is trained: a network and a linear model for each fold, by maximum likelihood."""
 
-    init_by_shape = True
-
     model: BehaviorModel
     folds: int = eqx.field(static=True)
 

@@ -77,8 +77,6 @@ class Critics(eqx.Module):
         stops: whether critics stop early, by the column `check`.
     """
 
-    init_by_shape = True
-
     settings: "FQE"
     discount: float
     scale: Scale

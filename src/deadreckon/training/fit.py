@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +20,7 @@ from deadreckon.interrupts import holding
 from deadreckon.randomness import key_for
 from deadreckon.training.checkpoint import load_tree, save_tree
 from deadreckon.training.learner import lane_of, lift, stack, unstack
-from deadreckon.training.program import PARAMETERS, advance, begin, choose, finite, shape_of
+from deadreckon.training.program import PARAMETERS, advance, begin, choose, finite
 from deadreckon.training.replay import Experience
 from deadreckon.training.sources import source_of
 
@@ -117,19 +116,9 @@ class Fit:
         # Chunks and pauses end where blocks do, so that neither changes when a policy acts.
         block = self.source.block
         self.steps, self.chunk, self.stops = (-(-n // block) * block for n in (self.steps, self.chunk, self.stops))
-        self.states = self._first_states()
+        self.states = begin(self.learner, [own.spec for own in self.each], self.roots)
         self.failures: tuple[Failure | None, ...] = (None,) * len(self.seeds)
         self.step = 0
-
-    def _first_states(self) -> Any:
-        """(lanes, ...) states before the first update; those of lanes of one log are one program."""
-        by_shape, parts, end = getattr(type(self.learners[0]), "init_by_shape", False), [], 0
-        for _, lanes in groupby(self.each, id):
-            start, end = end, end + len(list(lanes))
-            spec = self.each[start].spec
-            own = self.learner if end - start == len(self.seeds) else lift(self.learners[start:end])
-            parts.append(begin(own, shape_of(spec) if by_shape else spec, self.roots[start:end]))
-        return parts[0] if len(parts) == 1 else jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
     @property
     def ended(self) -> bool:

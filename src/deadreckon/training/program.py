@@ -4,7 +4,7 @@ All randomness follows from the seed, a purpose (see `randomness`) and the step,
 program, so neither the chunk length nor where rows come from changes a bit of the result.
 """
 
-from functools import lru_cache
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int, Key, PRNGKeyArray
 
 from deadreckon.data.batch import Batch
-from deadreckon.data.spec import Box, Discrete, Spec
+from deadreckon.data.spec import Spec
 from deadreckon.randomness import key_for
 from deadreckon.training.learner import stack, unstack
 
@@ -185,24 +185,18 @@ def advance(
     return states, jax.tree.map(lambda s: s / count, sums), bad
 
 
-def begin(learner: Any, spec: Spec, roots: Key[Array, "lanes"]) -> Any:
-    """(lanes, ...) first states."""
+def begin(learner: Any, specs: Sequence[Spec], roots: Key[Array, "lanes"]) -> Any:
+    """(lanes, ...) first states.
+
+    Args:
+        learner: see `learner.lift`.
+        specs: of the log of each lane.
+        roots: keys of the lanes.
+    """
     # Not compiled as a whole: what draws a layer is compiled once a shape, and serves all lanes, agents and logs. One
     # program an agent and log gives the same bits and takes half a second to ten seconds to compile.
-    data = np.asarray(jax.random.key_data(roots))
-    keys = [key_for(jax.random.wrap_key_data(one), "init") for one in data]
-    return stack([own.init(spec, key) for own, key in zip(unstack(learner, len(keys)), keys)])
-
-
-def shape_of(spec: Spec) -> Spec:
-    """One spec for all logs of a shape, so that they share a program."""
-    return _shaped(spec.observation_shape, spec.action if spec.discrete else spec.action_size)
-
-
-@lru_cache
-def _shaped(observation_shape: tuple[int, ...], action: Discrete | int) -> Spec:
-    space = Box((-1.0,) * action, (1.0,) * action) if isinstance(action, int) else action
-    return Spec.empty(observation_shape, space, "any")
+    keys = [key_for(jax.random.wrap_key_data(root), "init") for root in np.asarray(jax.random.key_data(roots))]
+    return stack([own.init(spec, key) for own, spec, key in zip(unstack(learner, len(specs)), specs, keys)])
 
 
 @jax.jit
