@@ -109,8 +109,8 @@ class Folder:
     def table(self, kind: str) -> pa.Table:
         """All parts of a kind as one table, in order of steps; empty if there are none."""
         parts = sorted((self.path / kind).glob("*.parquet"))
+        read = [_part(each, kind) for each in parts]
         with reading(self.path / kind, "tables of a run"):
-            read = [_part(each, kind) for each in parts]
             return pa.concat_tables(read, promote_options="default") if read else pa.table({})
 
     def drop_after(self, step: int) -> None:

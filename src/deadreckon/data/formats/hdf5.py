@@ -15,7 +15,7 @@ from deadreckon.data.columns import COLUMNS
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.arrange import arranged
 from deadreckon.data.formats.build import build, columns_of, refuse_mmap
-from deadreckon.data.formats.hdf5_inside import HEADER
+from deadreckon.data.formats.hdf5_inside import BLOCK, HEADER
 from deadreckon.data.formats.header import Header
 from deadreckon.data.formats.layouts import layout_of, told
 from deadreckon.data.provenance import Provenance
@@ -26,7 +26,6 @@ from deadreckon.foreign.child import read_apart
 from deadreckon.foreign.door import file_size
 from deadreckon.names import safe_name
 
-_BLOCK = 262_144  # rows copied at a time
 _OVERHEAD = 65_536  # bytes of a file beside its columns: names, header, alignment
 
 
@@ -197,8 +196,8 @@ def create(
 
 def copy_rows(source: Any, target: Any) -> None:
     """Copies rows block by block, so that neither side is ever in memory as a whole."""
-    for start in range(0, len(source), _BLOCK):
-        target[start : start + _BLOCK] = source[start : start + _BLOCK]
+    for start in range(0, len(source), BLOCK):
+        target[start : start + BLOCK] = source[start : start + BLOCK]
 
 
 def _place(column: str) -> str:
