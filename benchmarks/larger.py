@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -41,21 +42,35 @@ def make(path: Path, rows: int) -> None:
             writer.write_table(pa.table(columns, schema=schema))
 
 
-def run(*command: str | Path, main: str = MAIN) -> tuple[float, float, str]:
-    """Seconds that a command takes, its peak of anonymous memory in GB, and what it tells."""
-    start, peak = time.perf_counter(), 0
+class Ended(NamedTuple):
+    """A command that has ended: its words, seconds, peak of anonymous memory in GB, exit status and what it told."""
+
+    command: list[str]
+    seconds: float
+    peak: float
+    code: int
+    told: str
+
+
+def ended(*command: str | Path, main: str = MAIN) -> Ended:
+    """Runs a command of deadreckon, or another `main`, in a process of its own."""
+    words, start, peak = list(map(str, command)), time.perf_counter(), 0
     with tempfile.TemporaryFile("w+") as told:
-        called = [sys.executable, "-c", main, *map(str, command)]
-        process = subprocess.Popen(called, stdout=subprocess.DEVNULL, stderr=told)
+        process = subprocess.Popen([sys.executable, "-c", main, *words], stdout=subprocess.DEVNULL, stderr=told)
         while process.poll() is None:
             lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
             peak = max([peak, *(int(line.split()[1]) for line in lines if line.startswith("RssAnon"))])
             time.sleep(0.02)
         told.seek(0)
-        text = told.read()
-    if process.returncode:
-        raise SystemExit(f"{command} failed: {text}")
-    return time.perf_counter() - start, peak * 1024 / 1e9, text
+        return Ended(words, time.perf_counter() - start, peak * 1024 / 1e9, process.returncode, told.read())
+
+
+def run(*command: str | Path, main: str = MAIN) -> tuple[float, float, str]:
+    """Seconds that a command takes, its peak of anonymous memory in GB, and what it tells; it must succeed."""
+    done = ended(*command, main=main)
+    if done.code:
+        raise SystemExit(f"{command} failed: {done.told}")
+    return done.seconds, done.peak, done.told
 
 
 def updates(log: Path, runs: Path, steps: int, stream: bool) -> tuple[float, float]:

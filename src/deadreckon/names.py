@@ -5,6 +5,8 @@ is ever a path: what makes a file's name of one calls `safe_name`, which refuses
 """
 
 import re
+from collections import Counter
+from collections.abc import Iterable
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any
 
@@ -83,6 +85,11 @@ class Terminal:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.stream, name)
+
+
+def repeated(names: Iterable[str]) -> list[str]:
+    """The names that occur more than once, in their order."""
+    return [name for name, times in Counter(names).items() if times > 1]
 
 
 def _fault(name: str) -> str | None:

@@ -22,6 +22,7 @@ from deadreckon.bench.tables import tables
 from deadreckon.bench.times import forecast
 from deadreckon.bench.work import perform
 from deadreckon.errors import UserError
+from tests.bench.in_process import InProcess
 
 STUDY = """
 about = "A study."
@@ -61,13 +62,14 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setenv("STUDY_DONE", str(tmp_path / "done.txt"))
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), *sys.path]))
     monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "studies_of_tests", raising=False)
     return tmp_path
 
 
-def filled(folder: Path, workers: int = 1) -> Ledger:
+def filled(folder: Path) -> Ledger:
     suite = read(folder / "study.toml")
     store = store_of([suite], folder / "runs")
-    run(plan(suite, 1), store, lambda event: None, Local(store.path, workers=workers))
+    run(plan(suite, 1), store, lambda event: None, InProcess(store.path))
     assert isinstance(store, Ledger)
     return store
 

@@ -76,6 +76,7 @@ def test_cells_are_named_by_all_that_their_numbers_depend_on(written):
     assert dataclasses.replace(job, revisions={}).content(0) == job.content(0)
 
 
+@pytest.mark.slow  # cells of the ledger, which other processes made, are found by the tests of the evidence
 def test_names_are_the_same_in_every_process(written):
     path = written(SMALL)
     told = "from deadreckon.bench.plan import plan; from deadreckon.bench.suite import read; import sys; "

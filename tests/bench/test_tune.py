@@ -9,7 +9,6 @@ import pytest
 from deadreckon.agents import agent_class
 from deadreckon.bench import tune as module
 from deadreckon.bench.jobs import Program
-from deadreckon.bench.local import Local
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import JobResult, Store
 from deadreckon.bench.suite import Method, Suite
@@ -23,6 +22,7 @@ from deadreckon.runs.holdout import divided
 from deadreckon.runs.offline import judge
 from deadreckon.runs.train import load
 from deadreckon.training.hyperparameters import check_fields
+from tests.bench.in_process import InProcess
 
 UMAZE = "maze2d-umaze-v1"
 
@@ -123,7 +123,7 @@ def diverged(program, folder, watch):
 def test_what_diverged_is_not_chosen(tmp_path):
     settings = [{"alpha": value} for value in SCORES]
     asked = suite("td3_bc", [UMAZE], settings, by="simulator", steps=10, seeds=1)
-    local = Local(tmp_path, 1, diverged)
+    local = InProcess(tmp_path, 1, diverged)
     run = {"by": "simulator", "store": Store(tmp_path), "executor": local, "on_event": lambda event: None}
     found = tune(asked, settings, **run)
     assert found.best.fields == {"alpha": 2.5}
@@ -133,8 +133,9 @@ def test_what_diverged_is_not_chosen(tmp_path):
 def test_the_best_mean_over_tasks_and_seeds_is_chosen(tmp_path):
     settings = [{"alpha": value} for value in SCORES]
     asked = suite("td3_bc", [UMAZE, "maze2d-medium-v1"], settings, by="simulator", steps=10, seeds=2)
-    store = Store(tmp_path)
-    found = tune(asked, settings, by="simulator", store=store, executor=Local(tmp_path, 1, given), on_event=lambda event: None)
+    local = InProcess(tmp_path, 1, given)
+    run = {"by": "simulator", "store": Store(tmp_path), "executor": local, "on_event": lambda event: None}
+    found = tune(asked, settings, **run)
     assert found.best.fields == {"alpha": 5.0}
     assert found.best.scores.tolist() == [[50.0, 51.0]] * 2
     assert json.loads((tmp_path / "tuned.json").read_text())["best"] == {"alpha": 5.0}
@@ -191,6 +192,7 @@ def test_of_a_log_of_ones_own_what_is_held_out_is_looked_at_by_nobody(tmp_path, 
     )  # fmt: skip
     log = read(tmp_path / "mine.npz")
     judged = []
+    monkeypatch.setattr("deadreckon.bench.local.Local", InProcess)
     monkeypatch.setattr(module, "judge", lambda given, data, *a, **k: judged.append(data) or judge(given, data, *a, **k))
     words = ["tune", "--agent", "td3_bc", "--data", str(tmp_path / "mine.npz"), "--values", "alpha=1.0,5.0", "--fixed",
              "hidden=[8]", "batch_size=8", "--steps", "10", "--seeds", "1", "--workers", "1", "--out", str(tmp_path / "tune"),

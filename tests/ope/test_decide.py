@@ -424,14 +424,14 @@ def test_few_clusters_decide_nothing():
 
 
 def test_cross_fitted_estimates_are_unbiased_and_cover_on_generated_bandits():
-    """Rewards depend on the context and the action; 30 logs, known propensities (many more, and learned ones, in the study)."""
-    rng, errors, hits = np.random.default_rng(0), [], 0
+    """Rewards depend on the context and the action; 15 logs, known propensities (many more, and learned ones, in the study)."""
+    logs, rng, errors, hits = 15, np.random.default_rng(0), [], 0
     weights = np.random.default_rng(1).standard_normal((4, 3))
     probs = lambda seen: softmax(2.0 * seen @ weights)  # noqa: E731
     policy = BlackBoxPolicy(lambda seen, rng: probs(seen).argmax(1), action_probs=probs)
     many = rng.standard_normal((100_000, 4))
     exact = (probs(many) * (many @ weights)).sum(1).mean()
-    for seed in range(30):
+    for seed in range(logs):
         seen = rng.standard_normal((500, 4))
         base = softmax(seen @ weights[:, ::-1])
         actions = (rng.random(500)[:, None] >= base.cumsum(1)[:, :-1]).sum(1)
@@ -443,8 +443,8 @@ def test_cross_fitted_estimates_are_unbiased_and_cover_on_generated_bandits():
         found = DR.on(OPEInput(log, policy, discount=0.0, logged=True, seed=seed))
         errors.append(found.value[0] - exact)
         hits += found.low[0] <= exact <= found.high[0]
-    assert abs(np.mean(errors)) < 3 * np.std(errors) / np.sqrt(30) + 0.01
-    assert stats.binom.cdf(hits, 30, 0.95) > 0.01, hits
+    assert abs(np.mean(errors)) < 3 * np.std(errors) / np.sqrt(logs) + 0.01
+    assert stats.binom.cdf(hits, logs, 0.95) > 0.01, hits
 
 
 @pytest.mark.slow  # one such log is looked at above

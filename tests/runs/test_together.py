@@ -30,23 +30,23 @@ def runs(log, tmp_path_factory):
     return dr.train_together(AGENTS, log, out=tmp_path_factory.mktemp("runs") / "all", **SETTINGS)
 
 
-def test_each_is_the_run_that_it_would_be_alone(runs, log, tmp_path):
+@pytest.mark.parametrize("name", ["near", pytest.param("plain", marks=pytest.mark.slow)])
+def test_each_is_the_run_that_it_would_be_alone(runs, log, tmp_path, name):
     assert list(runs) == ["plain", "near", "bad"]
-    for name in ("plain", "near"):
-        alone = dr.train(AGENTS[name], log, out=tmp_path / name, **SETTINGS)
-        config = {key: value for key, value in runs[name].config.items() if key != "together"}
-        assert config | {"versions": None} == alone.config | {"versions": None}
-        assert config["versions"]["lanes"] == 6
-        assert [p.name for p in sorted((runs[name].path / "policies").iterdir())] == [
-            p.name for p in sorted((alone.path / "policies").iterdir())
-        ]
-        for kind in ("metrics", "evaluations"):
-            mine, theirs = (getattr(run, kind).to_pydict() for run in (runs[name], alone))
-            assert mine.keys() == theirs.keys()
-            for column, values in theirs.items():
-                np.testing.assert_allclose(mine[column], values, rtol=2e-3, atol=2e-3, err_msg=f"{name} {column}")
-        for a, b in zip(runs[name].policies, alone.policies, strict=True):
-            np.testing.assert_allclose(a(X), b(X), atol=1e-3)
+    alone = dr.train(AGENTS[name], log, out=tmp_path / name, **SETTINGS)
+    config = {key: value for key, value in runs[name].config.items() if key != "together"}
+    assert config | {"versions": None} == alone.config | {"versions": None}
+    assert config["versions"]["lanes"] == 6
+    assert [p.name for p in sorted((runs[name].path / "policies").iterdir())] == [
+        p.name for p in sorted((alone.path / "policies").iterdir())
+    ]
+    for kind in ("metrics", "evaluations"):
+        mine, theirs = (getattr(run, kind).to_pydict() for run in (runs[name], alone))
+        assert mine.keys() == theirs.keys()
+        for column, values in theirs.items():
+            np.testing.assert_allclose(mine[column], values, rtol=2e-3, atol=2e-3, err_msg=f"{name} {column}")
+    for a, b in zip(runs[name].policies, alone.policies, strict=True):
+        np.testing.assert_allclose(a(X), b(X), atol=1e-3)
     # What the settings do shows, far beyond that tolerance.
     assert np.abs(runs["plain"].policies[0](X) - runs["near"].policies[0](X)).max() > 0.01
 

@@ -10,6 +10,7 @@ import pyarrow.compute
 
 from deadreckon.data.scratch import BLOCK
 from deadreckon.errors import UserError
+from deadreckon.names import repeated
 
 compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
 SAMPLE = 1_000  # rows that are looked at before all are
@@ -274,12 +275,10 @@ def to_arrow(frame: Any, name: str = "frame") -> pa.Table:
         if isinstance(error, UserError):
             raise
         raise UserError(f"{name}: not a table of plain columns ({' '.join(' '.join(map(str, error.args)).split())})") from error
-    names = table.column_names
-    twice = sorted({column for column in names if names.count(column) > 1}) if len(set(names)) < len(names) else []
-    if twice:
+    if twice := repeated(table.column_names):
         raise UserError(f"{name}: column {twice[0]} occurs more than once")
     # pandas' own index, unless it has a name, is no column of the user's.
-    return table.drop_columns([column for column in names if re.fullmatch(r"__index_level_\d+__", column)])
+    return table.drop_columns([column for column in table.column_names if re.fullmatch(r"__index_level_\d+__", column)])
 
 
 def _sequence(value: Any) -> Any:

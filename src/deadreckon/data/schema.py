@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args
 
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml, replacing
-from deadreckon.names import is_control, safe_path, shown
+from deadreckon.names import is_control, repeated, safe_path, shown
 
 Role = Literal[
     "observation", "action", "reward", "next_observation", "episode", "time", "group", "terminal", "timeout", "propensity",
@@ -128,8 +128,7 @@ class Schema:
                 raise UserError(f"schema, [table]: {unknown('entry', str(key), _TABLE)}")
             if isinstance(value, bool) or not isinstance(value, str | int if key == "sheet" else str):
                 raise UserError(f"schema, [table]: {key} must be a text{' or a number' * (key == 'sheet')}, got {value!r}")
-        names = [column.name for column in self.columns]
-        if twice := sorted({name for name in names if names.count(name) > 1}):
+        if twice := repeated(column.name for column in self.columns):
             raise UserError(f"schema: column {twice[0]} is described twice")
         for role in ONE:
             if len(found := self.named(role)) > 1:

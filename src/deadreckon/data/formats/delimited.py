@@ -20,6 +20,7 @@ from deadreckon.data.formats.spool import Spool
 from deadreckon.data.formats.words import with_words
 from deadreckon.errors import UserError, reading
 from deadreckon.foreign.door import opened, unpacked
+from deadreckon.names import repeated
 
 _BLOCK = 1 << 22  # bytes that are parsed at once; no row may be longer
 _SEEN = 2_000  # rows of the head, whose cells are looked at as they stand
@@ -105,9 +106,9 @@ def _of_large(source: BinaryIO, table: pa.Table, dialect: Dialect) -> list[str]:
 
     They became columns of floats; only those are read again, as they stand.
     """
-    names = []
+    names, twice = [], set(repeated(table.column_names))
     for name, values in () if table.num_rows <= _SEEN else zip(table.column_names, table.columns, strict=True):
-        if pa.types.is_floating(values.type) and table.column_names.count(name) == 1:
+        if pa.types.is_floating(values.type) and name not in twice:
             high, head = _compute.max(values).as_py(), values[:_SEEN].drop_null()
             whole = len(head) and _compute.all(_compute.equal(head, _compute.floor(head))).as_py()
             names += [name] if high is not None and high >= LARGEST and whole else []
@@ -166,7 +167,8 @@ def _of_zeros(source: BinaryIO, table: pa.Table, dialect: Dialect, spool: Spool 
 
     Numbers no longer show it, so the columns are read once more, as they stand.
     """
-    names = [name for name in table.column_names if table.column_names.count(name) == 1]
+    twice = set(repeated(table.column_names))
+    names = [name for name in table.column_names if name not in twice]
     names = [name for name in names if pa.types.is_integer(table.schema.field(name).type)]
     found: dict[str, str] = {}
     if not names or not _may_have_zeros(source, dialect):
