@@ -43,26 +43,29 @@ def make(path: Path, rows: int) -> None:
 
 
 class Ended(NamedTuple):
-    """A command that has ended: its words, seconds, peak of anonymous memory in GB, exit status and what it told."""
+    """A command that has ended: its words, seconds, peak of anonymous memory in GB, exit status, standard error and output."""
 
     command: list[str]
     seconds: float
     peak: float
     code: int
     told: str
+    output: str
 
 
 def ended(*command: str | Path, main: str = MAIN) -> Ended:
     """Runs a command of deadreckon, or another `main`, in a process of its own."""
     words, start, peak = list(map(str, command)), time.perf_counter(), 0
-    with tempfile.TemporaryFile("w+") as told:
-        process = subprocess.Popen([sys.executable, "-c", main, *words], stdout=subprocess.DEVNULL, stderr=told)
+    with tempfile.TemporaryFile("w+") as told, tempfile.TemporaryFile("w+") as output:
+        process = subprocess.Popen([sys.executable, "-c", main, *words], stdout=output, stderr=told)
         while process.poll() is None:
             lines = Path(f"/proc/{process.pid}/status").read_text().splitlines()
             peak = max([peak, *(int(line.split()[1]) for line in lines if line.startswith("RssAnon"))])
             time.sleep(0.02)
+        seconds = time.perf_counter() - start
         told.seek(0)
-        return Ended(words, time.perf_counter() - start, peak * 1024 / 1e9, process.returncode, told.read())
+        output.seek(0)
+        return Ended(words, seconds, peak * 1024 / 1e9, process.returncode, told.read(), output.read())
 
 
 def run(*command: str | Path, main: str = MAIN) -> tuple[float, float, str]:

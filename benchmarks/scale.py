@@ -70,6 +70,9 @@ def outcome(done: Ended) -> str:
         warned = [line.split("warning: ", 1)[1] for line in done.told.splitlines() if "warning: " in line]
         return "done" + "".join(f"; warning: {line}" for line in warned)
     lines = [line for line in done.told.splitlines() if line.startswith("deadreckon: ") and "warning: " not in line]
+    lines = lines or [
+        line for line in done.output.splitlines() if line.startswith("seed 0 failed: ")
+    ]  # its run folder is whole
     if done.code < 0 or "Traceback" in done.told or len(lines) != 1:
         raise protocol.BenchError(f"{' '.join(done.command)} ended with code {done.code}: {done.told[-3000:]}")
     return lines[0].removeprefix("deadreckon: ")
@@ -98,8 +101,8 @@ def case(name: str, folder: Path, steps: int) -> bool:
             kept, told = False, f"FAILED: {str(error)[-1500:]}"
         told = told.replace(str(folder), "...").replace("|", r"\|").replace("\n", " ")
         print(f"| {about} ({size:.2f} GB) | {what} | {done.seconds:.0f} | {done.peak:.2f} | {told} |", flush=True)
-        if done.code:
-            break  # what comes next needs this
+        if not (run / "run.json").exists() and what != "data info":
+            break  # there is no policy to judge
     return kept
 
 

@@ -378,6 +378,11 @@ MUTANTS = (
         "rows without a known successor are learned from", ("data/test_dataset.py",),
     ),
     Mutant(
+        "returns-of-long-episodes", "data/episodes.py", "to_go[rows] += factor * to_go[rows + steps]",
+        "to_go[rows] += discount * to_go[rows + steps]",
+        "in long episodes rewards far ahead are discounted as if they were near", ("data/test_dataset.py",),
+    ),
+    Mutant(
         "returns-to-go", "data/episodes.py", "to_go[rows] += discount * to_go[rows + 1]",
         "to_go[rows] += discount * to_go[rows]",
         "returns to go are sums of the wrong rows", ("data/test_dataset.py",),

@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 from small_logs import images, logs, make_log, quick, same
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.episodes import returns_to_go
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 
@@ -20,6 +21,17 @@ def test_returns_to_go_are_those_of_a_plain_loop(log, discount):
             expected[row] = ahead
     np.testing.assert_allclose(log.returns_to_go(discount), expected, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(log.returns(discount), expected[log.starts], rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("discount", [1.0, 0.99])
+def test_returns_of_few_long_episodes_are_those_of_a_plain_loop(discount):
+    lengths = np.array([3, 5_000, 1, 4_099])
+    rewards, expected = np.random.default_rng(0).standard_normal(lengths.sum()), np.zeros(lengths.sum())
+    ends = np.cumsum(lengths) - 1
+    for end, steps in zip(ends, lengths):
+        for row in range(end, end - steps, -1):
+            expected[row] = rewards[row] + (discount * expected[row + 1] if row < end else 0.0)
+    np.testing.assert_allclose(returns_to_go(rewards, ends, lengths, discount), expected, rtol=1e-9, atol=1e-9)
 
 
 @quick

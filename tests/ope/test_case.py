@@ -339,3 +339,14 @@ def test_a_fit_that_still_changes_is_told():
     long = FQE(members=1, hidden=(), steps=8000, lr=1e-2, tau=0.05).estimate(log, as_policy(table), discount=0.98)
     assert not any("still changes" in line for line in long.warnings)
     assert short.value[0] < 0.7 * long.value[0]
+
+
+def test_rewards_beyond_float32_are_refused():
+    log = lqr(-0.3, 0.5, 3, 5)
+    rewards = np.where(np.arange(len(log)) == 7, -1e30, log.rewards)
+    log = Dataset.from_arrays(
+        observations=log.observations, actions=log.actions, rewards=rewards, timeouts=log.timeouts,
+        action_space=log.action_space, name="lqr",
+    )  # fmt: skip
+    with pytest.raises(UserError, match="lqr: rewards reach 1e.30 in size, .* divide the column until they are below 1e.15"):
+        OPEInput(log, linear(-0.3, 0.5), discount=0.9)

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 _BLOCK = 2**22  # bytes looked at together: they stay in the processor's cache, and no memory-mapped column is loaded whole
 _ROWS = 262_144  # looked at together, likewise
 _TOGETHER = 4_194_304  # rows whose returns are made together, or one episode where that is longer
+_LONG = 4_096  # steps up to which episodes are walked back together even where they are few
 _STEP = np.uint64(0x9E3779B97F4A7C15)
 
 
@@ -79,10 +80,19 @@ def returns_to_go(rewards: np.ndarray, ends: np.ndarray, lengths: np.ndarray, di
         discount: of one step.
     """
     to_go = rewards.astype(np.float64)
-    # All episodes are walked back together, longest first, so that there are as many numpy calls as steps.
+    if (longest := int(lengths.max())) > max(len(lengths), _LONG):
+        # Few and long: sums of 1, 2, 4, ... rewards, each of two sums of half as many.
+        left = np.repeat(ends, lengths) - np.arange(len(rewards))
+        steps, factor = 1, discount
+        while steps < longest:
+            rows = np.flatnonzero(left >= steps)
+            to_go[rows] += factor * to_go[rows + steps]
+            steps, factor = 2 * steps, factor * factor
+        return to_go
+    # Many: all are walked back together, longest first, so that there are as many numpy calls as steps.
     order = np.argsort(-lengths, kind="stable")
     ends, lengths = ends[order], lengths[order]
-    for back in range(1, int(lengths[0])):
+    for back in range(1, longest):
         rows = ends[: np.searchsorted(-lengths, -back, side="left")] - back
         to_go[rows] += discount * to_go[rows + 1]
     return to_go

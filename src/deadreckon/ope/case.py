@@ -28,6 +28,7 @@ from deadreckon.policies.kinds import ClippedGaussian
 from deadreckon.policies.resolve import policies_of
 from deadreckon.randomness import generator, sequence
 
+LARGEST = 1e15  # size of a reward: the mean square of such values is still within float32
 WEIGHTLESS = "need weights, which mean nothing for policies of continuous actions that do not draw them"
 
 
@@ -94,6 +95,9 @@ class OPEInput(Fits):
             raise UserError(f"{len(self.policies)} policies need as many names, got {len(self.names)}")
         if len(data.spec.observation_shape) != 1:
             raise UserError(f"estimators need flat observations, {data.name} has shape {data.spec.observation_shape}")
+        if (largest := float(np.abs(data.rewards).max())) > LARGEST:
+            told = f"{data.name}: rewards reach {largest:.3g} in size, and models of values square them in float32"
+            raise UserError(f"{told}; divide the column until they are below {LARGEST:g}")
         self.discount = self.estimand.discount
         self.held = np.arange(data.episodes) if held is None else _different(held, data.episodes)
         if clusters is not None and np.shape(clusters) != (data.episodes,):
