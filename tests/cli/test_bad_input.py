@@ -167,6 +167,7 @@ CASES = {
         lambda f, g: [*ONLINE, "hopper", "--data", g], ["observations (4,) and 2 actions", "hopper has (11,) and 3"]),
     "online with a log, and an agent that does not go on": (
         lambda f, g: [*ONLINE[:3], "bear", *ONLINE[4:], "maze2d-umaze", "--data", g], ["BEAR", "these agents do"]),
+    "online in no simulator": (lambda f, g: ["train", "--agent", "sac", "--online"], ["missing --task", "deadreckon tasks"]),
     "online from what is no run": (
         lambda f, g: ["train", "--from", f / "no", "--online", "--task", "hopper"], ["holds no run"]),
     "online with a share of the whole": (

@@ -39,7 +39,8 @@ def train(args: Sequence[str]) -> None:
     kind = dataclasses.make_dataclass("TrainAgent", fields)
     kind.__doc__ = run.__doc__ if name else f"{run.__doc__} Agents: {', '.join(AGENTS)}."
     parsed = parse(kind, rest, "train --online" if online else "train")
-    finished = _train_online(name, parsed) if online else _train(name, parsed, own)
+    judged_in = None if begun is None else begun[2]
+    finished = _train_online(name, parsed, judged_in) if online else _train(name, parsed, own)
     from deadreckon.runs.train import Run
 
     print(summary(finished) if isinstance(finished, Run) else finished)
@@ -47,8 +48,8 @@ def train(args: Sequence[str]) -> None:
         raise SystemExit(1)
 
 
-def _begun(args: Sequence[str], name: str | None, online: bool) -> tuple[str, Any] | None:
-    """Name and settings of the agent of the run that goes on; None without --from.
+def _begun(args: Sequence[str], name: str | None, online: bool) -> tuple[str, Any, str | None] | None:
+    """Name and settings of the agent of the run that goes on, and its task, if any; None without --from.
 
     Raises:
         UserError: another agent is asked for, or seeds of the run have settings of their own.
@@ -61,23 +62,26 @@ def _begun(args: Sequence[str], name: str | None, online: bool) -> tuple[str, An
     from deadreckon.agents import agent_name
     from deadreckon.runs.started import start_of
 
-    first, *others = (agent.going_on() for agent in start_of(given).agents)
+    start = start_of(given)
+    first, *others = (agent.going_on() for agent in start.agents)
     if name is not None and name.lower().replace("-", "_") != agent_name(first):
         raise UserError(f"{given} is a run of {agent_name(first)}, {name} cannot go on from it; leave --agent out")
     if any(vars(other) != vars(first) for other in others):
         raise UserError(f"the seeds of {given} have settings of their own; dr.train_online(start={given!r}) goes on with them")
-    return agent_name(first), first
+    return agent_name(first), first, start.run.config["task"]
 
 
-def _train_online(name, parsed):
+def _train_online(name, parsed, judged_in):
     from deadreckon.runs.online import train_online, turns_of
 
     options: TrainOnline = parsed.run
+    if (task := options.task or judged_in) is None:
+        raise UserError("missing --task, the simulator to learn in (see `deadreckon tasks`)")
     given = {name: getattr(options, name) for name in ("copies", "explore", "updates_per_step", "block")}
     given = {name: value for name, value in given.items() if value is not None}
-    settings = turns_of(type(parsed.agent), options.task, options.settings.start is not None, **given)
+    settings = turns_of(type(parsed.agent), task, options.settings.start is not None, **given)
     updates = settings.updates(options.steps)
-    with Bar(f"{name} in {options.task}", updates, "updates") as bar:
+    with Bar(f"{name} in {task}", updates, "updates") as bar:
         return train_online(
             parsed.agent, options.task, steps=options.steps, seeds=options.seeds, seed=options.seed, out=options.out,
             **vars(options.settings) | {"settings": settings, "watch": _shown(bar)},
