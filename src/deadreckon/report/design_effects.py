@@ -53,11 +53,13 @@ def around(data: Designs, made: Proposals, chosen: int, effects: list[Effect]) -
     drawn = _panels(data, made, found, best, made.x[chosen])
     captions = [join(breakable(data.variables[each.column].name), _held(data, made.x[chosen], each.column)) for each in found]
     dashed = any(each.allowed is not None and not each.allowed.all() for each in found)
+    sums = any(each.equal for each in data.rules.linear)
     dotted = "" if best is None else " Dotted line: best score of the data."
     text = (
         f"The prediction as one variable of proposal {chosen} changes and the others are held; the marker is the proposal."
         f"{dotted}{' Dashed or hollow: what bounds or rules do not allow.' if dashed else ''} "
         + (f"Bands and whiskers: {PERCENT} interval. " if found and found[0].std is not None else "")
+        + ("Parts that must sum to a number make room for the one that changes. " if sums else "")
         + "A flat curve says that this setting need not be exact, a steep one that it must be."
     )
     return join(note(text), _folded(drawn, captions, AROUND))
