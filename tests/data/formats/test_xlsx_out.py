@@ -15,6 +15,13 @@ def read(path):
     return calamine.CalamineWorkbook.from_path(str(path)).get_sheet_by_name("proposals").to_python(skip_empty_area=False)
 
 
+@pytest.mark.parametrize(
+    ("text", "written"), [("=1+1", "'=1+1"), ("-0.5", "-0.5"), ("a\x1b", "a\\x1b"), ("\ud800", "\\ud800"), (None, "None")]
+)
+def test_texts_of_cells(text, written):
+    assert xlsx_out._text(text) == written
+
+
 def test_what_is_written_is_read_back_with_formulas_neutralised(tmp_path):
     pytest.importorskip("xlsxwriter")
     xlsx_out.write_sheets({"proposals": TABLE, "about": {"what": ["x"]}}, tmp_path / "p.xlsx")
