@@ -41,7 +41,7 @@ def write_design(data: Designs, made: Proposals, far: np.ndarray, out: Path | st
     effects = averages(data, made.fitted) if made.fitted is not None and len(data.variables) <= MANY else []
     chosen = first_choice(made, far)
     sections: list[tuple[str, str, Markup | None]] = [
-        ("one", "If only one is tried", join(one_to_try(data, made, far), rule_note())),
+        ("one", "If only one is tried", join(one_to_try(data, made, far), None if chosen is None else rule_note())),
         ("doubts", "What the model does not know", doubts(data, made, far, effects)),
         ("designs", "Designs", _table(data, made, far, scores)),
         ("predicted", title, _chart(data, made, far, scores)),
