@@ -746,6 +746,47 @@ MUTANTS = (
         ("mbo/test_gp.py::test_the_factor_is_the_quantile_with_its_correction",),
     ),
     Mutant(
+        "effect-average", "mbo/effects.py", "    mean = each.mean(1)\n", "    mean = each[:, 0]\n",
+        "what a variable does on average is what it does in the first row",
+        ("mbo/test_effects.py::test_averages_are_those_of_the_model_over_the_rows",),
+    ),
+    Mutant(
+        "average-covariance", "mbo/process.py", "self.y_std**2 * (prior - white @ white.T)", "self.y_std**2 * prior",
+        "averages over designs are as unsure as without data",
+        ("mbo/test_effects.py::test_averages_of_the_process_have_the_covariance_of_its_posterior",),
+    ),
+    Mutant(
+        "mixture-room", "mbo/effects.py", "return np.where(held, part, scaled)", "return part",
+        "the other parts of a mixture make no room for the one that changes",
+        ("mbo/test_effects.py::test_parts_of_a_mixture_make_room_for_one_another",),
+    ),
+    Mutant(
+        "choice-greedy", "mbo/first_choice.py", "value = low if np.isfinite(low).all()",
+        "value = made.predicted if np.isfinite(low).all()",
+        "the one to try is that of the highest prediction, however unsure",
+        ("mbo/test_effects.py::test_the_one_to_try_is_that_of_the_best_lower_end_near_the_data",),
+    ),
+    Mutant(
+        "noise-praised", "mbo/first_choice.py", "and not made.quality.skilled", "and False",
+        "a proposal is preferred by a model that has learned nothing",
+        ("report/test_design_page.py::test_of_noise_nothing_is_praised",),
+    ),
+    Mutant(
+        "interval-turned", "mbo/first_choice.py", "return (high, low) if data.minimise else (low, high)", "return low, high",
+        "the ends of intervals of costs are swapped",
+        ("mbo/test_effects.py::test_columns_beside_proposals_are_in_the_targets_sign",),
+    ),
+    Mutant(
+        "pooled-row-numbers", "mbo/replicates.py", "table_rows=data.numbered(first)", "table_rows=None",
+        "rows of pooled designs are not called as the table has them",
+        ("mbo/test_effects.py::test_columns_beside_proposals_are_in_the_targets_sign",),
+    ),
+    Mutant(
+        "sheet-formula", "data/formats/xlsx_out.py", "return cell(shown(", "return (shown(",
+        "spreadsheets hold texts that are formulas in another program",
+        ("data/formats/test_xlsx_out.py::test_texts_of_cells",),
+    ),
+    Mutant(
         "coverage-own-fold", "mbo/validation.py", "conformal_factor(error[fold != k])", "conformal_factor(error)",
         "designs judge themselves",
         ("mbo/test_gp.py::test_the_factor_is_the_quantile_with_its_correction",),

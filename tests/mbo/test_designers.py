@@ -67,6 +67,13 @@ def test_proposals(mixed, name):
     mixed.check(found.x)
     assert (found.seed, other.seed) == (3, 4)
     assert found.predicted.shape == found.predicted_std.shape == (8,)
+    # The model that comes with them is the one that made the predictions, where there is one of the score.
+    assert (found.fitted is None) == (name in ("random", "best", "ddom"))
+    if found.fitted is not None:
+        assert found.fitted.is_order == (name == "ram")
+        mean, std = found.fitted.predict(found.x)
+        np.testing.assert_allclose(np.nan if name == "ram" else mean, found.predicted, rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(np.nan if std is None else std, found.predicted_std, rtol=1e-4, atol=1e-4)
     if name == "random":
         assert not np.array_equal(found.x, other.x)
         return

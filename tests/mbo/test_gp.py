@@ -143,6 +143,7 @@ def test_networks_are_judged_on_designs_that_they_have_not_seen():
     assert len(made.quality.observed) == 20
     assert made.quality.rank_correlation > 0.5
     np.testing.assert_allclose(made.predicted_std, made.quality.factor * plain.predicted_std, rtol=1e-5)
+    np.testing.assert_allclose(made.fitted.predict(made.x)[1], made.predicted_std, rtol=1e-4)
     assert plain.quality is None
 
 

@@ -13,7 +13,7 @@ import tyro
 from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar, Watch
 from deadreckon.errors import UserError
-from deadreckon.files import alone
+from deadreckon.files import alone, replacing
 from deadreckon.interrupts import resumable
 from deadreckon.names import file_part
 
@@ -56,7 +56,7 @@ class Design:
     path: str | None = None  # file with the data of the problem, if it needs one
     n: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 128  # number of designs to propose
     seed: int = 0  # random seed of the method
-    out: str | None = None  # folder of the proposals, a page and checkpoints; None: runs/design/METHOD-DATA
+    out: str | None = None  # folder of the proposals (CSV, spreadsheet), a page and checkpoints; None: runs/design/METHOD-DATA
 
 
 @dataclass
@@ -124,13 +124,12 @@ def _write_proposals(method: Any, data: Any, problem: Any, options: Design, out:
         made = method.propose(data, options.n, seed=options.seed, out=out / "fits", watch=watch, **asked)
     scores = None if problem is None else problem.score(made)
     from deadreckon.mbo.nn_distance import nn_distance
+    from deadreckon.mbo.proposal_table import added_columns
     from deadreckon.report.design import write_design
 
     far = nn_distance(data, made.x)
-    more = {"predicted": data.shown(made.predicted), "predicted_std": made.predicted_std, "distance": far}
-    if scores is not None:
-        more["true"] = data.shown(scores.true)
-    written = data.write(out / "proposals.csv", made.x, {_free(key, data): value for key, value in more.items()})
+    more = added_columns(data, made, None if scores is None else scores.true)
+    written = data.write(out / "proposals.csv", made.x, more)
     for line in _told(data, made):
         print(line)
     if made.quality is not None and made.quality.warning:
@@ -138,6 +137,7 @@ def _write_proposals(method: Any, data: Any, problem: Any, options: Design, out:
     if scores is not None:
         print(f"{scores}\nthe oracle is {problem.about if problem else ''}")
     print(written)
+    _write_sheets(data, made, more, out / "proposals.xlsx")
     print(write_design(data, made, far, out / "report.html", scores))
 
 
@@ -151,12 +151,18 @@ def _told(data: Any, made: Any) -> list[str]:
     return lines if made.quality is None else [*lines, str(made.quality)]
 
 
-def _free(name: str, data: Any) -> str:
-    """A column's name that no variable has."""
-    taken = {variable.name for variable in data.variables}
-    while name in taken:
-        name += "_"
-    return name
+def _write_sheets(data: Any, made: Any, more: dict[str, list[Any]], path: Path) -> None:
+    """The proposals as a spreadsheet too, with a sheet that says what they are; a line where it cannot be written."""
+    from deadreckon.data.formats.xlsx_out import write_sheets
+    from deadreckon.mbo.proposal_table import about
+
+    try:
+        with replacing(path) as temporary:
+            write_sheets({"proposals": {**data.decode(made.x), **more}, "about": about(data, made)}, temporary)
+    except UserError as error:
+        print(f"! {path.name} is not written: {error}", file=sys.stderr)
+    else:
+        print(path)
 
 
 def _designs(options: Design) -> Any:

@@ -21,6 +21,7 @@ from deadreckon.files import alone
 from deadreckon.mbo.batch import batch, check_batch
 from deadreckon.mbo.design_source import DesignSource
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.fitted import Fitted
 from deadreckon.mbo.validation import Quality
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.progress import Watcher, unwatched
@@ -48,6 +49,7 @@ class Proposals(Shown):
         seed: random seed.
         seconds: it took, of all seeds of a program together.
         quality: how well the method predicts out of fold; None where that was not looked at.
+        fitted: the model, to be asked about other designs; None where the method has none of the score.
     """
 
     method: str
@@ -57,6 +59,7 @@ class Proposals(Shown):
     seed: int
     seconds: float = 0.0
     quality: Quality | None = None
+    fitted: Fitted | None = dataclasses.field(default=None, repr=False)
 
     def __len__(self) -> int:
         return len(self.x)
@@ -65,6 +68,11 @@ class Proposals(Shown):
     def predicts(self) -> bool:
         """Whether the method believes anything of its designs' scores."""
         return bool(np.isfinite(self.predicted).all())
+
+    def calibrated(self, quality: Quality) -> "Proposals":
+        """The same with deviations, of the model too, times the factor that was found out of fold."""
+        fitted = self.fitted and self.fitted.calibrated(quality.factor)
+        return dataclasses.replace(self, predicted_std=quality.factor * self.predicted_std, quality=quality, fitted=fitted)
 
 
 class DesignInput(NamedTuple):
@@ -221,7 +229,8 @@ class Designer(eqx.Module):
         nan = np.full(setting.n, np.nan)
         predicted = nan if mean is None else view.score(np.asarray(mean, np.float64))
         spread = nan if predicted_std is None else view.y_std * np.asarray(predicted_std, np.float64)
-        return Proposals(self.label, x, predicted, spread, seed)
+        fitted = None if believed is None else Fitted.of(setting.data, believed)
+        return Proposals(self.label, x, predicted, spread, seed, fitted=fitted)
 
 
 class Search(NamedTuple):

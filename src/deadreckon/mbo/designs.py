@@ -40,6 +40,7 @@ class Designs(Shown):
         rules: that proposals must satisfy; the data need not.
         replicates: (rows,) how many measurements a row is the mean of; None: one each.
         std_error: (rows,) standard error of `y`; None: not known.
+        table_rows: (rows,) the first row of the table that each is, counted from 0; None: they are the table's own.
     """
 
     x: np.ndarray
@@ -51,6 +52,7 @@ class Designs(Shown):
     rules: Rules = NO_RULES
     replicates: np.ndarray | None = None
     std_error: np.ndarray | None = None
+    table_rows: np.ndarray | None = None
 
     def __post_init__(self):
         object.__setattr__(self, "x", np.asarray(self.x, np.float32))
@@ -224,8 +226,15 @@ class Designs(Shown):
 
     def part(self, rows: np.ndarray, name: str | None = None) -> "Designs":
         """Some of the designs, under another name if one is given."""
-        some = {key: None if (of := getattr(self, key)) is None else of[rows] for key in ("replicates", "std_error")}
+        kept = ("replicates", "std_error")
+        some = {key: None if (of := getattr(self, key)) is None else of[rows] for key in kept}
+        some["table_rows"] = self.numbered(rows)
         return replace(self, x=self.x[rows], y=self.y[rows], name=name or self.name, **some)
+
+    def numbered(self, rows: np.ndarray) -> np.ndarray:
+        """The rows of the table, counted from 0, that some of the designs stand in; of replicates the first."""
+        rows = np.arange(len(self))[rows]
+        return rows if self.table_rows is None else self.table_rows[rows]
 
     def best(self, count: int, worst: bool = False) -> np.ndarray:
         """(count,) rows with the highest scores, or the lowest; over again from the first where there are fewer."""

@@ -14,6 +14,8 @@ from jaxtyping import Array, Float
 
 from deadreckon.data.batch import redrawn
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.fitted import Fitted, covariance_of_members, in_blocks
 from deadreckon.mbo.surrogate import Surrogate, climb
 from deadreckon.mbo.validation import ENOUGH, Quality, judged
 from deadreckon.nets.mlp import MLP, minimum
@@ -38,6 +40,12 @@ def believed(net: MLP, x: Float[Array, "b z"]) -> tuple[Float[Array, "b"], Float
     """Mean and log-deviation."""
     out = net(x)
     return out[..., 0], jnp.clip(out[..., 1], *LOG_STD)
+
+
+@jax.jit
+def means_of(nets: MLP, x: Array) -> Float[Array, "k b"]:
+    """What each member believes."""
+    return jax.vmap(lambda net: believed(net, x)[0])(nets)
 
 
 def mean_of(nets: MLP, x: Array) -> Array:
@@ -88,11 +96,25 @@ class Forward(Designer):
         found = []
         for seed, (nets, _) in zip(setting.seeds, states):
             x = climb(value, nets, start, self.ascent_steps, self.design_lr * view.size**0.5, *setting.bounds)
-            found.append(self.decoded(setting, seed, x, lambda x, nets=nets: (value(nets, x), mixture(nets, x)[1])))
+            made = self.decoded(setting, seed, x, lambda x, nets=nets: (value(nets, x), mixture(nets, x)[1]))
+            found.append(replace(made, fitted=self._fitted(made.fitted, setting.data, nets)))
         if not setting.validate or len(setting.data) < ENOUGH:
             return found
         quality = self._held_out(setting, learner)
-        return [replace(each, predicted_std=quality.factor * each.predicted_std, quality=quality) for each in found]
+        return [each.calibrated(quality) for each in found]
+
+    def _fitted(self, fitted: Fitted | None, data: Designs, nets: MLP) -> Fitted | None:
+        """The model, with how averages over designs go together: as the members' do, where these are several."""
+        if fitted is None or self.members < 2 or self.objective != "mean":
+            return fitted
+
+        def averages(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            z = data.coordinates.encode(x.reshape(-1, x.shape[-1]))
+            parts = in_blocks(lambda z: np.asarray(means_of(nets, z), np.float64), z)
+            each = data.coordinates.score(np.concatenate(parts, 1)[:, : len(z)]).reshape(self.members, *x.shape[:2])
+            return each.mean(0), covariance_of_members(each)
+
+        return replace(fitted, averages=averages)
 
     def _held_out(self, setting: DesignInput, learner: Gaussian) -> Quality:
         """Predictions of a fifth of the designs, by networks that are fitted on the others."""

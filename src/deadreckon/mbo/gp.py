@@ -13,6 +13,7 @@ import numpy as np
 from deadreckon.mbo.batch import APART, batch, moved, pulled
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.fitted import Fitted
 from deadreckon.mbo.nn_distance import usual_distance
 from deadreckon.mbo.process import Process, fit
 from deadreckon.mbo.validation import ENOUGH, Predict, cross_validated
@@ -58,8 +59,8 @@ class GP(Designer):
             else:
                 x = np.resize(pool[order], (setting.n, pool.shape[1])).astype(np.float32)
             mean, std = process.posterior(x)
-            std = std * (quality.factor if quality else 1.0)
-            found.append(Proposals(self.label, x, mean, std, seed, quality=quality))
+            made = Proposals(self.label, x, mean, std, seed, fitted=Fitted(process.posterior, process.averages))
+            found.append(made.calibrated(quality) if quality else made)
         return found
 
     def used(self, data: Designs) -> Designs:

@@ -35,6 +35,24 @@ def nearest_scored(data: Designs, x: np.ndarray) -> tuple[np.ndarray, np.ndarray
     return _nearest(encode(data.x).astype(np.float64), encode(x).astype(np.float64))
 
 
+def neighbours(data: Designs, x: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The scored designs that are nearest to each of (n, variables) designs, the nearest first.
+
+    Returns:
+        (n, count) distances, in usual distances as `nn_distance` has them, and (n, count) rows of the data; fewer columns
+        where the data has fewer designs.
+    """
+    z, points = (data.coordinates.encode(each).astype(np.float64) for each in (data.x, x))
+    count, out = min(count, len(z)), []
+    for point in points:
+        distance = np.linalg.norm(z - point, axis=1)
+        some = np.argpartition(distance, count - 1)[:count]
+        some = some[np.lexsort((some, distance[some]))]
+        out.append((distance[some], some))
+    far, rows = (np.stack(each) for each in zip(*out))
+    return far / usual_distance(data), rows
+
+
 def _nearest(z: np.ndarray, points: np.ndarray, own: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """(n,) distances of points to the nearest row of `z` but their own, and (n,) these rows."""
     squares, out, rows = np.square(z).sum(1), np.empty(len(points)), np.empty(len(points), int)

@@ -112,6 +112,21 @@ class Process:
         white = k @ self.inverse.T
         return _matern(_squares(z, z), self.hyper.signal)[0] - white @ white.T
 
+    def averages(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(g, r) means of (g, r, variables) groups of designs, and (g, g) posterior covariance of the groups' averages."""
+        groups, mean = [], []
+        for group in x:
+            k, _, z = self._kernel(group)
+            mean.append(k @ self.alpha)
+            groups.append((k.mean(0), z))
+        white = np.stack([k for k, _ in groups]) @ self.inverse.T
+        each = [z for _, z in groups]
+        prior = np.empty((len(x), len(x)))
+        for i, a in enumerate(each):
+            for j, b in enumerate(each[: i + 1]):
+                prior[i, j] = prior[j, i] = _matern(_squares(a, b), self.hyper.signal)[0].mean()
+        return self.y_mean + self.y_std * np.stack(mean), self.y_std**2 * (prior - white @ white.T)
+
     def _kernel(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(m, rows) covariances with the data, what their gradients are times differences, and (m, features) scaled designs."""
         z = self.features(x) / np.exp(self.hyper.lengths)[self.features.owner]

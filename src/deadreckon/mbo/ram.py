@@ -4,6 +4,7 @@ What ascent needs of a model is the order of designs, not their scores; so lists
 model learns their order (ListNet's cross-entropy). Its output is then standardised over the data: a step means the same.
 """
 
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import jax
@@ -11,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
+from deadreckon.mbo.fitted import Fitted
 from deadreckon.mbo.surrogate import Surrogate, climb
 from deadreckon.nets.mlp import MLP
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
@@ -55,5 +57,6 @@ class RaM(Designer):
             out = jax.lax.map(lambda x, nets=nets: ranked((nets, 0.0, 1.0), x[None])[0], seen, batch_size=1024)
             scaled = nets, out.mean(), jnp.maximum(out.std(), 1e-6)
             x = climb(ranked, scaled, start, self.ascent_steps, self.design_lr * view.size**0.5, *setting.bounds)
-            found.append(self.decoded(setting, seed, x))
+            order = Fitted.of(setting.data, lambda x, scaled=scaled: (ranked(scaled, x), None), is_order=True)
+            found.append(replace(self.decoded(setting, seed, x), fitted=order))
         return found

@@ -44,4 +44,4 @@ def pooled(data: "Designs") -> "Designs":
         f"the standard deviation of {data.target} between replicates is {scatter:.3g}",
         stacklevel=3,
     )
-    return replace(data, x=data.x[first], y=y, replicates=count, std_error=error)
+    return replace(data, x=data.x[first], y=y, replicates=count, std_error=error, table_rows=data.numbered(first))

@@ -1,4 +1,4 @@
-"""The page about proposed designs: what is predicted of them, how far from the data they lie, and what an oracle says."""
+"""The page about proposed designs: which to try first, what is predicted of them, and what the model says and does not know."""
 
 from pathlib import Path
 
@@ -7,8 +7,13 @@ import numpy as np
 from deadreckon.files import replacing
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.effects import averages
+from deadreckon.mbo.first_choice import FAR, first_choice, shown_interval
+from deadreckon.mbo.nn_distance import neighbours
 from deadreckon.mbo.problems.problem import Scores
 from deadreckon.report import charts
+from deadreckon.report.design_advice import doubts, one_to_try, rule_note, shown_value
+from deadreckon.report.design_effects import around, on_average
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import document
 from deadreckon.report.parts import figure, heads_of, note, scroll
@@ -18,7 +23,8 @@ from deadreckon.stats.interval import NORMAL, PERCENT
 SHOWN = 25  # proposals in the table
 COLUMNS = 10  # variables in the table
 POINTS = 300  # designs in the chart of quality
-FAR = 3.0  # beyond so many usual distances a design is called far
+NEAREST = 3  # scored rows beside each proposal
+MANY = 500  # variables beyond which their effects are not looked at
 
 
 def write_design(data: Designs, made: Proposals, far: np.ndarray, out: Path | str, scores: Scores | None = None) -> Path:
@@ -32,10 +38,16 @@ def write_design(data: Designs, made: Proposals, far: np.ndarray, out: Path | st
         scores: their true scores, where there is an oracle.
     """
     title = "Predicted and true scores" if scores else "Predictions and distances to the data"
+    effects = averages(data, made.fitted) if made.fitted is not None and len(data.variables) <= MANY else []
+    chosen = first_choice(made, far)
     sections: list[tuple[str, str, Markup | None]] = [
-        ("predicted", title, _chart(data, made, far, scores)),
+        ("one", "If only one is tried", join(one_to_try(data, made, far), None if chosen is None else rule_note())),
+        ("doubts", "What the model does not know", doubts(data, made, far, effects)),
         ("designs", "Designs", _table(data, made, far, scores)),
+        ("predicted", title, _chart(data, made, far, scores)),
         ("quality", "Predicted and observed scores, out of fold", _quality(data, made)),
+        ("variables", "What each variable does, by the model", on_average(data, made, effects)),
+        ("around", f"Around proposal {chosen}", None if chosen is None else around(data, made, chosen, effects)),
     ]
     counts = f"{len(data):,} designs, {len(data.variables):,} variables"
     facts = [("method", made.method), ("data", data.name), ("learned from", counts), ("seed", str(made.seed))]
@@ -48,14 +60,14 @@ def write_design(data: Designs, made: Proposals, far: np.ndarray, out: Path | st
 def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None) -> str:
     """The most important thing in a sentence or two."""
     best = number(float(data.shown(data.y.max())))
-    parts = [f"The best of the data has {data.target} {best}."]
+    warning = None if made.quality is None else made.quality.warning
+    parts = [f"{warning.capitalize()}."] if warning else []
+    parts.append(f"The best of the data has {data.target} {best}.")
     if made.predicts:
         parts.append(f"The best predicted score is {number(float(data.shown(made.predicted.max())))}.")
     if scores is not None:
         best_true, middle = (number(data.shown(scores.percentile(q))) for q in (100, 50))
         parts.append(f"By the oracle, the best of them has {best_true} and the median {middle}.")
-    if made.quality is not None and made.quality.warning:
-        parts.append(f"{made.quality.warning.capitalize()}.")
     share = float((far > FAR).mean())
     if share > 0:
         parts.append(f"{share:.0%} lie more than {FAR:g} usual distances from any scored design, where no data supports them.")
@@ -80,7 +92,7 @@ def _chart(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | Non
     if scores is not None:
         text += " Above the dashed line the score is overestimated."
     drawn = charts.scatter(points, unit, f"{data.target}, predicted", diagonal=scores is not None)
-    return join(figure(drawn), note(text))
+    return join(tag("div", figure(drawn), class_="charts two"), note(text))
 
 
 def _quality(data: Designs, made: Proposals) -> Markup | None:
@@ -93,16 +105,16 @@ def _quality(data: Designs, made: Proposals) -> Markup | None:
     rows = np.linspace(0, len(observed) - 1, min(len(observed), POINTS)).astype(int)
     low, high = predicted - half, predicted + half
     value = lambda of, i: float(of[i])  # noqa: E731
-    points = [
-        (f"row {i}", 0, value(observed, i), 0.0, value(predicted, i), value(low, i), value(high, i)) for i in rows
-    ]
+    whole = len(observed) == len(data)  # else some were drawn, whose numbers are not known here
+    names = [f"row {row}" if whole else "a held-out row" for row in data.numbered(np.arange(len(observed)))]
+    points = [(names[i], 0, value(observed, i), 0.0, value(predicted, i), value(low, i), value(high, i)) for i in rows]
     drawn = charts.scatter(points, f"{data.target}, observed", f"{data.target}, predicted", diagonal=True)
     text = (
         f"{quality}. Each design was predicted by a model that was fitted without it ({len(observed):,} in all, {len(rows):,} "
         f"are shown). Standard deviations, of proposals too, are multiplied by {number(quality.factor)}, so that the {PERCENT} "
         "interval holds its share of these. Proposals lie at the edge of the data or beyond, where errors may be larger."
     )
-    return join(figure(drawn), note(text))
+    return join(tag("div", figure(drawn), class_="charts two"), note(text))
 
 
 def _table(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None) -> Markup:
@@ -110,17 +122,31 @@ def _table(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | Non
     order = np.argsort(-made.predicted, kind="stable")[:SHOWN]
     table = data.decode(made.x[order])
     names = list(table)[:COLUMNS]
-    heads = ["design", "predicted", "predicted std", *(["true"] if scores else []), "distance", *names]
+    heads = ["proposal", "predicted", *(["true"] if scores else []), "distance", "nearest rows", *names]
+    low, high = shown_interval(data, made.predicted, made.predicted_std)
+    _, near = neighbours(data, made.x[order], NEAREST)
     rows = []
     for k, i in enumerate(order):
-        values = [made.predicted_std[i], *([data.shown(scores.true)[i]] if scores else []), far[i]]
-        cells = [tag("th", str(i), scope="row"), tag("td", tag("b", number(float(data.shown(made.predicted)[i]))))]
+        interval = None if np.isnan(low[i]) else tag("small", f"{number(float(low[i]))} to {number(float(high[i]))}")
+        values = [*([data.shown(scores.true)[i]] if scores else []), far[i]]
+        said = tag("b", number(float(data.shown(made.predicted)[i])))
+        cells = [tag("th", str(i), scope="row"), tag("td", said, interval)]
         cells += [tag("td", number(float(value))) for value in values]
-        cells += [tag("td", number(v) if isinstance(v, float) else str(v)) for v in (table[name][k] for name in names)]
+        cells.append(tag("td", [tag("small", _scored(data, int(row))) for row in near[k]]))
+        cells += [tag("td", shown_value(table[name][k])) for name in names]
         rows.append(tag("tr", cells))
     head = heads_of(heads)
     left = len(table) - len(names)
     more = f" {left:,} more variables are in the CSV." if left else ""
     which = f"{len(order)} with the highest predictions" if made.predicts else f"first {len(order)}"
     shown = f"The {which}, of {len(made):,}." if len(made) > len(order) else "All of them."
-    return join(scroll(tag("table", head, tag("tbody", rows))), note(f"{shown}{more}"))
+    meaning = (
+        f" Below a prediction is its {PERCENT} interval. Distance: to the nearest scored row, in usual distances. Nearest "
+        f"rows: row of the data (counted from 0) and its {data.target}."
+    )
+    return join(scroll(tag("table", head, tag("tbody", rows), class_="proposals")), note(f"{shown}{more}{meaning}"))
+
+
+def _scored(data: Designs, row: int) -> str:
+    """A row of the data with its score."""
+    return f"{int(data.numbered(np.array([row]))[0])}: {number(float(data.shown(data.y)[row]))}"

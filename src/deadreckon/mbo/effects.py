@@ -1,0 +1,207 @@
+"""What a fitted model says that each variable does: averages over the data, and cuts through one design.
+
+The average is partial dependence (Friedman 2001, 8.2): the model's prediction with one variable set to a value in all rows and
+the others as they are, averaged over rows. Where a variable belongs to a sum that must equal a number, the others of the sum
+are scaled to make room for it, as in Cox's traces for mixtures (Cornell 2002), since no mixture can change in one part alone.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.fitted import Fitted
+from deadreckon.randomness import generator
+from deadreckon.stats.interval import ALPHA
+
+ROWS = 100  # of the data at most that are averaged over
+VALUES = 15  # of a variable of numbers
+LEVELS = 12  # at most of one with levels: those that most rows have
+MOST = 40  # variables that are looked at
+SOME = 10  # rows that choose these, where there are more
+SLACK = 1e-6  # of bounds and sums
+
+
+@dataclass(frozen=True, eq=False)
+class Effect:
+    """What predictions do as one variable changes.
+
+    Attributes:
+        column: of the designs.
+        values: (g,) of the variable, as designs hold them.
+        mean, std: (g,) predictions and their standard deviations; None where the model has none of these.
+        change: the greatest less the least of the means.
+        change_std: standard deviation of this difference; None where it is not known.
+        rows: the 10th and 90th percentile of the same difference in single rows; None in cuts.
+        rows_std: standard deviations of the difference in the two rows nearest to these percentiles; None likewise.
+        allowed: (g,) where the design would satisfy bounds, constraints and forbidden combinations; None: not looked at.
+    """
+
+    column: int
+    values: np.ndarray
+    mean: np.ndarray
+    std: np.ndarray | None
+    change: float
+    change_std: float | None = None
+    rows: tuple[float, float] | None = None
+    rows_std: tuple[float, float] | None = None
+    allowed: np.ndarray | None = None
+
+    def distinct(self, variables: int) -> bool | None:
+        """Whether the average change is told from none, at 5 % for all of so many variables together; None: not known."""
+        return None if self.change_std is None else self.change > critical(variables) * self.change_std
+
+    def depends(self, variables: int) -> bool:
+        """Whether what is not told from none on average is told from none in a single row: it depends on other variables."""
+        if self.rows is None or self.rows_std is None or self.distinct(variables) is not False:
+            return False
+        return any(abs(change) > critical(2 * variables) * std for change, std in zip(self.rows, self.rows_std))
+
+
+def critical(tests: int) -> float:
+    """Standard deviations beyond which a difference is told from none, at 5 % for all tests together (Bonferroni)."""
+    return NormalDist().inv_cdf(1 - ALPHA / 2 / max(tests, 1))
+
+
+def averages(data: Designs, fitted: Fitted) -> list[Effect]:
+    """Of each variable on average over at most `ROWS` rows, the greatest change first; at most `MOST` variables.
+
+    Variables that are the same in all rows are left out: nothing is known of what they do.
+    """
+    columns = np.flatnonzero(np.ptp(data.x, axis=0) > 0)
+    if len(columns) > MOST:
+        columns = _most_changing(data, fitted, columns)
+    x = data.x[drawn(data, ROWS)].astype(np.float64)
+    found = [_average(data, fitted, x, int(column)) for column in columns]
+    return sorted(found, key=lambda each: -each.change)
+
+
+def drawn(data: Designs, count: int) -> np.ndarray:
+    """At most so many rows of the data, drawn with a seed that never changes."""
+    if len(data) <= count:
+        return np.arange(len(data))
+    return np.sort(generator(0, "rows of effects").choice(len(data), count, replace=False))
+
+
+def _average(data: Designs, fitted: Fitted, x: np.ndarray, column: int) -> Effect:
+    values = grid(data, column)
+    groups = np.stack([with_value(data, x, column, value) for value in values])
+    each, covariance = fitted.average(groups)
+    mean = each.mean(1)
+    low, high = int(mean.argmin()), int(mean.argmax())
+    change = each[high] - each[low]
+    some = np.argsort(change, kind="stable")[np.round(np.array([0.1, 0.9]) * (len(change) - 1)).astype(int)]
+    std = spread = rows_std = None
+    if covariance is not None:
+        std, spread = np.sqrt(np.maximum(np.diag(covariance), 0.0)), _std_of_difference(covariance, low, high)
+        single = [fitted.average(groups[[low, high], row : row + 1])[1] for row in some]
+        rows_std = _pair(_std_of_difference(of, 0, 1) for of in single if of is not None)
+    rows = _pair(map(float, change[some]))
+    return Effect(column, values, mean, std, float(mean[high] - mean[low]), spread, rows, rows_std)
+
+
+def _pair(values: Iterable[float]) -> tuple[float, float]:
+    first, second = values
+    return first, second
+
+
+def _std_of_difference(covariance: np.ndarray, i: int, j: int) -> float:
+    return float(np.sqrt(max(covariance[i, i] + covariance[j, j] - 2 * covariance[i, j], 0.0)))
+
+
+def _most_changing(data: Designs, fitted: Fitted, columns: np.ndarray) -> np.ndarray:
+    """The `MOST` columns in which the average over `SOME` rows changes most between least, middle and greatest value."""
+    x = data.x[drawn(data, SOME)].astype(np.float64)
+    change = np.empty(len(columns))
+    for i, column in enumerate(columns):
+        values = grid(data, int(column))
+        values = values[np.unique([0, len(values) // 2, len(values) - 1])]
+        mean = fitted.predict(np.concatenate([with_value(data, x, int(column), value) for value in values]))[0]
+        change[i] = np.ptp(mean.reshape(len(values), -1).mean(1))
+    return columns[np.argsort(-change, kind="stable")[:MOST]]
+
+
+def cuts(data: Designs, fitted: Fitted, design: np.ndarray, columns: list[int]) -> list[Effect]:
+    """Through a design (variables,): one variable changes, beyond the data where bounds say so, and the others are held."""
+    found = []
+    for column in columns:
+        values = np.unique(np.append(grid(data, column, bounds=True), design[column]))
+        x = with_value(data, np.repeat(design[None].astype(np.float64), len(values), 0), column, values)
+        mean, std = fitted.predict(x)
+        found.append(Effect(column, values, mean, std, float(np.ptp(mean)), allowed=allowed(data, x)))
+    return found
+
+
+def grid(data: Designs, column: int, bounds: bool = False) -> np.ndarray:
+    """(g,) values of a variable, ascending: evenly between the ends of the data (or bounds), or whole numbers, or levels."""
+    v, seen = data.variables[column], data.x[:, column].astype(np.float64)
+    if v.leveled:
+        count = np.bincount(seen.astype(int), minlength=len(v.levels))
+        return np.sort(np.argsort(-count, kind="stable")[:LEVELS]).astype(np.float64)
+    low, high = seen.min(), seen.max()
+    if bounds:
+        low, high = (b if np.isfinite(b) else s for b, s in ((min(v.low, low), low), (max(v.high, high), high)))
+    values = np.geomspace(low, high, VALUES) if v.log else np.linspace(low, high, VALUES)
+    return np.unique(np.round(values)) if v.kind == "integer" else values
+
+
+def with_value(data: Designs, x: np.ndarray, column: int, value: float | np.ndarray) -> np.ndarray:
+    """(rows, variables) designs in which a variable has a value; others in an equality with it make room to keep the sum.
+
+    They are scaled, and those that reach a bound stay there, as long as others can make room. Fixed values and steps are not
+    kept: what is asked is what the model says, and whether such a design may be is told by `allowed`.
+    """
+    x = np.array(x, np.float64)
+    x[:, column] = value
+    for each in data.rules.linear:
+        weights = {c: float(w) for c, w in each.weights}
+        if not each.equal or column not in weights:
+            continue
+        others = [c for c in weights if c != column and data.variables[c].kind == "continuous"]
+        if not others:
+            continue
+        left = float(each.bound) - x @ np.array([0.0 if c in others else weights.get(c, 0.0) for c in range(x.shape[1])])
+        low, high = (np.array([getattr(data.variables[c], end) for c in others]) for end in ("low", "high"))
+        x[:, others] = _scaled(x[:, others], np.array([weights[c] for c in others]), left, low, high)
+    return x
+
+
+def _scaled(part: np.ndarray, weight: np.ndarray, total: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """(rows, n) numbers scaled so that their weighted sums are (rows,) totals, within bounds where that is possible.
+
+    Those that are all 0 share the total equally.
+    """
+    plain, held = _to_sum(part, weight, total, np.zeros(part.shape, bool)), np.zeros(part.shape, bool)
+    found = plain
+    for _ in range(part.shape[1]):
+        clipped = np.clip(found, low, high)
+        held |= clipped != found
+        found = np.where(held, clipped, part)
+        found = _to_sum(found, weight, total, held)
+    whole = (np.abs(found @ weight - total) < SLACK) & (found >= low - SLACK).all(1) & (found <= high + SLACK).all(1)
+    return np.where(whole[:, None], found, plain)
+
+
+def _to_sum(part: np.ndarray, weight: np.ndarray, total: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """The numbers that are not held, scaled so that the weighted sums of all are the totals."""
+    left = total - (part * held) @ weight
+    sums, count = (part * ~held) @ weight, np.maximum((~held).sum(1), 1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scaled = np.where(np.abs(sums)[:, None] > 1e-9, part * (left / sums)[:, None], (left / count)[:, None] / weight)
+    return np.where(held, part, scaled)
+
+
+def allowed(data: Designs, x: np.ndarray) -> np.ndarray:
+    """(rows,) which designs satisfy bounds, linear constraints and forbidden combinations, to rounding errors."""
+    good = data.repair.allowed(x)
+    for i, v in enumerate(data.variables):
+        if not v.leveled:
+            slack = SLACK * np.maximum(1.0, np.abs(x[:, i]))
+            good &= (x[:, i] >= v.low - slack) & (x[:, i] <= v.high + slack)
+    for each in data.rules.linear:
+        total, bound = sum(float(w) * x[:, c] for c, w in each.weights), float(each.bound)
+        slack = 100 * SLACK * max(1.0, abs(bound))
+        good &= (np.abs(total - bound) <= slack) if each.equal else (total <= bound + slack)
+    return good

@@ -1,0 +1,42 @@
+"""Which proposal to try if only one is tried."""
+
+import numpy as np
+
+from deadreckon.mbo.designer import Proposals
+from deadreckon.mbo.designs import Designs
+from deadreckon.stats.interval import NORMAL
+
+FAR = 3.0  # usual distances to the nearest scored design beyond which a design is called far
+
+
+def interval(mean: np.ndarray, std: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) lower and upper end of the 95 % interval around predictions; NaN where there is no standard deviation."""
+    half = NORMAL * (np.full(len(mean), np.nan) if std is None else np.where(np.isfinite(std), std, np.nan))
+    return mean - half, mean + half
+
+
+def shown_interval(data: Designs, mean: np.ndarray, std: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """The same in the target's own sign, the lower end first."""
+    low, high = (data.shown(end) for end in interval(mean, std))
+    return (high, low) if data.minimise else (low, high)
+
+
+def first_choice(made: Proposals, far: np.ndarray) -> int | None:
+    """The proposal to try if only one is: that of the greatest lower end of the interval, or else of the greatest prediction.
+
+    Where the model predicts an order alone, that is its first. Proposals farther than `FAR` from the data count only where all
+    are.
+
+    Args:
+        made: the proposals.
+        far: (n,) distances to the data, in usual ones (`mbo.nn_distance`).
+
+    Returns:
+        Its index; None where the method has no model of the score, or one that ranks unseen designs no better than chance.
+    """
+    if made.fitted is None or (made.quality is not None and not made.quality.skilled):
+        return None
+    low, _ = interval(made.predicted, made.predicted_std)
+    value = low if np.isfinite(low).all() else made.predicted if made.predicts else made.fitted.predict(made.x)[0]
+    near = far <= FAR
+    return int(np.where(near if near.any() else True, value, -np.inf).argmax())

@@ -1,0 +1,82 @@
+"""The fitted model that proposals rest on: what it says of any design, without being fitted again."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from deadreckon.mbo.designs import Designs
+
+BLOCK = 512  # designs that a model is asked about at once: one shape, which is compiled once
+
+# (m, variables) designs -> (m,) means, and (m,) standard deviations or None.
+Predict = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray | None]]
+# (g, r, variables) groups of designs -> (g, r) means, and (g, g) covariance of the groups' averages.
+Average = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """What the model of a method says of designs, in the scores of the data (`Designs.y`).
+
+    Attributes:
+        predictions: means, and standard deviations of the true score (None where the model has none).
+        averages: means of groups of designs, and the covariance of the averages of groups; None where it is not known how
+            predictions of different designs go together.
+        factor: on standard deviations, from the calibration.
+        is_order: predictions are not scores but only their order, in standard deviations over the data.
+    """
+
+    predictions: Predict
+    averages: Average | None = None
+    factor: float = 1.0
+    is_order: bool = False
+
+    def predict(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """(m,) means of (m, variables) designs, and their calibrated standard deviations or None."""
+        mean, std = self.predictions(x)
+        return mean, None if std is None else self.factor * std
+
+    def average(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """(g, r) means of (g, r, variables) groups of designs, and (g, g) calibrated covariance of their averages or None."""
+        if self.averages is None:
+            return self.predictions(x.reshape(-1, x.shape[-1]))[0].reshape(x.shape[:2]), None
+        mean, covariance = self.averages(x)
+        return mean, self.factor**2 * covariance
+
+    def calibrated(self, factor: float) -> "Fitted":
+        """The same with another factor on standard deviations."""
+        return replace(self, factor=factor)
+
+    @classmethod
+    def of(cls, data: Designs, believed: Callable[[Any], tuple[Any, Any]], *, is_order: bool = False) -> "Fitted":
+        """Of a function from coordinates to standardised means and deviations (or None), such as `Designer.decoded` takes."""
+
+        def predictions(x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+            z = data.coordinates.encode(x)
+            parts = in_blocks(believed, z)
+            mean = np.concatenate([np.asarray(mean, np.float64) for mean, _ in parts])[: len(x)]
+            std = None
+            if all(each is not None for _, each in parts):
+                std = np.concatenate([np.asarray(each, np.float64) for _, each in parts])[: len(x)]
+            if is_order:
+                return mean, std
+            return data.coordinates.score(mean), None if std is None else data.coordinates.y_std * std
+
+        return cls(predictions, is_order=is_order)
+
+
+def in_blocks(function: Callable[[Any], Any], z: np.ndarray) -> list[Any]:
+    """What a function of (rows, size) arrays says of blocks of `BLOCK` rows; the last is filled up with its last row."""
+    out = []
+    for i in range(0, len(z), BLOCK):
+        part = z[i : i + BLOCK]
+        out.append(function(jnp.asarray(np.concatenate([part, np.repeat(part[-1:], BLOCK - len(part), 0)]))))
+    return out
+
+
+def covariance_of_members(means: np.ndarray) -> np.ndarray:
+    """(g, g) covariance of averages over groups, from (members, g, r) means that the members of an ensemble have."""
+    return np.atleast_2d(np.cov(means.mean(2), rowvar=False))

@@ -1,0 +1,64 @@
+"""What is written beside proposals in their table: predictions, intervals, distances, and the nearest scored designs."""
+
+from typing import Any
+
+import numpy as np
+
+from deadreckon.mbo.designer import Proposals
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.first_choice import shown_interval
+from deadreckon.mbo.nn_distance import neighbours
+from deadreckon.stats.interval import PERCENT
+
+
+def added_columns(data: Designs, made: Proposals, true: np.ndarray | None = None) -> dict[str, list[Any]]:
+    """Columns to stand behind the variables; a name that a variable has gets an underscore.
+
+    Args:
+        data: scored designs.
+        made: the proposals.
+        true: (n,) scores of an oracle, where there is one.
+
+    Returns:
+        Names to (n,) values: `predicted`, `predicted_std`, the ends of the 95 % interval `predicted_low` and `predicted_high`
+        (all in the target's own sign), `distance` in usual distances between neighbours, the row of the data that is nearest
+        (counted from 0) with its score, and `true` where there is an oracle. What the method does not give is NaN.
+    """
+    far, rows = neighbours(data, made.x, 1)
+    low, high = shown_interval(data, made.predicted, made.predicted_std)
+    more = {
+        "predicted": data.shown(made.predicted), "predicted_std": made.predicted_std, "predicted_low": low,
+        "predicted_high": high, "distance": far[:, 0], "nearest_row": data.numbered(rows[:, 0]),
+        "nearest_score": data.shown(data.y[rows[:, 0]]),
+    }  # fmt: skip
+    if true is not None:
+        more["true"] = data.shown(true)
+    return {_free(name, data): np.asarray(values).tolist() for name, values in more.items()}
+
+
+def about(data: Designs, made: Proposals) -> dict[str, list[Any]]:
+    """What proposals are, as a table of two columns: the method, the data, what was found out of fold, and the columns."""
+    sought = "small" if data.minimise else "large"
+    lines: dict[str, Any] = {
+        "method": made.method, "seed": made.seed, "data": data.name, "rows": len(data),
+        "target": f"{data.target}, to be made {sought}", "best of the data": float(data.shown(data.y.max())),
+    }  # fmt: skip
+    if made.quality is not None:
+        lines["out of fold"] = str(made.quality)
+        if made.quality.warning:
+            lines["warning"] = made.quality.warning
+    lines |= {
+        "predicted": "what the model predicts of the true score; a single measurement scatters more",
+        "predicted_low, predicted_high": f"its {PERCENT} interval",
+        "distance": "to the nearest scored row; 1 is the median distance of a scored row to its nearest neighbour",
+        "nearest_row": "row of the data that is nearest, counted from 0 without the line of names",
+    }
+    return {"what": list(lines), "value": list(lines.values())}
+
+
+def _free(name: str, data: Designs) -> str:
+    """A column's name that no variable has."""
+    taken = {variable.name for variable in data.variables}
+    while name in taken:
+        name += "_"
+    return name
