@@ -43,8 +43,8 @@ class TrainOnline:
     """Learn a policy by acting in a simulator; --agent NAME chooses the algorithm, --from RUN goes on with a run on a log."""
 
     task: str | None = None
-    """simulator to learn in: a task (see `deadreckon tasks`), a Gymnasium id such as gymnasium:Pendulum-v1, or module:Class; None:
-    with --from, the one that the run was judged in"""
+    """simulator to learn in: a task (see `deadreckon tasks`), a Gymnasium id such as gymnasium:Pendulum-v1, or module:Class;
+    None: with --from, the one that the run was judged in"""
     steps: int = 1_000_000  # environment steps per seed, including the uniformly random ones at the beginning
     seeds: int | None = None
     """number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1; None: 1"""
