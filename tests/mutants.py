@@ -740,6 +740,21 @@ MUTANTS = (
         ("mbo/test_gp.py::test_the_factor_is_the_quantile_with_its_correction",),
     ),
     Mutant(
+        "interval-without-noise", "mbo/gp.py", "np.hypot(std, process.noise)\n            found", "std\n            found",
+        "the factor of measurements is put on the deviation of the mean",
+        ("mbo/test_gp.py::test_intervals_are_for_one_new_measurement",),
+    ),
+    Mutant(
+        "noise-of-a-pooled-row", "mbo/process.py", "(data.replicates * ratio).mean()", "ratio.mean()",
+        "one new measurement has as little noise as the mean of several",
+        ("mbo/test_gp.py::test_intervals_are_for_one_new_measurement",),
+    ),
+    Mutant(
+        "fold-noise-usual", "mbo/gp.py", "process.noise if error is None else process.noise_of(error)", "process.noise",
+        "rows out of fold are judged by the usual noise, not by their own",
+        ("mbo/test_gp.py::test_a_row_out_of_fold_is_judged_by_its_own_noise",),
+    ),
+    Mutant(
         "coverage-own-fold", "mbo/validation.py", "conformal_factor(error[fold != k])", "conformal_factor(error)",
         "designs judge themselves",
         ("mbo/test_gp.py::test_the_factor_is_the_quantile_with_its_correction",),

@@ -84,7 +84,32 @@ def test_proposals_of_the_default_are_within_the_rules_and_better_than_the_data(
     assert np.median(true) >= np.median(table.true(data, designer("random").propose(data, 12).x))
     assert made.quality.rank_correlation > 0.8
     assert 0.9 <= made.quality.coverage <= 0.99
-    assert (np.abs(true - made.predicted) <= 1.96 * made.predicted_std).mean() >= 0.8
+
+
+def test_intervals_are_for_one_new_measurement():
+    """Calibrated is what was calibrated: deviations with noise, that of one measurement where rows are means of several."""
+    rng = np.random.default_rng(0)
+    x = np.repeat(rng.uniform(-1, 1, (60, 1)), np.arange(60) % 3 + 1, 0)
+    data = Designs.from_frame({"x": x[:, 0], "y": 2 * x[:, 0] + 0.5 * rng.standard_normal(len(x))}, "y")
+    found = process.fit(data)
+    assert found.noise == pytest.approx(0.5, rel=0.15)
+    np.testing.assert_allclose(found.noise_of(data.std_error), found.noise / np.sqrt(data.replicates), rtol=1e-6)
+    made = designer("gp", rounds=5).propose(data, 30)
+    np.testing.assert_allclose(made.mean_std, found.posterior(made.x)[1], rtol=1e-6)
+    np.testing.assert_allclose(made.predicted_std, made.quality.factor * np.hypot(made.mean_std, found.noise), rtol=1e-6)
+    measured = 2 * made.x[:, 0] + 0.5 * rng.standard_normal((200, 30))
+    assert 0.9 <= (np.abs(measured - made.predicted) <= 1.96 * made.predicted_std).mean() <= 0.99
+
+
+def test_a_row_out_of_fold_is_judged_by_its_own_noise():
+    rng = np.random.default_rng(0)
+    error = np.where(np.arange(80) % 2, 0.1, 2.0)
+    x = rng.uniform(-1, 1, 80)
+    data = Designs.from_frame({"x": x, "y": 3 * x + error * rng.standard_normal(80), "se": error}, "y", std_error="se")
+    found = cross_validated(data, designer("gp").predictor, "GP")
+    assert np.median(found.std[::2]) > 5 * np.median(found.std[1::2])
+    scaled = np.abs(found.observed - found.predicted) / found.std
+    assert 0.5 < np.median(scaled[::2]) / np.median(scaled[1::2]) < 2
 
 
 def test_of_noise_no_skill_is_claimed():

@@ -127,7 +127,8 @@ def _write_proposals(method: Any, data: Any, problem: Any, options: Design, out:
     from deadreckon.report.design import write_design
 
     far = nn_distance(data, made.x)
-    more = {"predicted": data.shown(made.predicted), "predicted_std": made.predicted_std, "distance": far}
+    more = {"predicted": data.shown(made.predicted), "predicted_std": made.predicted_std}
+    more |= ({} if made.mean_std is None else {"mean_std": made.mean_std}) | {"distance": far}
     if scores is not None:
         more["true"] = data.shown(scores.true)
     written = data.write(out / "proposals.csv", made.x, {_free(key, data): value for key, value in more.items()})

@@ -44,10 +44,13 @@ class Proposals(Shown):
         method: the designer.
         x: (n, variables) as the data holds them; see `Designs.decode` for a table.
         predicted: (n,) what the method believes that they score; NaN where it believes nothing.
-        predicted_std: (n,) standard deviation of that belief; NaN likewise.
+        predicted_std: (n,) standard deviation of a new measurement, noise included (of `gp-bo`: of the true score); NaN
+            likewise.
         seed: random seed.
         seconds: it took, of all seeds of a program together.
         quality: how well the method predicts out of fold; None where that was not looked at.
+        mean_std: (n,) standard deviation of the true score, the mean of ever more measurements, as the model has it: it is not
+            calibrated, since true scores are not in the data. None where the method does not tell it from noise.
     """
 
     method: str
@@ -57,6 +60,7 @@ class Proposals(Shown):
     seed: int
     seconds: float = 0.0
     quality: Quality | None = None
+    mean_std: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.x)

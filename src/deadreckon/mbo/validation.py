@@ -2,6 +2,8 @@
 
 Folds are of whole designs. From the scaled errors |y - m| / s out of fold follows a factor on standard deviations (split
 conformal prediction with normalised scores; Lei et al. 2018): the smallest with which the interval of 95 % holds that share.
+The scores are measurements, so s must be the deviation of a measurement, noise included, and what the factor makes is an
+interval for a new measurement: true scores are never seen, and the factor says nothing of the deviation of the mean alone.
 Coverage is reported crosswise: for each fold with the factor that the others give, so that no design judges itself.
 """
 
@@ -19,7 +21,8 @@ SHARE = 0.95  # of truths that an interval should hold
 FOLDS = 5
 ENOUGH = 2 * FEWEST  # rows from which on models are cross-validated
 
-Predict = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # designs -> mean and deviation of a new measurement
+# (m, variables) designs and (m,) standard errors of their scores, or None -> (m,) mean and deviation of these, with noise
+Predict = Callable[[np.ndarray, np.ndarray | None], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -81,7 +84,8 @@ def cross_validated(data: Designs, model: Callable[[Designs], Predict], method: 
         if np.ptp(data.y[rest]) == 0 or not np.ptp(data.x[rest], axis=0).any():
             mean[fold == k], std[fold == k] = data.y[rest].mean(), data.y.std()
             continue
-        mean[fold == k], std[fold == k] = model(data.part(rest))(data.x[fold == k])
+        error = None if data.std_error is None else data.std_error[fold == k]
+        mean[fold == k], std[fold == k] = model(data.part(rest))(data.x[fold == k], error)
     return judged(data.y, mean, std, fold, method)
 
 

@@ -74,7 +74,8 @@ def _chart(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | Non
     ]
     unit = "usual distances to the data" if scores is None else f"{data.target}, true"
     text = (
-        f"Whiskers: {PERCENT} interval of the prediction, where the method gives a standard deviation. A usual distance is the "
+        f"Whiskers: {PERCENT} interval {'for a new measurement, noise included' if made.quality else 'of the prediction'}, "
+        "where the method gives a standard deviation. A usual distance is the "
         "median distance of a scored design to its nearest neighbour, in standardised coordinates."
     )
     if scores is not None:
@@ -93,14 +94,13 @@ def _quality(data: Designs, made: Proposals) -> Markup | None:
     rows = np.linspace(0, len(observed) - 1, min(len(observed), POINTS)).astype(int)
     low, high = predicted - half, predicted + half
     value = lambda of, i: float(of[i])  # noqa: E731
-    points = [
-        (f"row {i}", 0, value(observed, i), 0.0, value(predicted, i), value(low, i), value(high, i)) for i in rows
-    ]
+    points = [(f"row {i}", 0, value(observed, i), 0.0, value(predicted, i), value(low, i), value(high, i)) for i in rows]
     drawn = charts.scatter(points, f"{data.target}, observed", f"{data.target}, predicted", diagonal=True)
     text = (
         f"{quality}. Each design was predicted by a model that was fitted without it ({len(observed):,} in all, {len(rows):,} "
         f"are shown). Standard deviations, of proposals too, are multiplied by {number(quality.factor)}, so that the {PERCENT} "
-        "interval holds its share of these. Proposals lie at the edge of the data or beyond, where errors may be larger."
+        "interval holds its share of these. It is an interval for a new measurement, not for the true score, which nobody has "
+        "seen. Proposals lie at the edge of the data or beyond, where errors may be larger."
     )
     return join(figure(drawn), note(text))
 
