@@ -755,6 +755,14 @@ MUTANTS = (
         ("mbo/test_gp.py::test_a_row_out_of_fold_is_judged_by_its_own_noise",),
     ),
     Mutant(
+        "auto-no-tie", "mbo/auto.py", "rank[best] - rank[0] <= error", "rank[best] - rank[0] <= 0",
+        "another method is taken for a difference that is chance", ("mbo/test_auto.py::test_the_best_order_is_taken_unless_the_process_is_as_good",),
+    ),
+    Mutant(
+        "best-of-several-by-chance", "mbo/validation.py", "1 - CHANCE / self.tried", "1 - CHANCE",
+        "the best of several methods is praised for what chance gives", ("mbo/test_auto.py::test_of_noise_no_method_is_praised",),
+    ),
+    Mutant(
         "coverage-own-fold", "mbo/validation.py", "conformal_factor(error[fold != k])", "conformal_factor(error)",
         "designs judge themselves",
         ("mbo/test_gp.py::test_the_factor_is_the_quantile_with_its_correction",),

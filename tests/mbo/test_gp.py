@@ -9,7 +9,6 @@ from deadreckon.mbo import designer, process
 from deadreckon.mbo.batch import check_batch, key
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.gp import greedy, spaced
-from deadreckon.mbo.registry import usual_designer
 from deadreckon.mbo.validation import conformal_factor, cross_validated, judged
 from deadreckon.mbo.variables import Variable
 from tests.mbo.practice import TABLES
@@ -169,10 +168,6 @@ def test_networks_are_judged_on_designs_that_they_have_not_seen():
     assert made.quality.rank_correlation > 0.5
     np.testing.assert_allclose(made.predicted_std, made.quality.factor * plain.predicted_std, rtol=1e-5)
     assert plain.quality is None
-
-
-def test_the_rule_of_the_default():
-    assert [usual_designer(rows) for rows in (10, 3000, 3001)] == ["gp", "gp", "ensemble"]
 
 
 def test_few_rows_are_not_cross_validated():

@@ -22,7 +22,7 @@ _NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
 
 @dataclass
 class Design:
-    """Propose designs expected to score high, from a table of scored ones; --method NAME, by default a Gaussian process.
+    """Propose designs expected to score high, from a table of scored ones; --method NAME, by default what predicts best.
 
     The table may stand first, without --data. See also `deadreckon design describe|problems|get|methods|bench`.
     """
@@ -82,23 +82,20 @@ def design(args: Sequence[str]) -> None:
         return _MORE[args[0]](args[1:])
     if args and not args[0].startswith("-"):
         args = ["--data", *args]
-    from deadreckon.mbo.registry import DESIGNERS, sized, usual_designer
+    from deadreckon.mbo.registry import DESIGNERS, USUAL, sized
 
     name, rest = chosen("method", args)
-    usual = usual_designer(0)
     asked, budget = chosen("problem", rest)[0], chosen("budget", rest)[0]
-    method = sized(name or usual, asked, budget or ("full" if asked else "cpu"))  # with the settings published for it
+    method = sized(name or USUAL, asked, budget or ("full" if asked else "cpu"))  # with the settings published for it
     own = "method", type(method), dataclasses.field(default_factory=lambda: method)
     fields: list[tuple] = [("design", Annotated[Design, tyro.conf.arg(name="")]), own]
     kind = dataclasses.make_dataclass("DesignMethod", fields)
     kind.__doc__ = Design.__doc__ if name else f"{Design.__doc__} Methods: {', '.join(DESIGNERS)}."
     parsed = parse(kind, rest, "design")
-    _propose(name, parsed.method, parsed.design)
+    _propose(name or USUAL, parsed.method, parsed.design)
 
 
-def _propose(name: str | None, method: Any, options: Design) -> None:
-    from deadreckon.mbo.registry import sized, usual_designer
-
+def _propose(name: str, method: Any, options: Design) -> None:
     if (options.data is None) == (options.problem is None):
         raise UserError("design needs --data FILE --target COLUMN, or --problem NAME")
     problem = None
@@ -107,11 +104,6 @@ def _propose(name: str | None, method: Any, options: Design) -> None:
         data = problem.visible
     else:
         data = _designs(options)
-    if name is None:
-        name = usual_designer(len(data))
-        if name != usual_designer(0):
-            print(f"! {len(data):,} rows are too many for a Gaussian process; the method is {name} (--method)", file=sys.stderr)
-            method = sized(name, options.problem, options.budget or ("full" if problem else "cpu"))
     out = Path(options.out or Path("runs", "design", file_part(f"{name}-{data.name}")))
     with alone(out, what=str(out)), resumable(out / "fits"):
         _write_proposals(method, data, problem, options, out)
@@ -149,6 +141,8 @@ def _told(data: Any, made: Any) -> list[str]:
     lines = [f"{data.name}: {len(data):,} designs, {len(data.variables):,} variables; best {data.target} {best:,.4g}{ties}"]
     predicted = f", best predicted {data.target} {most:,.4g}" if made.predicts else ""
     lines.append(f"{made.method}: {len(made):,} proposals{predicted} ({made.seconds:,.0f} s)")
+    if made.compared:
+        return [*lines, *map(str, made.compared), made.reason]
     return lines if made.quality is None else [*lines, str(made.quality)]
 
 

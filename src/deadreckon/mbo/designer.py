@@ -49,6 +49,8 @@ class Proposals(Shown):
         seed: random seed.
         seconds: it took, of all seeds of a program together.
         quality: how well the method predicts out of fold; None where that was not looked at.
+        compared: what was said out of fold of all methods that were tried, if the method was chosen among them.
+        reason: why that one was chosen.
         mean_std: (n,) standard deviation of the true score, the mean of ever more measurements, as the model has it: it is not
             calibrated, since true scores are not in the data. None where the method does not tell it from noise.
     """
@@ -61,6 +63,8 @@ class Proposals(Shown):
     seconds: float = 0.0
     quality: Quality | None = None
     mean_std: np.ndarray | None = None
+    compared: tuple[Quality, ...] = ()
+    reason: str | None = None
 
     def __len__(self) -> int:
         return len(self.x)

@@ -72,6 +72,11 @@ class GP(Designer):
         drawn = generator(0, "rows of the process").choice(rest, self.max_rows - len(best), replace=False)
         return data.part(np.concatenate([best, drawn]))
 
+    def unseen(self, setting: DesignInput, x: np.ndarray, error: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """What it says of scores of other designs, with their standard errors: (m,) means and deviations with noise."""
+        setting.watch("held-out", 0, 1)
+        return self.predictor(self.used(setting.data))(x, error)
+
     def predictor(self, data: Designs) -> Predict:
         """What a process of some designs says of the scores of others: mean, and deviation with noise."""
         process = fit(data, rows=self.fit_rows)

@@ -9,6 +9,7 @@ Coverage is reported crosswise: for each fold with the factor that the others gi
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from deadreckon.stats.interval import NORMAL
 
 SHARE = 0.95  # of truths that an interval should hold
 FOLDS = 5
+CHANCE = 0.025  # share of tables without any relation on which a method may be called skilled
 ENOUGH = 2 * FEWEST  # rows from which on models are cross-validated
 
 # (m, variables) designs and (m,) standard errors of their scores, or None -> (m,) mean and deviation of these, with noise
@@ -32,10 +34,12 @@ class Quality:
     Attributes:
         method: the model.
         observed, predicted, std: (rows,) scores, and what was said of them out of fold, before calibration.
-        r2: share of the scores' variance that is predicted; below 0 where the mean would be better.
+        r2: share of the scores' variance that is predicted; below 0 where the mean would be better; NaN, as `coverage`, where
+            the model predicts an order alone.
         rank_correlation: Spearman's.
         coverage: share of scores within the calibrated interval of 95 %, crosswise.
         factor: on standard deviations, so that the interval holds its share.
+        tried: how many methods were tried of which this is one.
     """
 
     method: str
@@ -46,12 +50,13 @@ class Quality:
     rank_correlation: float
     coverage: float
     factor: float
+    tried: int = 1
 
     @property
     def skilled(self) -> bool:
         """Whether the rank correlation is above what chance gives in 97.5 % of tables without any relation (Fieller 1957)."""
-        chance = float(np.tanh(NORMAL * (1.06 / max(len(self.observed) - 3, 1)) ** 0.5))
-        return self.rank_correlation > chance
+        limit = NormalDist().inv_cdf(1 - CHANCE / self.tried)  # the best of several is greater by chance (Bonferroni)
+        return self.rank_correlation > float(np.tanh(limit * (1.06 / max(len(self.observed) - 3, 1)) ** 0.5))
 
     @property
     def warning(self) -> str | None:
@@ -61,6 +66,8 @@ class Quality:
         return "the model ranks unseen designs no better than chance; its proposals rest on nothing that the table shows"
 
     def __str__(self) -> str:
+        if not np.isfinite(self.r2):
+            return f"{self.method} out of fold: rank correlation {self.rank_correlation:.2f} (it predicts an order, not scores)"
         return (
             f"{self.method} out of fold: R2 {self.r2:.2f}, rank correlation {self.rank_correlation:.2f}, "
             f"{self.coverage:.0%} of scores in the {SHARE:.0%} interval"
@@ -89,18 +96,25 @@ def cross_validated(data: Designs, model: Callable[[Designs], Predict], method: 
     return judged(data.y, mean, std, fold, method)
 
 
-def judged(y: np.ndarray, mean: np.ndarray, std: np.ndarray, fold: np.ndarray, method: str) -> Quality:
-    """What predictions out of fold are worth: (rows,) scores, means, deviations and folds."""
-    from scipy.stats import rankdata
-
+def judged(y: np.ndarray, mean: np.ndarray, std: np.ndarray, fold: np.ndarray, method: str, scored: bool = True) -> Quality:
+    """What predictions out of fold are worth: (rows,) scores, means, deviations and folds; `scored`: they are no mere order."""
+    if not scored:
+        return Quality(method, y, mean, std, np.nan, spearman(y, mean), np.nan, 1.0)
     error = np.abs(y - mean) / np.maximum(std, 1e-12)
     inside = [error[fold == k] <= NORMAL * conformal_factor(error[fold != k]) for k in np.unique(fold)]
-    flat = np.ptp(mean) == 0 or np.ptp(y) == 0
     return Quality(
         method, y, mean, std, float(1 - np.square(y - mean).sum() / np.square(y - y.mean()).sum()),
-        0.0 if flat else float(np.corrcoef(rankdata(y), rankdata(mean))[0, 1]), float(np.concatenate(inside).mean()),
+        spearman(y, mean), float(np.concatenate(inside).mean()),
         conformal_factor(error),
     )  # fmt: skip
+
+
+def spearman(a: np.ndarray, b: np.ndarray) -> float:
+    """The rank correlation of two (rows,) lists; 0 where one of them is flat."""
+    from scipy.stats import rankdata
+
+    flat = np.ptp(a) == 0 or np.ptp(b) == 0
+    return 0.0 if flat else float(np.corrcoef(rankdata(a), rankdata(b))[0, 1])
 
 
 def conformal_factor(error: np.ndarray, share: float = SHARE) -> float:

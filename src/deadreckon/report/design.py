@@ -102,7 +102,20 @@ def _quality(data: Designs, made: Proposals) -> Markup | None:
         "interval holds its share of these. It is an interval for a new measurement, not for the true score, which nobody has "
         "seen. Proposals lie at the edge of the data or beyond, where errors may be larger."
     )
-    return join(figure(drawn), note(text))
+    return join(figure(drawn), note(text), _compared(made))
+
+
+def _compared(made: Proposals) -> Markup:
+    """Which methods were tried, and why one was taken."""
+    if not made.compared:
+        return join()
+    rows = []
+    for each in made.compared:
+        shown = [each.r2, each.rank_correlation, each.coverage]
+        cells = [tag("td", f"{value:.2f}" if np.isfinite(value) else "-") for value in shown]
+        rows.append(tag("tr", [tag("th", each.method, scope="row"), *cells]))
+    head = heads_of(["method", "R2", "rank correlation", "in the interval"])
+    return join(scroll(tag("table", head, tag("tbody", rows))), note(f"Out of fold, by method: {made.reason}."))
 
 
 def _table(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None) -> Markup:
