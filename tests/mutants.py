@@ -756,11 +756,23 @@ MUTANTS = (
     ),
     Mutant(
         "auto-no-tie", "mbo/auto.py", "rank[best] - rank[0] <= error", "rank[best] - rank[0] <= 0",
-        "another method is taken for a difference that is chance", ("mbo/test_auto.py::test_the_best_order_is_taken_unless_the_process_is_as_good",),
+        "another method is taken for a difference that is chance",
+        ("mbo/test_auto.py::test_the_best_order_is_taken_unless_the_process_is_as_good",),
     ),
     Mutant(
         "best-of-several-by-chance", "mbo/validation.py", "1 - CHANCE / self.tried", "1 - CHANCE",
-        "the best of several methods is praised for what chance gives", ("mbo/test_auto.py::test_of_noise_no_method_is_praised",),
+        "the best of several methods is praised for what chance gives",
+        ("mbo/test_auto.py::test_of_noise_no_method_is_praised",),
+    ),
+    Mutant(
+        "slices-from-below", "mbo/hypervolume.py", "y = y[np.argsort(-y[:, -1], kind=\"stable\")]",
+        "y = y[np.argsort(y[:, -1], kind=\"stable\")]", "hypervolumes are summed from the wrong end",
+        ("mbo/test_front.py::test_hypervolumes_have_their_closed_forms",),
+    ),
+    Mutant(
+        "front-not-updated", "mbo/front.py", "np.concatenate([front, y[i : i + 1]])", "front",
+        "designs of a batch for several targets do not know of each other",
+        ("mbo/test_front.py::test_the_batch_is_chosen_given_those_before",),
     ),
     Mutant(
         "coverage-own-fold", "mbo/validation.py", "conformal_factor(error[fold != k])", "conformal_factor(error)",
