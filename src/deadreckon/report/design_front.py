@@ -57,11 +57,11 @@ def _chart(front: Front) -> Markup:
         (f"design {i}", 0, float(x), 0.0, float(y), float(y - half[i, 1]), float(y + half[i, 1]))
         for i, (x, y) in enumerate(predicted)
     ]  # fmt: skip
-    drawn = charts.scatter(points, front.data[0].target, front.data[1].target)
+    drawn = charts.scatter(points, front.data[0].target, front.data[1].target, diagonal=False)
     text = (
-        f"With whiskers: proposals as they are predicted, with the {PERCENT} interval for a new measurement of "
-        f"{front.data[1].target}. The others are designs of the data, {int(best.sum()):,} of them on its front, which no "
-        "design of the data is at least as good as in both and better in one."
+        f"Circles with whiskers: proposals as they are predicted, with the {PERCENT} interval for a new measurement of "
+        f"{front.data[1].target}. The others are designs of the data: squares the {int(best.sum()):,} on its front, which no "
+        "other is at least as good as in both and better in one."
     )
     return join(figure(drawn), note(text))
 
