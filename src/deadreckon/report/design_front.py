@@ -49,9 +49,9 @@ def _chart(front: Front) -> Markup:
     best, rows = non_dominated(front.observed), np.arange(len(observed))
     kept = rows[best | np.isin(rows, np.linspace(0, len(rows) - 1, min(len(rows), POINTS)).astype(int))]
     half = NORMAL * np.stack([made.predicted_std for made in front.made], 1)
-    nan = float("nan")
+    nan, mark = float("nan"), ("", " (front)")
     points = [
-        (f"row {i}{' (front)' * best[i]}", 2 - int(best[i]), float(observed[i, 0]), 0.0, float(observed[i, 1]), nan, nan)
+        (f"row {i}{mark[int(best[i])]}", 2 - int(best[i]), float(observed[i, 0]), 0.0, float(observed[i, 1]), nan, nan)
         for i in kept
     ] + [
         (f"design {i}", 0, float(x), 0.0, float(y), float(y - half[i, 1]), float(y + half[i, 1]))
