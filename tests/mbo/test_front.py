@@ -42,6 +42,9 @@ def test_what_no_row_dominates():
     y = np.array([[1.0, 3], [2, 2], [2, 2], [1, 2], [3, 0]])
     assert non_dominated(y).tolist() == [True, True, True, False, True]
     np.testing.assert_allclose(reference_of(y), [1 - 0.2, 0 - 0.3])
+    many = np.random.default_rng(0).uniform(size=(600, 2))  # more than are compared at once
+    alone = [not ((many >= row).all(1) & (many > row).any(1)).any() for row in many]
+    assert non_dominated(many).tolist() == alone
 
 
 @pytest.fixture(scope="module")

@@ -6,11 +6,16 @@ one score less: n log n steps for two scores, n^2 for three, and more for each f
 
 import numpy as np
 
+BLOCK = 256  # rows that are compared with all at once
+
 
 def non_dominated(y: np.ndarray) -> np.ndarray:
     """(rows,) which of (rows, scores) no other row is at least as good as in all scores and better in one; twins all are."""
-    better = (y[:, None] >= y).all(2) & (y[:, None] > y).any(2)
-    return ~better.any(0)
+    beaten = np.zeros(len(y), bool)
+    for i in range(0, len(y), BLOCK):  # all pairs at once are too many for large tables
+        some = y[i : i + BLOCK, None]
+        beaten |= ((some >= y).all(2) & (some > y).any(2)).any(0)
+    return ~beaten
 
 
 def hypervolume(y: np.ndarray, reference: np.ndarray) -> float:
