@@ -787,6 +787,46 @@ MUTANTS = (
         ("data/formats/test_xlsx_out.py::test_texts_of_cells",),
     ),
     Mutant(
+        "chance-counted-once", "mbo/validation.py", "(2.12 if self.crossed else 1.06)", "1.06",
+        "noise that agrees with itself in cross-validation passes for a relation",
+        ("mbo/test_gp.py::test_of_tables_without_any_relation_few_pass_for_some",),
+    ),
+    Mutant(
+        "interval-without-noise", "mbo/gp.py", "measured = np.hypot(std, process.noise)", "measured = std",
+        "the factor of measurements is put on the deviation of the mean",
+        ("mbo/test_gp.py::test_intervals_are_for_one_new_measurement",),
+    ),
+    Mutant(
+        "noise-of-a-pooled-row", "mbo/process.py", "(data.replicates * ratio).mean()", "ratio.mean()",
+        "one new measurement has as little noise as the mean of several",
+        ("mbo/test_gp.py::test_intervals_are_for_one_new_measurement",),
+    ),
+    Mutant(
+        "fold-noise-usual", "mbo/gp.py", "process.noise if error is None else process.noise_of(error)", "process.noise",
+        "rows out of fold are judged by the usual noise, not by their own",
+        ("mbo/test_gp.py::test_a_row_out_of_fold_is_judged_by_its_own_noise",),
+    ),
+    Mutant(
+        "auto-no-tie", "mbo/auto.py", "rank[best] - rank[0] <= error", "rank[best] - rank[0] <= 0",
+        "another method is taken for a difference that is chance",
+        ("mbo/test_auto.py::test_the_best_order_is_taken_unless_the_process_is_as_good",),
+    ),
+    Mutant(
+        "best-of-several-by-chance", "mbo/validation.py", "1 - CHANCE / self.tried", "1 - CHANCE",
+        "the best of several methods is praised for what chance gives",
+        ("mbo/test_auto.py::test_of_noise_no_method_is_praised",),
+    ),
+    Mutant(
+        "slices-from-below", "mbo/hypervolume.py", "y = y[np.argsort(-y[:, -1], kind=\"stable\")]",
+        "y = y[np.argsort(y[:, -1], kind=\"stable\")]", "hypervolumes are summed from the wrong end",
+        ("mbo/test_front.py::test_hypervolumes_have_their_closed_forms",),
+    ),
+    Mutant(
+        "front-not-updated", "mbo/front.py", "np.concatenate([front, y[i : i + 1]])", "front",
+        "designs of a batch for several targets do not know of each other",
+        ("mbo/test_front.py::test_the_batch_is_chosen_given_those_before",),
+    ),
+    Mutant(
         "coverage-own-fold", "mbo/validation.py", "conformal_factor(error[fold != k])", "conformal_factor(error)",
         "designs judge themselves",
         ("mbo/test_gp.py::test_the_factor_is_the_quantile_with_its_correction",),

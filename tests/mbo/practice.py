@@ -12,11 +12,12 @@ SIZES = ("small", "medium", "large", "huge")
 
 
 class Table(NamedTuple):
-    """A table of designs, what it is read with, and the true score of a design given as a row."""
+    """A table of designs, what it is read with, the true score of a design given as a row, and a measurement's deviation."""
 
     columns: dict[str, list[Any]]
     options: dict[str, Any]
     truth: Callable[[dict[str, Any]], float]
+    noise: float = 0.0
 
     def designs(self) -> Designs:
         """As designs."""
@@ -30,7 +31,7 @@ class Table(NamedTuple):
 
 def _table(rows: list[dict], truth: Callable, noise: float, rng: np.random.Generator, **options: Any) -> Table:
     columns = {name: [row[name] for row in rows] for name in rows[0]}
-    return Table(columns | {"y": [truth(row) + noise * rng.standard_normal() for row in rows]}, options, truth)
+    return Table(columns | {"y": [truth(row) + noise * rng.standard_normal() for row in rows]}, options, truth, noise)
 
 
 def mixed(rows: int = 80, seed: int = 0) -> Table:

@@ -13,6 +13,7 @@ from deadreckon.mbo.variables import Variable
 
 SMALL = {
     "nemo": {"bins": 6, "hidden": (16,), "steps": 100, "pretrain": 100, "lr": 0.01, "design_lr": 0.03, "batch_size": 32},
+    "auto": {"hidden": (16,), "steps": 100, "networks_from": 100},
     "nemo-adversarial": {"bins": 6, "hidden": (16,), "steps": 100, "pretrain": 100, "lr": 0.01, "batch_size": 32},
     "coms": {"hidden": (16,), "steps": 200, "batch_size": 32, "ascent_steps": 5, "lr": 3e-3},
     "gp-bo": {"max_rows": 100, "ascent_steps": 50},
@@ -57,7 +58,7 @@ def test_the_small_budget_changes_fields_that_exist():
 
 # Slow are those whose code fast ones share: AutoFocus is CbAS and more, the mean of an ensemble is its least with another
 # reduction, NEMO, DDOM's sampler and Gaussian processes have tests of their own. All of them have golden numbers.
-SELDOM = ("cbas", "ddom", "ensemble", "gp", "nemo", "nemo-adversarial", "mins")
+SELDOM = ("auto", "cbas", "ddom", "ensemble", "gp", "nemo", "nemo-adversarial", "mins")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SELDOM else ()) for n in DESIGNERS])

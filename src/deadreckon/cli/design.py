@@ -10,6 +10,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from deadreckon.cli import design_front
+from deadreckon.cli.design_asked import asked, designs
 from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar, Watch
 from deadreckon.errors import UserError
@@ -22,7 +24,7 @@ _NAMES = tyro.conf.arg(metavar="NAME[,NAME...]")
 
 @dataclass
 class Design:
-    """Propose designs expected to score high, from a table of scored ones; --method NAME, by default a Gaussian process.
+    """Propose designs expected to score high, from a table of scored ones; --method NAME, by default what predicts best.
 
     The table may stand first, without --data. See also `deadreckon design describe|problems|get|methods|bench`.
     """
@@ -37,7 +39,11 @@ class Design:
     bounds: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
     """bounds of columns, as COLUMN LOW HIGH; default: the range of the data"""
     ignore: tuple[str, ...] = ()  # columns that are not inputs
-    minimise: bool = False  # whether to minimise the target instead
+    targets: tuple[str, ...] = ()  # columns of several scores at once, for a front of designs, instead of --target
+    minimise: tuple[str, ...] | None = None
+    """whether to minimise the target instead; with --targets the names of those to minimise"""
+    reference: dict[str, float] = dataclasses.field(default_factory=dict)
+    """point that hypervolumes of --targets are measured from, as TARGET NUMBER pairs; default: a tenth below the front"""
     steps: dict[str, float] = dataclasses.field(default_factory=dict)
     """step sizes of numeric columns, as COLUMN STEP pairs: proposals are multiples of the step"""
     logs: tuple[str, ...] = ()  # columns of positive numbers that are modelled on a logarithmic scale
@@ -82,23 +88,25 @@ def design(args: Sequence[str]) -> None:
         return _MORE[args[0]](args[1:])
     if args and not args[0].startswith("-"):
         args = ["--data", *args]
-    from deadreckon.mbo.registry import DESIGNERS, sized, usual_designer
+    from deadreckon.mbo.registry import DESIGNERS, USUAL, sized
 
     name, rest = chosen("method", args)
-    usual = usual_designer(0)
-    asked, budget = chosen("problem", rest)[0], chosen("budget", rest)[0]
-    method = sized(name or usual, asked, budget or ("full" if asked else "cpu"))  # with the settings published for it
+    problem, budget = chosen("problem", rest)[0], chosen("budget", rest)[0]
+    method = sized(name or USUAL, problem, budget or ("full" if problem else "cpu"))  # with the settings published for it
     own = "method", type(method), dataclasses.field(default_factory=lambda: method)
     fields: list[tuple] = [("design", Annotated[Design, tyro.conf.arg(name="")]), own]
     kind = dataclasses.make_dataclass("DesignMethod", fields)
     kind.__doc__ = Design.__doc__ if name else f"{Design.__doc__} Methods: {', '.join(DESIGNERS)}."
     parsed = parse(kind, rest, "design")
-    _propose(name, parsed.method, parsed.design)
+    _propose(name or USUAL, parsed.method, parsed.design)
 
 
-def _propose(name: str | None, method: Any, options: Design) -> None:
-    from deadreckon.mbo.registry import sized, usual_designer
-
+def _propose(name: str, method: Any, options: Design) -> None:
+    if options.targets:
+        design_front.check(name, options)
+        return design_front.write_proposals(options, asked(options))
+    if options.minimise not in (None, (), (options.target,)):
+        raise UserError(f"--minimise {' '.join(options.minimise or ())}: names stand there with --targets alone")
     if (options.data is None) == (options.problem is None):
         raise UserError("design needs --data FILE --target COLUMN, or --problem NAME")
     problem = None
@@ -106,12 +114,7 @@ def _propose(name: str | None, method: Any, options: Design) -> None:
         problem = _problem(options.problem, options.path)
         data = problem.visible
     else:
-        data = _designs(options)
-    if name is None:
-        name = usual_designer(len(data))
-        if name != usual_designer(0):
-            print(f"! {len(data):,} rows are too many for a Gaussian process; the method is {name} (--method)", file=sys.stderr)
-            method = sized(name, options.problem, options.budget or ("full" if problem else "cpu"))
+        data = designs(options)
     out = Path(options.out or Path("runs", "design", file_part(f"{name}-{data.name}")))
     with alone(out, what=str(out)), resumable(out / "fits"):
         _write_proposals(method, data, problem, options, out)
@@ -120,8 +123,8 @@ def _propose(name: str | None, method: Any, options: Design) -> None:
 def _write_proposals(method: Any, data: Any, problem: Any, options: Design, out: Path) -> None:
     """Proposes, writes and prints, for whoever has the folder `out` to itself."""
     with Watch() as watch:
-        asked: dict[str, Any] = {"repeat": options.repeat, "validate": problem is None}
-        made = method.propose(data, options.n, seed=options.seed, out=out / "fits", watch=watch, **asked)
+        ways: dict[str, Any] = {"repeat": options.repeat, "validate": problem is None}
+        made = method.propose(data, options.n, seed=options.seed, out=out / "fits", watch=watch, **ways)
     scores = None if problem is None else problem.score(made)
     from deadreckon.mbo.nn_distance import nn_distance
     from deadreckon.mbo.proposal_table import added_columns
@@ -148,6 +151,8 @@ def _told(data: Any, made: Any) -> list[str]:
     lines = [f"{data.name}: {len(data):,} designs, {len(data.variables):,} variables; best {data.target} {best:,.4g}{ties}"]
     predicted = f", best predicted {data.target} {most:,.4g}" if made.predicts else ""
     lines.append(f"{made.method}: {len(made):,} proposals{predicted} ({made.seconds:,.0f} s)")
+    if made.compared:
+        return [*lines, *map(str, made.compared), made.reason]
     return lines if made.quality is None else [*lines, str(made.quality)]
 
 
@@ -163,30 +168,6 @@ def _write_sheets(data: Any, made: Any, more: dict[str, list[Any]], path: Path) 
         print(f"! {path.name} is not written: {error}", file=sys.stderr)
     else:
         print(path)
-
-
-def _designs(options: Design) -> Any:
-    from deadreckon.mbo.design_schema import DesignSchema
-    from deadreckon.mbo.designs import Designs
-
-    if options.target is None and options.schema is None:
-        raise UserError("missing --target, the column of the scores")
-    if options.path is not None:
-        raise UserError("--path is the file of a --problem; the file of your own designs is --data")
-    more = {
-        "kinds": options.kinds, "bounds": options.bounds, "ignore": options.ignore, "minimise": options.minimise,
-        "levels": {column: _listed(text) for column, text in options.levels.items()}, "steps": options.steps,
-        "logs": options.logs, "std_error": options.std_error, "weights": options.weights, "fixed": options.fix,
-        "constraints": options.constraints, "mixtures": tuple(map(_listed, options.mixtures)), "forbidden": options.forbid,
-        "max_distance": options.max_distance,
-    }  # fmt: skip
-    if options.schema is not None:
-        return DesignSchema.load(options.schema).read(options.data or "", target=options.target, **more)
-    return Designs.from_csv(options.data or "", options.target or "", **more)
-
-
-def _listed(text: str) -> list[str]:
-    return [part.strip() for part in text.split(",")]
 
 
 def _problem(name: str, path: str | None) -> Any:

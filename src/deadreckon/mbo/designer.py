@@ -45,11 +45,16 @@ class Proposals(Shown):
         method: the designer.
         x: (n, variables) as the data holds them; see `Designs.decode` for a table.
         predicted: (n,) what the method believes that they score; NaN where it believes nothing.
-        predicted_std: (n,) standard deviation of that belief; NaN likewise.
+        predicted_std: (n,) standard deviation of a new measurement, noise included (of `gp-bo`: of the true score); NaN
+            likewise.
         seed: random seed.
         seconds: it took, of all seeds of a program together.
         quality: how well the method predicts out of fold; None where that was not looked at.
         fitted: the model, to be asked about other designs; None where the method has none of the score.
+        compared: what was said out of fold of all methods that were tried, if the method was chosen among them.
+        reason: why that one was chosen.
+        mean_std: (n,) standard deviation of the true score, the mean of ever more measurements, as the model has it: it is not
+            calibrated, since true scores are not in the data. None where the method does not tell it from noise.
     """
 
     method: str
@@ -60,6 +65,9 @@ class Proposals(Shown):
     seconds: float = 0.0
     quality: Quality | None = None
     fitted: Fitted | None = dataclasses.field(default=None, repr=False)
+    mean_std: np.ndarray | None = None
+    compared: tuple[Quality, ...] = ()
+    reason: str | None = None
 
     def __len__(self) -> int:
         return len(self.x)

@@ -22,7 +22,7 @@ class Fitted:
     """What the model of a method says of designs, in the scores of the data (`Designs.y`).
 
     Attributes:
-        predictions: means, and standard deviations of the true score (None where the model has none).
+        predictions: means, and standard deviations of one new measurement (None where the model has none).
         averages: means of groups of designs, and the covariance of the averages of groups; None where it is not known how
             predictions of different designs go together.
         factor: on standard deviations, from the calibration.

@@ -100,7 +100,7 @@ class Forward(Designer):
             found.append(replace(made, fitted=self._fitted(made.fitted, setting.data, nets)))
         if not setting.validate or len(setting.data) < ENOUGH:
             return found
-        quality = self._held_out(setting, learner)
+        quality = self._held_out(setting)
         return [each.calibrated(quality) for each in found]
 
     def _fitted(self, fitted: Fitted | None, data: Designs, nets: MLP) -> Fitted | None:
@@ -116,15 +116,20 @@ class Forward(Designer):
 
         return replace(fitted, averages=averages)
 
-    def _held_out(self, setting: DesignInput, learner: Gaussian) -> Quality:
+    def unseen(self, setting: DesignInput, x: np.ndarray, error: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """What it says of scores of other designs: (m,) means and deviations with noise, whatever standard errors are known."""
+        learner, data = Gaussian(self.lr, self.members, self.hidden, 2, "relu", self.batch_size), setting.data
+        weight = {"weight": redrawn(len(data), self.members, 0)}
+        nets = setting.train(learner, self.steps, "held-out", weight)[0][0]
+        view = data.coordinates
+        mean, std = (np.asarray(each, np.float64) for each in mixture(nets, jnp.asarray(view.encode(x))))
+        return view.score(mean), view.y_std * std
+
+    def _held_out(self, setting: DesignInput) -> Quality:
         """Predictions of a fifth of the designs, by networks that are fitted on the others."""
         data = setting.data
         order = generator(0, "held-out designs").permutation(len(data))
         held = order[: min(len(data) // 5, HELD)]
-        rest = data.part(order[len(held) :])
-        weight = {"weight": redrawn(len(rest), self.members, 0)}
-        part = setting._replace(data=rest, seeds=setting.seeds[:1])
-        nets = part.train(learner, self.steps, "held-out", weight)[0][0]
-        view = rest.coordinates
-        mean, std = (np.asarray(each, np.float64) for each in mixture(nets, jnp.asarray(view.encode(data.x[held]))))
-        return judged(data.y[held], view.score(mean), view.y_std * std, np.arange(len(held)) % 2, self.label)
+        part = setting._replace(data=data.part(order[len(held) :]), seeds=setting.seeds[:1])
+        mean, std = self.unseen(part, data.x[held], None)
+        return judged(data.y[held], mean, std, np.arange(len(held)) % 2, self.label)

@@ -28,7 +28,7 @@ REACH = 0.5, 0.003  # of random changes in the first and the last round, in rang
 class GP(Designer):
     """The greatest predicted score under a Gaussian process with a length for each variable, and categories."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
 
     kappa: Number = host(0.0)
     """standard deviations added to the prediction: below 0 cautious (lower confidence bound), above 0 bold (upper one)"""
@@ -59,7 +59,10 @@ class GP(Designer):
             else:
                 x = np.resize(pool[order], (setting.n, pool.shape[1])).astype(np.float32)
             mean, std = process.posterior(x)
-            made = Proposals(self.label, x, mean, std, seed, fitted=Fitted(process.posterior, process.averages))
+            # What is calibrated is the deviation of a measurement, with its noise, and not that of the mean.
+            measured = np.hypot(std, process.noise)
+            fitted = Fitted(process.measured, process.averages)
+            made = Proposals(self.label, x, mean, measured, seed, fitted=fitted, mean_std=std)
             found.append(made.calibrated(quality) if quality else made)
         return found
 
@@ -72,13 +75,18 @@ class GP(Designer):
         drawn = generator(0, "rows of the process").choice(rest, self.max_rows - len(best), replace=False)
         return data.part(np.concatenate([best, drawn]))
 
+    def unseen(self, setting: DesignInput, x: np.ndarray, error: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """What it says of scores of other designs, with their standard errors: (m,) means and deviations with noise."""
+        setting.watch("held-out", 0, 1)
+        return self.predictor(self.used(setting.data))(x, error)
+
     def predictor(self, data: Designs) -> Predict:
-        """What a process of some designs says of new measurements of others: mean, and deviation with noise."""
+        """What a process of some designs says of the scores of others: mean, and deviation with noise."""
         process = fit(data, rows=self.fit_rows)
 
-        def predict(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        def predict(x: np.ndarray, error: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
             mean, std = process.posterior(x)
-            return mean, np.hypot(std, process.noise)
+            return mean, np.hypot(std, process.noise if error is None else process.noise_of(error))
 
         return predict
 
@@ -152,7 +160,7 @@ def greedy(process: Process, x: np.ndarray, kappa: float, n: int) -> np.ndarray:
     if not kappa:
         return np.argsort(-mean, kind="stable")[:n]
     covariance, order = process.covariance(x), []
-    noise = float(np.exp(process.hyper.noise))
+    noise = (process.noise / process.y_std) ** 2
     for _ in range(min(n, len(x))):
         value = mean + kappa * np.sqrt(np.maximum(np.diag(covariance), 0.0))
         value[order] = -np.inf

@@ -18,6 +18,7 @@ from deadreckon.mbo.designs import Designs
 from deadreckon.randomness import generator
 
 ITERATIONS = 60  # of L-BFGS at most
+LEAST_RATIO = 1e-3  # variance of a row's noise at least, in means of all rows' variances
 LEAST = 1e-6  # variance of the noise at least, in variances of the score
 ROOT5 = 5**0.5
 
@@ -68,8 +69,10 @@ class Process:
         seen: (rows, features) of the data, over the lengths.
         alpha: (rows,) of the mean k(x) alpha.
         inverse: (rows, rows) inverse of the Cholesky factor of the kernel matrix with noise.
-        hyper: hyperparameters.
+        hyper: hyperparameters; its noise is that of a row of usual standard error.
         y_mean, y_std: of the scores that were seen.
+        usual: mean square of the rows' standard errors; 0: none are known, and all rows have the same noise.
+        single: variance of the noise of one measurement, relative to that of a row: above 1 where rows are means of several.
     """
 
     features: Features
@@ -79,17 +82,31 @@ class Process:
     hyper: Hyper
     y_mean: float
     y_std: float
+    usual: float
+    single: float
 
     @property
     def noise(self) -> float:
-        """Standard deviation of a measurement of usual noise."""
-        return self.y_std * float(np.exp(0.5 * self.hyper.noise))
+        """Standard deviation of the noise of one new measurement."""
+        return self.y_std * float(np.exp(0.5 * self.hyper.noise)) * self.single**0.5
+
+    def noise_of(self, error: np.ndarray) -> np.ndarray:
+        """(m,) standard deviations of the noise of scores with these standard errors."""
+        if not self.usual:
+            return np.full(len(error), self.noise)
+        row = self.y_std * float(np.exp(0.5 * self.hyper.noise))
+        return row * np.sqrt(np.maximum(np.square(error) / self.usual, LEAST_RATIO))
 
     def posterior(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(m,) mean and (m,) standard deviation of the true scores of (m, variables) designs."""
         k = self._kernel(x)[0]
         variance = np.exp(self.hyper.signal) - np.square(k @ self.inverse.T).sum(1)
         return self.y_mean + self.y_std * (k @ self.alpha), self.y_std * np.sqrt(np.maximum(variance, 1e-10))
+
+    def measured(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(m,) mean and (m,) standard deviation of one new measurement, noise included, of (m, variables) designs."""
+        mean, std = self.posterior(x)
+        return mean, np.hypot(std, self.noise)
 
     def mean(self, x: np.ndarray) -> np.ndarray:
         """(m,) mean alone, which is faster."""
@@ -138,7 +155,7 @@ def relative_noise(data: Designs) -> np.ndarray:
     if data.std_error is None or not data.std_error.any():
         return np.ones(len(data))
     square = np.square(data.std_error)
-    return np.maximum(square / square.mean(), 1e-3)
+    return np.maximum(square / square.mean(), LEAST_RATIO)
 
 
 def fit(data: Designs, rows: int = 400) -> Process:
@@ -169,19 +186,22 @@ def fit(data: Designs, rows: int = 400) -> Process:
         found = minimize(_loss, begin, of, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         best = found if best is None or found.fun < best.fun else best
     assert best is not None
-    return _conditioned(features, f, y, ratio, _hyper(best.x), y_mean, y_std)
+    return _conditioned(features, f, ratio, _hyper(best.x), y_mean, y_std)
 
 
-def _conditioned(
-    features: Features, f: np.ndarray, y: np.ndarray, ratio: np.ndarray, hyper: Hyper, y_mean: float, y_std: float
-) -> Process:
+def _conditioned(features: Features, f: np.ndarray, ratio: np.ndarray, hyper: Hyper, y_mean: float, y_std: float) -> Process:
     """The process of these hyperparameters, given the data."""
+    data = features.data
+    y = (data.y - y_mean) / y_std
     seen = f / np.exp(hyper.lengths)[features.owner]
     k = _matern(_squares(seen, seen), hyper.signal)[0] + np.diag(np.exp(hyper.noise) * ratio + 1e-8)
     from scipy.linalg import solve_triangular
 
     inverse = solve_triangular(np.linalg.cholesky(k), np.eye(len(y)), lower=True)
-    return Process(features, seen, inverse.T @ (inverse @ y), inverse, hyper, y_mean, y_std)
+    # A pooled row of m measurements has an m-th of the variance of one of them.
+    single = 1.0 if data.replicates is None else float((data.replicates * ratio).mean())
+    usual = 0.0 if data.std_error is None else float(np.square(data.std_error).mean())
+    return Process(features, seen, inverse.T @ (inverse @ y), inverse, hyper, y_mean, y_std, usual, single)
 
 
 def _hyper(vector: np.ndarray) -> Hyper:

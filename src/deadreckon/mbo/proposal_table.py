@@ -21,16 +21,15 @@ def added_columns(data: Designs, made: Proposals, true: np.ndarray | None = None
 
     Returns:
         Names to (n,) values: `predicted`, `predicted_std`, the ends of the 95 % interval `predicted_low` and `predicted_high`
-        (all in the target's own sign), `distance` in usual distances between neighbours, the row of the data that is nearest
-        (counted from 0) with its score, and `true` where there is an oracle. What the method does not give is NaN.
+        (all in the target's own sign), `mean_std` where the method tells the true score from noise, `distance` in usual
+        distances between neighbours, the row of the data that is nearest (counted from 0) with its score, and `true` where
+        there is an oracle. What the method does not give is NaN.
     """
     far, rows = neighbours(data, made.x, 1)
     low, high = shown_interval(data, made.predicted, made.predicted_std)
-    more = {
-        "predicted": data.shown(made.predicted), "predicted_std": made.predicted_std, "predicted_low": low,
-        "predicted_high": high, "distance": far[:, 0], "nearest_row": data.numbered(rows[:, 0]),
-        "nearest_score": data.shown(data.y[rows[:, 0]]),
-    }  # fmt: skip
+    more = {"predicted": data.shown(made.predicted), "predicted_std": made.predicted_std}
+    more |= {"predicted_low": low, "predicted_high": high} | ({} if made.mean_std is None else {"mean_std": made.mean_std})
+    more |= {"distance": far[:, 0], "nearest_row": data.numbered(rows[:, 0]), "nearest_score": data.shown(data.y[rows[:, 0]])}
     if true is not None:
         more["true"] = data.shown(true)
     return {_free(name, data): np.asarray(values).tolist() for name, values in more.items()}
@@ -48,8 +47,10 @@ def about(data: Designs, made: Proposals) -> dict[str, list[Any]]:
         if made.quality.warning:
             lines["warning"] = made.quality.warning
     lines |= {
-        "predicted": "what the model predicts of the true score; a single measurement scatters more",
-        "predicted_low, predicted_high": f"its {PERCENT} interval",
+        "predicted": "what the model predicts",
+        "predicted_std": "standard deviation of one new measurement, noise included",
+        "predicted_low, predicted_high": f"the {PERCENT} interval of one new measurement",
+        **({} if made.mean_std is None else {"mean_std": "standard deviation of the true score, by the model, not calibrated"}),
         "distance": "to the nearest scored row; 1 is the median distance of a scored row to its nearest neighbour",
         "nearest_row": "row of the data that is nearest, counted from 0 without the line of names",
     }

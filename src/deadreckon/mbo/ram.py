@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
@@ -47,9 +48,18 @@ class RaM(Designer):
     ascent_steps: Count = static(200)  # gradient steps that move the designs
     design_lr: NonNegative = 0.01  # step size of the designs (Adam), times the square root of the number of coordinates
 
+    def _learner(self) -> Ranking:
+        return Ranking(self.lr, 1, self.hidden, 1, "relu", self.list_size)
+
+    def unseen(self, setting: DesignInput, x: np.ndarray, error: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """An order of other designs: (m,) numbers, greater where it expects more, and deviations that it does not know."""
+        nets = setting.train(self._learner(), self.steps, "ram-held-out")[0][0]
+        out = ranked((nets, 0.0, 1.0), jnp.asarray(setting.data.coordinates.encode(x)))
+        return np.asarray(out, np.float64), np.full(len(x), np.nan)
+
     def solve(self, setting: DesignInput) -> list[Proposals]:
         """From the best designs of the data, up the gradient; it predicts an order, not scores."""
-        learner = Ranking(self.lr, 1, self.hidden, 1, "relu", self.list_size)
+        learner = self._learner()
         view, start = setting.data.coordinates, Search.start(setting.data, setting.n)
         seen = jnp.asarray(view.encode(setting.data.x))
         found = []

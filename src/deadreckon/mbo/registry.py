@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from deadreckon.errors import unknown
+from deadreckon.mbo.auto import Auto
 from deadreckon.mbo.baselines import BestOfData, Random
 from deadreckon.mbo.cbas import CbAS
 from deadreckon.mbo.coms import COMs
@@ -18,6 +19,7 @@ from deadreckon.mbo.ram import RaM
 from deadreckon.training.field_names import with_field_names
 
 DESIGNERS: dict[str, tuple[Callable[[], Designer], str]] = {
+    "auto": (Auto, "gp, ensemble or ram: what ranks designs best that it has not seen, ties to gp; gp below 500 designs"),
     "gp": (GP, "greatest prediction of a Gaussian process with a length for each variable (Rasmussen and Williams 2006)"),
     "nemo": (NEMO, "normalised maximum likelihood (thesis chapter 6)"),
     "nemo-adversarial": (
@@ -60,12 +62,7 @@ CPU_BUDGET: dict[str, dict[str, Any]] = {
 }
 
 
-MOST = 3000  # rows up to which a Gaussian process is the usual method
-
-
-def usual_designer(rows: int) -> str:
-    """The method where none is named: a Gaussian process, or, where the rows are too many for one, an ensemble of networks."""
-    return "gp" if rows <= MOST else "ensemble"
+USUAL = "auto"  # the method where none is named
 
 
 def designer(name: str, problem: str | None = None, **changes: Any) -> Designer:

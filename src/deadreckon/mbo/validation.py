@@ -2,11 +2,14 @@
 
 Folds are of whole designs. From the scaled errors |y - m| / s out of fold follows a factor on standard deviations (split
 conformal prediction with normalised scores; Lei et al. 2018): the smallest with which the interval of 95 % holds that share.
+The scores are measurements, so s must be the deviation of a measurement, noise included, and what the factor makes is an
+interval for a new measurement: true scores are never seen, and the factor says nothing of the deviation of the mean alone.
 Coverage is reported crosswise: for each fold with the factor that the others give, so that no design judges itself.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
 
@@ -17,9 +20,11 @@ from deadreckon.stats.interval import NORMAL
 
 SHARE = 0.95  # of truths that an interval should hold
 FOLDS = 5
+CHANCE = 0.025  # share of tables without any relation on which a method may be called skilled
 ENOUGH = 2 * FEWEST  # rows from which on models are cross-validated
 
-Predict = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]  # designs -> mean and deviation of a new measurement
+# (m, variables) designs and (m,) standard errors of their scores, or None -> (m,) mean and deviation of these, with noise
+Predict = Callable[[np.ndarray, np.ndarray | None], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -29,10 +34,13 @@ class Quality:
     Attributes:
         method: the model.
         observed, predicted, std: (rows,) scores, and what was said of them out of fold, before calibration.
-        r2: share of the scores' variance that is predicted; below 0 where the mean would be better.
+        r2: share of the scores' variance that is predicted; below 0 where the mean would be better; NaN, as `coverage`, where
+            the model predicts an order alone.
         rank_correlation: Spearman's.
         coverage: share of scores within the calibrated interval of 95 %, crosswise.
         factor: on standard deviations, so that the interval holds its share.
+        tried: how many methods were tried of which this is one.
+        crossed: whether each row has taught the models of all other folds, as in cross-validation.
     """
 
     method: str
@@ -43,12 +51,19 @@ class Quality:
     rank_correlation: float
     coverage: float
     factor: float
+    tried: int = 1
+    crossed: bool = False
 
     @property
     def skilled(self) -> bool:
-        """Whether the rank correlation is above what chance gives in 97.5 % of tables without any relation (Fieller 1957)."""
-        chance = float(np.tanh(NORMAL * (1.06 / max(len(self.observed) - 3, 1)) ** 0.5))
-        return self.rank_correlation > chance
+        """Whether the rank correlation is above what chance gives in 97.5 % of tables without any relation (Fieller 1957).
+
+        In cross-validation a pair of rows that agree by chance counts twice, since each predicts the other: the variance of
+        the correlation is then up to twice that of rows which taught no model.
+        """
+        limit = NormalDist().inv_cdf(1 - CHANCE / self.tried)  # the best of several is greater by chance (Bonferroni)
+        variance = (2.12 if self.crossed else 1.06) / max(len(self.observed) - 3, 1)
+        return self.rank_correlation > float(np.tanh(limit * variance**0.5))
 
     @property
     def warning(self) -> str | None:
@@ -58,6 +73,8 @@ class Quality:
         return "the model ranks unseen designs no better than chance; its proposals rest on nothing that the table shows"
 
     def __str__(self) -> str:
+        if not np.isfinite(self.r2):
+            return f"{self.method} out of fold: rank correlation {self.rank_correlation:.2f} (it predicts an order, not scores)"
         return (
             f"{self.method} out of fold: R2 {self.r2:.2f}, rank correlation {self.rank_correlation:.2f}, "
             f"{self.coverage:.0%} of scores in the {SHARE:.0%} interval"
@@ -81,22 +98,30 @@ def cross_validated(data: Designs, model: Callable[[Designs], Predict], method: 
         if np.ptp(data.y[rest]) == 0 or not np.ptp(data.x[rest], axis=0).any():
             mean[fold == k], std[fold == k] = data.y[rest].mean(), data.y.std()
             continue
-        mean[fold == k], std[fold == k] = model(data.part(rest))(data.x[fold == k])
-    return judged(data.y, mean, std, fold, method)
+        error = None if data.std_error is None else data.std_error[fold == k]
+        mean[fold == k], std[fold == k] = model(data.part(rest))(data.x[fold == k], error)
+    return replace(judged(data.y, mean, std, fold, method), crossed=True)
 
 
-def judged(y: np.ndarray, mean: np.ndarray, std: np.ndarray, fold: np.ndarray, method: str) -> Quality:
-    """What predictions out of fold are worth: (rows,) scores, means, deviations and folds."""
-    from scipy.stats import rankdata
-
+def judged(y: np.ndarray, mean: np.ndarray, std: np.ndarray, fold: np.ndarray, method: str, scored: bool = True) -> Quality:
+    """What predictions out of fold are worth: (rows,) scores, means, deviations and folds; `scored`: they are no mere order."""
+    if not scored:
+        return Quality(method, y, mean, std, np.nan, spearman(y, mean), np.nan, 1.0)
     error = np.abs(y - mean) / np.maximum(std, 1e-12)
     inside = [error[fold == k] <= NORMAL * conformal_factor(error[fold != k]) for k in np.unique(fold)]
-    flat = np.ptp(mean) == 0 or np.ptp(y) == 0
     return Quality(
         method, y, mean, std, float(1 - np.square(y - mean).sum() / np.square(y - y.mean()).sum()),
-        0.0 if flat else float(np.corrcoef(rankdata(y), rankdata(mean))[0, 1]), float(np.concatenate(inside).mean()),
+        spearman(y, mean), float(np.concatenate(inside).mean()),
         conformal_factor(error),
     )  # fmt: skip
+
+
+def spearman(a: np.ndarray, b: np.ndarray) -> float:
+    """The rank correlation of two (rows,) lists; 0 where one of them is flat."""
+    from scipy.stats import rankdata
+
+    flat = np.ptp(a) == 0 or np.ptp(b) == 0
+    return 0.0 if flat else float(np.corrcoef(rankdata(a), rankdata(b))[0, 1])
 
 
 def conformal_factor(error: np.ndarray, share: float = SHARE) -> float:

@@ -86,7 +86,8 @@ def _chart(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | Non
     ]
     unit = "usual distances to the data" if scores is None else f"{data.target}, true"
     text = (
-        f"Whiskers: {PERCENT} interval of the prediction, where the method gives a standard deviation. A usual distance is the "
+        f"Whiskers: {PERCENT} interval {'for a new measurement, noise included' if made.quality else 'of the prediction'}, "
+        "where the method gives a standard deviation. A usual distance is the "
         "median distance of a scored design to its nearest neighbour, in standardised coordinates."
     )
     if scores is not None:
@@ -112,9 +113,23 @@ def _quality(data: Designs, made: Proposals) -> Markup | None:
     text = (
         f"{quality}. Each design was predicted by a model that was fitted without it ({len(observed):,} in all, {len(rows):,} "
         f"are shown). Standard deviations, of proposals too, are multiplied by {number(quality.factor)}, so that the {PERCENT} "
-        "interval holds its share of these. Proposals lie at the edge of the data or beyond, where errors may be larger."
+        "interval holds its share of these. It is an interval for a new measurement, not for the true score, which nobody has "
+        "seen. Proposals lie at the edge of the data or beyond, where errors may be larger."
     )
-    return join(tag("div", figure(drawn), class_="charts two"), note(text))
+    return join(tag("div", figure(drawn), class_="charts two"), note(text), _compared(made))
+
+
+def _compared(made: Proposals) -> Markup:
+    """Which methods were tried, and why one was taken."""
+    if not made.compared:
+        return join()
+    rows = []
+    for each in made.compared:
+        shown = [each.r2, each.rank_correlation, each.coverage]
+        cells = [tag("td", f"{value:.2f}" if np.isfinite(value) else "-") for value in shown]
+        rows.append(tag("tr", [tag("th", each.method, scope="row"), *cells]))
+    head = heads_of(["method", "R2", "rank correlation", "in the interval"])
+    return join(scroll(tag("table", head, tag("tbody", rows))), note(f"Out of fold, by method: {made.reason}."))
 
 
 def _table(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None) -> Markup:

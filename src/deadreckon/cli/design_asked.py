@@ -1,0 +1,40 @@
+"""What options of `deadreckon design` say of a table of experiments, as keywords of its readers."""
+
+from typing import Any
+
+from deadreckon.errors import UserError
+
+
+def designs(options: Any) -> Any:
+    """The designs of a file by the options of the command.
+
+    Raises:
+        UserError: there is no target, or what the readers refuse.
+    """
+    from deadreckon.mbo.design_schema import DesignSchema
+    from deadreckon.mbo.designs import Designs
+
+    if options.target is None and options.schema is None:
+        raise UserError("missing --target, the column of the scores")
+    if options.path is not None:
+        raise UserError("--path is the file of a --problem; the file of your own designs is --data")
+    more = asked(options) | {"minimise": options.minimise is not None, "std_error": options.std_error}
+    more["weights"] = options.weights
+    if options.schema is not None:
+        return DesignSchema.load(options.schema).read(options.data or "", target=options.target, **more)
+    return Designs.from_csv(options.data or "", options.target or "", **more)
+
+
+def asked(options: Any) -> dict[str, Any]:
+    """Keywords of `Designs.from_frame` but for those of the scores."""
+    return {
+        "kinds": options.kinds, "bounds": options.bounds, "ignore": options.ignore,
+        "levels": {column: _listed(text) for column, text in options.levels.items()}, "steps": options.steps,
+        "logs": options.logs, "fixed": options.fix,
+        "constraints": options.constraints, "mixtures": tuple(map(_listed, options.mixtures)), "forbidden": options.forbid,
+        "max_distance": options.max_distance,
+    }  # fmt: skip
+
+
+def _listed(text: str) -> list[str]:
+    return [part.strip() for part in text.split(",")]

@@ -1,0 +1,257 @@
+"""Several targets at once: designs that are expected to move the front of the data, from a Gaussian process for each target.
+
+Candidates are found by climbing augmented Chebyshev scalarisations of the predicted means with random weights (Knowles 2006),
+within all rules. Of these a batch is chosen greedily by the expected improvement of the hypervolume, over joint draws of the
+true scores of candidates and of the data's front, whose scores are noisy too (Daulton et al. 2021). A candidate's gain never
+grows as others are chosen, so that only the first of a sorted list is counted anew, until it stays first (Minoux 1978).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from deadreckon.errors import UserError
+from deadreckon.mbo.batch import batch, check_batch
+from deadreckon.mbo.designer import Proposals
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.gp import GP, search
+from deadreckon.mbo.hypervolume import hypervolume, improvement, non_dominated, reference_of
+from deadreckon.mbo.process import Process, fit
+from deadreckon.mbo.validation import ENOUGH, Quality, cross_validated
+from deadreckon.progress import Watcher, unwatched
+from deadreckon.randomness import generator
+
+WEIGHTS = 12  # scalarisations that are climbed, beside one for each target alone
+ROUNDS = 15  # of each search
+KEPT = 32  # designs that each search keeps at least
+DRAWS = 32  # of the true scores
+AUGMENTED = 0.05  # weight of the sum of scores beside the least of them
+LABEL = "GP for each target, expected hypervolume improvement"
+
+
+@dataclass(frozen=True)
+class Front:
+    """Proposals for several targets; all scores are as `Designs.y`, to be made large.
+
+    Attributes:
+        data: (targets,) the same designs with the scores of each target.
+        made: (targets,) the same proposals with what is predicted of each target.
+        reference: (targets,) the point from which hypervolumes are measured.
+        before: hypervolume of the data's scores, as they were measured.
+        gain: what the proposals' true scores are expected to add to the hypervolume of the data's true scores.
+    """
+
+    data: tuple[Designs, ...]
+    made: tuple[Proposals, ...]
+    reference: np.ndarray
+    before: float
+    gain: float
+
+    @property
+    def observed(self) -> np.ndarray:
+        """(rows, targets) scores of the data."""
+        return np.stack([each.y for each in self.data], 1)
+
+    @property
+    def predicted(self) -> np.ndarray:
+        """(n, targets) predicted scores."""
+        return np.stack([each.predicted for each in self.made], 1)
+
+    def shown(self, scores: np.ndarray) -> np.ndarray:
+        """(..., targets) scores as the table has them."""
+        return np.stack([each.shown(scores[..., k]) for k, each in enumerate(self.data)], -1)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What should be known before anybody tries the proposals, by target."""
+        found = [(each.target, made.quality) for each, made in zip(self.data, self.made)]
+        return [f"{target}: {quality.warning}" for target, quality in found if quality is not None and quality.warning]
+
+
+@dataclass(frozen=True)
+class Scalarised:
+    """The augmented Chebyshev scalarisation of several processes of the same designs, as `mbo.gp.search` takes a process.
+
+    Attributes:
+        processes: one a target.
+        weight: (targets,) of the scores over the front's range.
+        origin, span: (targets,) what scores are counted from, and in what unit.
+    """
+
+    processes: tuple[Process, ...]
+    weight: np.ndarray
+    origin: np.ndarray
+    span: np.ndarray
+
+    def _parts(self, x: np.ndarray) -> np.ndarray:
+        mean = np.stack([each.mean(x) for each in self.processes], 1)
+        return self.weight * (mean - self.origin) / self.span
+
+    def mean(self, x: np.ndarray) -> np.ndarray:
+        """(m,) the least weighted score, and a little of their sum."""
+        parts = self._parts(x)
+        return parts.min(1) + AUGMENTED * parts.sum(1)
+
+    def slope(self, x: np.ndarray, kappa: float) -> np.ndarray:
+        """(m, features) its gradient; `kappa` is none of it."""
+        least = self._parts(x).argmin(1)
+        total: Any = 0.0
+        for k, each in enumerate(self.processes):
+            scale = self.weight[k] * each.y_std / self.span[k]
+            total = total + (scale * ((least == k) + AUGMENTED))[:, None] * each.slope(x, 0.0)
+        return total
+
+
+def propose_front(
+    data: Sequence[Designs],
+    n: int = 128,
+    *,
+    seed: int = 0,
+    reference: Sequence[float] | None = None,
+    repeat: bool = False,
+    watch: Watcher = unwatched,
+) -> Front:
+    """Designs that are expected to move the front of several targets.
+
+    Args:
+        data: the same designs, with the scores of one target each (`targets_of`).
+        n: how many to propose; all different.
+        seed: random seed.
+        reference: (targets,) point from which hypervolumes are measured, as the table has the scores; None: `reference_of`.
+        repeat: whether designs of the data may be proposed.
+        watch: called with what is fitted, the targets done and those in all.
+
+    Raises:
+        UserError: fewer than two targets, a reference point of another size, or fewer designs than are asked for.
+    """
+    data, gp = tuple(data), GP()
+    if n < 1:
+        raise UserError(f"n must be 1 or more, got {n}")
+    if len(data) < 2:
+        raise UserError(f"a front needs two targets or more, got {len(data)}")
+    if reference is not None and len(reference) != len(data):
+        raise UserError(f"the reference point needs {len(data)} numbers, one for each target, got {len(reference)}")
+    y = np.stack([each.y for each in data], 1)
+    signs = np.where([each.minimise for each in data], -1.0, 1.0)
+    point = reference_of(y) if reference is None else signs * np.asarray(reference, np.float64)
+    processes, qualities = [], []
+    for k, each in enumerate(data):
+        watch("targets", k, len(data))
+        used = gp.used(each)
+        processes.append(fit(used, rows=gp.fit_rows))
+        qualities.append(cross_validated(used, gp.predictor, each.target) if len(each) >= ENOUGH else None)
+    rows = np.flatnonzero(non_dominated(y))
+    pool = candidates(data[0], tuple(processes), y, n, seed)
+    gains = Gains(processes, pool, data[0].x[rows], point, seed)
+    order = gains.greedy(2 * n)
+    value = lambda x: Scalarised(tuple(processes), np.ones(len(data)), *_range(y)).mean(x)  # noqa: E731
+    x = batch(data[0], pool[order], n, value, repeat=repeat, seed=seed)
+    check_batch(data[0], x, repeat)
+    made = tuple(_predicted(process, x, seed, quality) for process, quality in zip(processes, qualities))
+    gain = Gains(processes, x, data[0].x[rows], point, seed).total()
+    return Front(data, made, point, hypervolume(y, point), gain)
+
+
+def _predicted(process: Process, x: np.ndarray, seed: int, quality: Quality | None) -> Proposals:
+    mean, std = process.posterior(x)
+    measured = (quality.factor if quality else 1.0) * np.hypot(std, process.noise)
+    return Proposals(LABEL, x, mean, measured, seed, quality=quality, mean_std=std)
+
+
+def _range(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(scores,) the least scores of the front, and its ranges; those of all rows where it is flat."""
+    front = y[non_dominated(y)]
+    span = np.ptp(front, axis=0)
+    return front.min(0), np.where(span > 0, span, np.maximum(np.ptp(y, axis=0), 1e-12))
+
+
+def candidates(data: Designs, processes: tuple[Process, ...], y: np.ndarray, n: int, seed: int) -> np.ndarray:
+    """(m, variables) different designs that are good by some weighting of the targets."""
+    count = y.shape[1]
+    drawn = generator(seed, "weights of targets").dirichlet(np.ones(count), WEIGHTS)
+    alone = 0.02 + (1 - 0.02 * count) * np.eye(count)
+    found = []
+    for i, share in enumerate([*alone, *drawn]):
+        process: Any = Scalarised(processes, 1 / np.maximum(share, 0.02), *_range(y))
+        found.append(search(data, process, 0.0, ROUNDS, max(KEPT, 4 * n // (WEIGHTS + count)), seed + i))
+    return np.unique(np.concatenate(found), axis=0)
+
+
+class Gains:
+    """Joint draws of the true scores of candidates and of the data's front, and what candidates add to the hypervolume.
+
+    Args:
+        processes: one a target, independent of each other.
+        x: (m, variables) candidates.
+        front: (f, variables) designs of the data that none dominates.
+        reference: (targets,) point of the hypervolume.
+        seed: of the draws.
+    """
+
+    def __init__(self, processes: Sequence[Process], x: np.ndarray, front: np.ndarray, reference: np.ndarray, seed: int):
+        rng, both = generator(seed, "draws of true scores"), np.concatenate([x, front])
+        drawn = [_draws(process, both, rng) for process in processes]
+        y = np.stack(drawn, -1)  # (draws, m + f, targets)
+        self.y, self.reference = y[:, : len(x)], reference
+        self.fronts = [_kept(each, reference) for each in y[:, len(x) :]]
+
+    def of(self, i: int, fronts: Sequence[np.ndarray]) -> float:
+        """What one candidate is expected to add."""
+        return float(np.mean([improvement(y[i], front, self.reference) for y, front in zip(self.y, fronts)]))
+
+    def greedy(self, n: int) -> np.ndarray:
+        """(n,) or fewer candidates, in the order in which they are chosen; each adds most to those before it."""
+        fronts = list(self.fronts)
+        gain = np.array([self.of(i, fronts) for i in range(self.y.shape[1])])
+        order: list[int] = []
+        for _ in range(min(n, len(gain))):
+            fresh: set[int] = set()
+            while (i := int(gain.argmax())) not in fresh and gain[i] > 0:
+                gain[i] = self.of(i, fronts)
+                fresh.add(i)
+            order.append(i)
+            gain[i] = -np.inf
+            fronts = [_kept(np.concatenate([front, y[i : i + 1]]), self.reference) for front, y in zip(fronts, self.y)]
+        return np.array(order)
+
+    def total(self) -> float:
+        """What all candidates together are expected to add."""
+        volume: Callable[[np.ndarray], float] = lambda y: hypervolume(y, self.reference)  # noqa: E731
+        both = [volume(np.concatenate([front, y])) - volume(front) for front, y in zip(self.fronts, self.y)]
+        return float(np.mean(both))
+
+
+def _draws(process: Process, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(DRAWS, m) joint draws of true scores."""
+    values, vectors = np.linalg.eigh(process.covariance(x))
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return process.mean(x) + process.y_std * rng.standard_normal((DRAWS, len(x))) @ root.T
+
+
+def _kept(y: np.ndarray, reference: np.ndarray) -> np.ndarray:
+    """The rows that count in the hypervolume."""
+    y = y[(y > reference).all(1)]
+    return y[non_dominated(y)] if len(y) else y
+
+
+def targets_of(read: Callable[..., Designs], targets: Sequence[str], minimise: Sequence[str], **options: Any) -> list[Designs]:
+    """The same designs with the scores of each target.
+
+    Args:
+        read: of one target (`target`, `minimise`, `ignore` and more), such as `Designs.from_frame` of a table.
+        targets: columns of the scores.
+        minimise: those of them that are to be made small.
+        options: keywords of `read`.
+
+    Raises:
+        UserError: a target is there twice, or is none.
+    """
+    if len(set(targets)) < max(len(targets), 2):
+        raise UserError(f"a front needs two different targets or more, got {', '.join(targets)}")
+    if strangers := [name for name in minimise if name not in targets]:
+        raise UserError(f"{strangers[0]} is to be made small and is no target; targets are {', '.join(targets)}")
+    ignore = tuple(options.pop("ignore", ()))
+    others = lambda target: (*ignore, *(name for name in targets if name != target))  # noqa: E731
+    return [read(target=name, minimise=name in minimise, ignore=others(name), **options) for name in targets]

@@ -1,0 +1,69 @@
+"""The rule by which a method is taken."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from deadreckon.mbo import designer
+from deadreckon.mbo.auto import chosen, standard_error
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.validation import judged
+from deadreckon.mbo.variables import Variable
+
+RNG = np.random.default_rng(0)
+Y = RNG.normal(size=400)
+
+
+def quality(method, noise, scored=True):
+    """Of predictions that are the scores and noise, among three methods."""
+    rng = np.random.default_rng(len(method))
+    mean = Y + noise * rng.normal(size=len(Y))
+    found = judged(Y, mean, np.ones(len(Y)), np.arange(len(Y)) % 2, method, scored=scored)
+    return dataclasses.replace(found, tried=3)
+
+
+def test_the_best_order_is_taken_unless_the_process_is_as_good():
+    assert chosen([quality("GP", 1.0), quality("net", 2.0), quality("rank", 3.0)])[0] == 0
+    at, reason = chosen([quality("GP", 3.0), quality("net", 0.5), quality("rank", 0.3, scored=False)])
+    assert at == 2
+    assert "rank ranks unseen designs best" in reason
+    gp = quality("GP", 1.0)
+    nearly = dataclasses.replace(quality("other", 1.0), rank_correlation=gp.rank_correlation + 1e-3)
+    at, reason = chosen([gp, nearly])
+    assert at == 0
+    assert reason.endswith("so that GP is taken")
+
+
+def test_the_standard_error_is_that_of_independent_correlations():
+    """Of predictions that tell nothing each correlation has a variance of 1 / (rows - 1), their difference twice that."""
+    a, b = np.random.default_rng(1).normal(size=(2, len(Y)))
+    assert standard_error(Y, a, b) == pytest.approx((2 / (len(Y) - 1)) ** 0.5, rel=0.2)
+    assert standard_error(Y, a, a) == 0.0
+
+
+def test_of_noise_no_method_is_praised():
+    """The limit for the best of three is higher than for one."""
+    a = dataclasses.replace(quality("GP", 1.0), rank_correlation=0.105, tried=1)
+    assert a.skilled
+    among = dataclasses.replace(a, tried=3)
+    assert not among.skilled
+    at, reason = chosen([among, dataclasses.replace(among, method="net", rank_correlation=0.11)])
+    assert (at, reason) == (0, "none of 2 methods ranks unseen designs better than chance")
+
+
+def test_few_designs_have_the_process_and_many_are_tried_by_all():
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-1, 1, (120, 2))
+    variables = [Variable(name, low=-1, high=1) for name in "ab"]
+    data = Designs.from_arrays(x, x.sum(1) + 0.1 * rng.normal(size=120), variables)
+    few = designer("auto").propose(data, 4)
+    assert (few.method, few.compared) == ("GP", ())
+    assert few.quality.rank_correlation > 0.9
+    many = designer("auto", networks_from=100, hidden=(8,), steps=50).propose(data, 4)
+    assert [each.method for each in many.compared] == ["GP", "Ensemble, mean", "RaM"]
+    assert [len(each.observed) for each in many.compared] == [24] * 3
+    assert many.quality is many.compared[0]
+    assert many.method == "GP"
+    assert np.isnan(many.compared[2].r2)
+    np.testing.assert_allclose(many.predicted_std / few.predicted_std, many.quality.factor / few.quality.factor, rtol=0.5)

@@ -1,0 +1,133 @@
+"""Hypervolumes against closed forms and drawn points, and batches for several targets."""
+
+import numpy as np
+import pytest
+
+from deadreckon.errors import UserError
+from deadreckon.mbo.batch import key
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.front import Gains, Scalarised, propose_front, targets_of
+from deadreckon.mbo.hypervolume import hypervolume, improvement, non_dominated, reference_of
+from deadreckon.mbo.process import fit
+
+ORIGIN = np.zeros(3)
+
+
+def test_hypervolumes_have_their_closed_forms():
+    assert hypervolume(np.array([[3.0], [2.0]]), np.array([1.0])) == 2.0
+    stairs = np.array([[1.0, 3.0], [2.0, 2.0], [3.0, 1.0], [1.0, 1.0], [2.0, 2.0]])
+    assert hypervolume(stairs, np.zeros(2)) == 6.0
+    assert hypervolume(stairs, np.array([1.0, 1.0])) == 1.0  # two of them have nothing above the reference
+    assert hypervolume(stairs, np.array([4.0, 0.0])) == 0.0
+    # By inclusion and exclusion of two boxes, and of three that have a common corner.
+    assert hypervolume(np.array([[2.0, 3, 4], [4.0, 3, 2]]), ORIGIN) == 24 + 24 - 12
+    three = np.array([[2.0, 1, 1], [1.0, 2, 1], [1.0, 1, 2]])
+    assert hypervolume(three, ORIGIN) == 4.0
+    assert hypervolume(np.array([[1.0, 2, 3, 4], [2.0, 1, 3, 4]]), np.zeros(4)) == 24 + 24 - 12
+
+
+@pytest.mark.parametrize("scores", [2, 3])
+def test_hypervolumes_are_the_share_of_drawn_points(scores):
+    rng = np.random.default_rng(scores)
+    y = rng.uniform(0.2, 1, (12, scores))
+    drawn = rng.uniform(0, 1, (40_000, scores))
+    inside = (y[None] >= drawn[:, None]).all(2).any(1).mean()
+    assert hypervolume(y, np.zeros(scores)) == pytest.approx(inside, abs=0.01)
+    point, more = rng.uniform(0.5, 1, scores), hypervolume
+    want = more(np.concatenate([y, point[None]]), np.zeros(scores)) - more(y, np.zeros(scores))
+    assert improvement(point, y, np.zeros(scores)) == pytest.approx(want, abs=1e-12)
+
+
+def test_what_no_row_dominates():
+    y = np.array([[1.0, 3], [2, 2], [2, 2], [1, 2], [3, 0]])
+    assert non_dominated(y).tolist() == [True, True, True, False, True]
+    np.testing.assert_allclose(reference_of(y), [1 - 0.2, 0 - 0.3])
+    many = np.random.default_rng(0).uniform(size=(600, 2))  # more than are compared at once
+    alone = [not ((many >= row).all(1) & (many > row).any(1)).any() for row in many]
+    assert non_dominated(many).tolist() == alone
+
+
+@pytest.fixture(scope="module")
+def two():
+    """A gain and a cost that pull apart: true fronts lie where a + b = 1 is all but used up."""
+    rng = np.random.default_rng(0)
+    a, b = rng.uniform(0, 1, (2, 40)).round(3)
+    frame = {"a": a, "b": b, "gain": 1 - (a - 1) ** 2 - (b - 0.5) ** 2, "cost": a**2 + (b - 0.5) ** 2}
+    read = lambda target, **more: Designs.from_frame(frame, target, constraints=["a + b <= 1.2"], **more)  # noqa: E731
+    return targets_of(read, ["gain", "cost"], ["cost"])
+
+
+def test_a_batch_moves_the_front(two):
+    front = propose_front(two, 6)
+    x = front.made[0].x
+    assert len({key(row) for row in x}) == 6
+    assert two[0].repair.good(x).all()
+    true = np.stack([1 - (x[:, 0] - 1) ** 2 - (x[:, 1] - 0.5) ** 2, -(x[:, 0] ** 2) - (x[:, 1] - 0.5) ** 2], 1)
+    gained = hypervolume(np.concatenate([front.observed, true]), front.reference) - front.before
+    assert gained > 0
+    assert gained == pytest.approx(front.gain, rel=0.35)
+    assert np.ptp(x[:, 0]) > 0.4  # all along the front, not at one of its places
+    np.testing.assert_allclose(front.shown(front.predicted)[:, 1], -front.predicted[:, 1])
+    assert all(made.quality.rank_correlation > 0.9 for made in front.made)
+
+
+def test_the_batch_is_chosen_given_those_before(two):
+    processes = [fit(each) for each in two]
+    x = np.concatenate([two[0].x[:4], two[0].x[:4] + 1e-4])
+    y = np.stack([each.y for each in two], 1)
+    gains = Gains(processes, x, two[0].x[:0], reference_of(y) - 1, 0)
+    order = gains.greedy(8)
+    assert sorted(order.tolist()) == list(range(8))
+    assert order[0] % 4 != order[1] % 4  # the twin of the first adds nothing
+    assert gains.total() == pytest.approx(hypervolume(y[:4], reference_of(y) - 1), rel=0.05)
+
+
+def test_the_slope_of_a_scalarisation_is_that_of_its_value(two):
+    processes = tuple(fit(each) for each in two)
+    made = Scalarised(processes, np.array([2.0, 5.0]), np.array([0.1, -1.0]), np.array([0.7, 0.4]))
+    x, away = two[0].x[:6].astype(np.float64), np.array([1e-3, 0.0])
+    change = (made.mean(x + away) - made.mean(x - away)) / 2e-3 * two[0].coordinates.std[0]
+    np.testing.assert_allclose(made.slope(x, 0.0)[:, 0], change, rtol=1e-2, atol=1e-3)
+
+
+def test_what_is_no_front(two):
+    read = lambda target, **more: target  # noqa: E731
+    for targets, small, said in ((["a"], [], "two different targets or more, got a"), (["a", "b"], ["c"], "c is to be made")):
+        with pytest.raises(UserError, match=said):
+            targets_of(read, targets, small)
+    with pytest.raises(UserError, match="needs 2 numbers, one for each target, got 1"):
+        propose_front(two, 2, reference=[0.0])
+    with pytest.raises(UserError, match="a front needs two targets or more, got 1"):
+        propose_front(two[:1], 2)
+
+
+def test_a_front_from_the_command_line(tmp_path, monkeypatch, capsys):
+    import csv
+
+    from deadreckon.cli.main import main
+
+    monkeypatch.chdir(tmp_path)
+    rng = np.random.default_rng(0)
+    rows = [(a, b, a + b, a * a - b) for a, b in rng.uniform(0, 1, (16, 2)).round(2)]
+    with open("t.csv", "w", newline="") as file:
+        csv.writer(file).writerows([["a", "b", "gain", "cost"], *rows])
+    asked = ["design", "t.csv", "--targets", "gain", "cost", "--minimise", "cost", "-n", "3", "--out", "f"]
+    assert main([*asked, "--reference", "gain", "0", "cost", "2"]) == 0
+    out = capsys.readouterr().out
+    assert "greatest gain, least cost" in out
+    assert "from the reference point gain 0, cost 2; the 3 proposals are expected to add" in out
+    with open("f/proposals.csv", newline="") as file:
+        found = list(csv.DictReader(file))
+    ends = [f"{what}_{target}" for target in ("gain", "cost") for what in ("predicted", "predicted_std", "mean_std")]
+    assert list(found[0]) == ["a", "b", *ends, "distance"]
+    assert float(found[0]["predicted_gain"]) == pytest.approx(float(found[0]["a"]) + float(found[0]["b"]), abs=0.3)
+    page = (tmp_path / "f" / "report.html").read_text()
+    for said in ("Front of the data", "to be made small", "measured from gain 0, cost 2", "for a new measurement of cost"):
+        assert said in page
+    for more, said in (
+        (["--target", "gain"], "--target does not go with --targets"),
+        (["--method", "ram"], "leave out --method ram"),
+        (["--reference", "gain", "0"], "--reference needs a number for each of gain, cost"),
+    ):
+        assert main([*asked, *more]) == 2
+        assert said in capsys.readouterr().err
