@@ -1608,7 +1608,7 @@ MUTANTS = (
     Mutant(
         "start-reads-by-names", "runs/started.py", 'read_like(known.get("name", str(source)), read, source)',
         'read_like(known.get("name", str(source)), Read(), source)', "a table is read again without its schema",
-        ("runs/test_fine_tuned.py",),
+        ("runs/test_fine_tuned.py::test_the_log_is_read_again_as_it_was",),
     ),
     Mutant(
         "words-of-actions", "data/formats/words.py", "names = [name for name in empty if held[name]]", "names = empty",

@@ -23,7 +23,9 @@ from deadreckon.online import Online
 from deadreckon.report.entries import read
 from deadreckon.report.provenance import command, section
 from deadreckon.runs import online as module
+from deadreckon.runs import started
 from deadreckon.runs.evaluate import evaluate
+from deadreckon.runs.reading import Read
 from deadreckon.training.checkpoint import load_arrays
 from deadreckon.training.fit import Failure
 from tests.agents.corridor_task import CORRIDOR
@@ -262,6 +264,14 @@ def test_from_the_command_line(tmp_path, home, capsys):
     assert f"is a run of {agent}, sac cannot go on from it; leave --agent out" in capsys.readouterr().err
     assert main(["train", "--from", str(tmp_path / "a"), "--data", str(path)]) == 2
     assert "--from goes on in a simulator with a run on a log: say --online --task TASK" in capsys.readouterr().err
+
+
+def test_the_log_is_read_again_as_it_was(monkeypatch):
+    seen, read = [], Read({"schema": "that of the run"})
+    monkeypatch.setattr(started, "read_like", lambda *given: seen.append(given) or LOG)
+    known = {"name": "hops", "path": "hops.csv", "task": "hopper", "holdout": None, "fingerprint": LOG.fingerprint}
+    assert started.beside(None, known, read, HOPPER, 0.5).log.episodes == 12
+    assert seen == [("hops", read, "hops.csv")]
 
 
 @pytest.mark.slow

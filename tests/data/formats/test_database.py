@@ -1,5 +1,6 @@
 import contextlib
 import datetime
+import shutil
 import sqlite3
 import sys
 
@@ -108,6 +109,23 @@ def test_a_file_without_tables_or_rows_or_whole_pages(tmp_path, kind):
     with pytest.raises(UserError, match="cannot be read as a database of .*damaged") as caught:
         read_table(path)
     assert "\n" not in str(caught.value)
+
+
+def test_a_database_whose_writer_was_killed_is_not_written_to(tmp_path):
+    """A transaction that was cut leaves a journal, by which whoever opens the file for writing would take it back."""
+    with contextlib.closing(sqlite3.connect(tmp_path / "used.db", isolation_level=None)) as base:
+        base.execute("CREATE TABLE t (a INTEGER, b TEXT)")
+        base.execute("INSERT INTO t VALUES (1, 'x')")
+        base.execute("PRAGMA cache_size = 1")  # pages reach the file before the transaction ends
+        base.execute("BEGIN")
+        base.executemany("INSERT INTO t VALUES (?, ?)", [(row, "y" * 1_000) for row in range(200)])
+        for end in ("", "-journal"):
+            shutil.copy(tmp_path / f"used.db{end}", tmp_path / f"killed.db{end}")
+    before = [(tmp_path / f"killed.db{end}").read_bytes() for end in ("", "-journal")]
+    with pytest.raises(UserError, match="killed.db") as caught:
+        read_table(tmp_path / "killed.db")
+    assert "\n" not in str(caught.value)
+    assert [(tmp_path / f"killed.db{end}").read_bytes() for end in ("", "-journal")] == before
 
 
 def test_cells_of_sqlite_may_be_of_any_type(tmp_path):
