@@ -30,23 +30,28 @@ def runs(log, tmp_path_factory):
     return dr.train_together(AGENTS, log, out=tmp_path_factory.mktemp("runs") / "all", **SETTINGS)
 
 
+def assert_alike(run, alone):
+    """A run of several is the run of one: its settings, numbers and policies, within rounding."""
+    config = {key: value for key, value in run.config.items() if key != "together"}
+    assert config | {"versions": None} == alone.config | {"versions": None}
+    for kind in ("metrics", "evaluations"):
+        mine, theirs = (getattr(each, kind).to_pydict() for each in (run, alone))
+        assert mine.keys() == theirs.keys()
+        for column, values in theirs.items():
+            np.testing.assert_allclose(mine[column], values, rtol=2e-3, atol=2e-3, err_msg=f"{run.path.name} {column}")
+    for a, b in zip(run.policies, alone.policies, strict=True):
+        np.testing.assert_allclose(a(X), b(X), atol=1e-3)
+
+
 @pytest.mark.parametrize("name", ["near", pytest.param("plain", marks=pytest.mark.slow)])
 def test_each_is_the_run_that_it_would_be_alone(runs, log, tmp_path, name):
     assert list(runs) == ["plain", "near", "bad"]
     alone = dr.train(AGENTS[name], log, out=tmp_path / name, **SETTINGS)
-    config = {key: value for key, value in runs[name].config.items() if key != "together"}
-    assert config | {"versions": None} == alone.config | {"versions": None}
-    assert config["versions"]["lanes"] == 6
+    assert_alike(runs[name], alone)
+    assert runs[name].config["versions"]["lanes"] == 6
     assert [p.name for p in sorted((runs[name].path / "policies").iterdir())] == [
         p.name for p in sorted((alone.path / "policies").iterdir())
     ]
-    for kind in ("metrics", "evaluations"):
-        mine, theirs = (getattr(run, kind).to_pydict() for run in (runs[name], alone))
-        assert mine.keys() == theirs.keys()
-        for column, values in theirs.items():
-            np.testing.assert_allclose(mine[column], values, rtol=2e-3, atol=2e-3, err_msg=f"{name} {column}")
-    for a, b in zip(runs[name].policies, alone.policies, strict=True):
-        np.testing.assert_allclose(a(X), b(X), atol=1e-3)
     # What the settings do shows, far beyond that tolerance.
     assert np.abs(runs["plain"].policies[0](X) - runs["near"].policies[0](X)).max() > 0.01
 
@@ -153,16 +158,8 @@ def test_runs_on_several_logs_are_lanes_of_one_program_and_each_is_the_run_that_
     assert several["two"].config["versions"]["lanes"] == 6
     for name in ("one", "two"):
         alone = dr.train(agents[name], logs[name], out=tmp_path / name, **SETTINGS)
-        config = {key: value for key, value in several[name].config.items() if key != "together"}
-        assert config | {"versions": None} == alone.config | {"versions": None}
+        assert_alike(several[name], alone)
         np.testing.assert_array_equal(several[name].taught, alone.taught)
-        for kind in ("metrics", "evaluations"):
-            mine, theirs = (getattr(run, kind).to_pydict() for run in (several[name], alone))
-            assert mine.keys() == theirs.keys()
-            for column, values in theirs.items():
-                np.testing.assert_allclose(mine[column], values, rtol=2e-3, atol=2e-3, err_msg=f"{name} {column}")
-        for a, b in zip(several[name].policies, alone.policies, strict=True):
-            np.testing.assert_allclose(a(X), b(X), atol=1e-3)
     assert np.abs(several["one"].policies[0](X) - several["two"].policies[0](X)).max() > 0.01
     assert list(several) == ["one", "two", "three"]
 

@@ -32,6 +32,7 @@ def write_proposals(options: Any, asked: dict[str, Any]) -> None:
     from deadreckon.mbo.designs import Designs
     from deadreckon.mbo.front import propose_front, targets_of
     from deadreckon.mbo.nn_distance import nn_distance
+    from deadreckon.mbo.proposal_table import free_name
     from deadreckon.report.design_front import write_front
 
     schema = None if options.schema is None else DesignSchema.load(options.schema)
@@ -52,7 +53,7 @@ def write_proposals(options: Any, asked: dict[str, Any]) -> None:
             more[f"predicted_std_{each.target}"] = made.predicted_std
             more[f"mean_std_{each.target}"] = made.mean_std
         more["distance"] = nn_distance(data[0], x)
-        written = data[0].write(out / "proposals.csv", x, more)
+        written = data[0].write(out / "proposals.csv", x, {free_name(key, data[0]): value for key, value in more.items()})
         for line in told(front):
             print(line)
         for line in front.warnings:

@@ -32,7 +32,7 @@ def added_columns(data: Designs, made: Proposals, true: np.ndarray | None = None
     more |= {"distance": far[:, 0], "nearest_row": data.numbered(rows[:, 0]), "nearest_score": data.shown(data.y[rows[:, 0]])}
     if true is not None:
         more["true"] = data.shown(true)
-    return {_free(name, data): np.asarray(values).tolist() for name, values in more.items()}
+    return {free_name(name, data): np.asarray(values).tolist() for name, values in more.items()}
 
 
 def about(data: Designs, made: Proposals) -> dict[str, list[Any]]:
@@ -57,7 +57,7 @@ def about(data: Designs, made: Proposals) -> dict[str, list[Any]]:
     return {"what": list(lines), "value": list(lines.values())}
 
 
-def _free(name: str, data: Designs) -> str:
+def free_name(name: str, data: Designs) -> str:
     """A column's name that no variable has."""
     taken = {variable.name for variable in data.variables}
     while name in taken:
