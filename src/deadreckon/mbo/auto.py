@@ -13,10 +13,10 @@ from typing import ClassVar
 import numpy as np
 
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals
-from deadreckon.mbo.forward import HELD, Forward
+from deadreckon.mbo.forward import Forward, on_held_out
 from deadreckon.mbo.gp import GP
 from deadreckon.mbo.ram import RaM
-from deadreckon.mbo.validation import ENOUGH, Quality, judged, spearman
+from deadreckon.mbo.validation import ENOUGH, Quality, spearman
 from deadreckon.randomness import generator
 from deadreckon.training.hyperparameters import Count, Number, Sizes, host
 
@@ -46,9 +46,7 @@ class Auto(Designer):
             return gp.solve(setting)
         sizes = {"hidden": self.hidden, "steps": self.steps}
         tried = [gp, Forward(members=5, **sizes), RaM(**sizes)]
-        order = generator(0, "held-out designs").permutation(len(setting.data))
-        held = order[: min(len(order) // 5, HELD)]
-        compared = [unseen(method, setting, order[len(held) :], held) for method in tried]
+        compared = [on_held_out(method, setting, scored=not isinstance(method, RaM)) for method in tried]
         compared = [replace(each, tried=len(tried)) for each in compared]
         at, reason = chosen(compared)
         method, quality = tried[at], compared[at]
@@ -57,14 +55,6 @@ class Auto(Designer):
             method = method.replace(folds=0)
         found = method.solve(setting._replace(validate=False))
         return [replace(each.calibrated(quality), compared=tuple(compared), reason=reason) for each in found]
-
-
-def unseen(method: GP | Forward | RaM, setting: DesignInput, rest: np.ndarray, held: np.ndarray) -> Quality:
-    """How well a method that is fitted on some designs predicts others, which calibrate its deviations crosswise."""
-    data = setting.data
-    error = None if data.std_error is None else data.std_error[held]
-    mean, std = method.unseen(setting._replace(data=data.part(rest), seeds=setting.seeds[:1]), data.x[held], error)
-    return judged(data.y[held], mean, std, np.arange(len(held)) % 2, method.label, scored=not isinstance(method, RaM))
 
 
 def chosen(compared: list[Quality]) -> tuple[int, str]:

@@ -5,7 +5,7 @@ Settings of the public baselines: 2048 x 2048, Gaussian likelihood, 200 steps of
 """
 
 from dataclasses import replace
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import jax
 import jax.numpy as jnp
@@ -100,7 +100,7 @@ class Forward(Designer):
             found.append(replace(made, fitted=self._fitted(made.fitted, setting.data, nets)))
         if not setting.validate or len(setting.data) < ENOUGH:
             return found
-        quality = self._held_out(setting)
+        quality = on_held_out(self, setting)
         return [each.calibrated(quality) for each in found]
 
     def _fitted(self, fitted: Fitted | None, data: Designs, nets: MLP) -> Fitted | None:
@@ -125,11 +125,19 @@ class Forward(Designer):
         mean, std = (np.asarray(each, np.float64) for each in mixture(nets, jnp.asarray(view.encode(x))))
         return view.score(mean), view.y_std * std
 
-    def _held_out(self, setting: DesignInput) -> Quality:
-        """Predictions of a fifth of the designs, by networks that are fitted on the others."""
-        data = setting.data
-        order = generator(0, "held-out designs").permutation(len(data))
-        held = order[: min(len(data) // 5, HELD)]
-        part = setting._replace(data=data.part(order[len(held) :]), seeds=setting.seeds[:1])
-        mean, std = self.unseen(part, data.x[held], None)
-        return judged(data.y[held], mean, std, np.arange(len(held)) % 2, self.label)
+
+def on_held_out(method: Any, setting: DesignInput, scored: bool = True) -> Quality:
+    """How well a method predicts a fifth of the designs that it is not fitted on, which calibrate its deviations crosswise.
+
+    Args:
+        method: with `unseen`, which fits it on some designs and predicts others.
+        setting: with all the designs.
+        scored: whether it predicts scores, and not their order alone.
+    """
+    data = setting.data
+    order = generator(0, "held-out designs").permutation(len(data))
+    held = order[: min(len(data) // 5, HELD)]
+    error = None if data.std_error is None else data.std_error[held]
+    part = setting._replace(data=data.part(order[len(held) :]), seeds=setting.seeds[:1])
+    mean, std = method.unseen(part, data.x[held], error)
+    return judged(data.y[held], mean, std, np.arange(len(held)) % 2, method.label, scored=scored)
