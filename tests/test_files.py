@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
@@ -78,6 +79,32 @@ def test_many_threads_are_there_one_at_a_time(tmp_path):
         thread.join()
     assert worst == [1] * 20
     assert not list(tmp_path.rglob("*.lock"))
+
+
+def test_a_folder_that_is_removed_while_it_is_made_is_made_again(tmp_path, monkeypatch):
+    """`Path.mkdir` reports that a folder exists if it is removed between the attempt and the look at what is there."""
+    make, calls = Path.mkdir, []
+
+    def late(self, *given, **options):
+        calls.append(self)
+        if len(calls) == 1:
+            raise FileExistsError(17, "File exists", str(self))
+        return make(self, *given, **options)
+
+    monkeypatch.setattr(Path, "mkdir", late)
+    with alone(tmp_path / "made" / "it"):
+        assert (tmp_path / "made").is_dir()
+    assert len(calls) > 1
+
+
+@pytest.mark.parametrize("kind", ["file", "link to nothing"])
+def test_no_lock_is_made_below_what_is_no_folder(kind, tmp_path):
+    if kind == "file":
+        (tmp_path / "made").write_text("")
+    else:
+        (tmp_path / "made").symlink_to(tmp_path / "nothing")
+    with pytest.raises(UserError, match=r"^cannot write .*it: File exists$"), alone(tmp_path / "made" / "it"):
+        pass
 
 
 @pytest.mark.parametrize("path", ["x" * 300, "a" * 300 + "/log", "/".join(["long"] * 2000), "zero\0byte", "half\ud800"])

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import shutil
+import stat
 import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -222,11 +223,16 @@ def _locked(lock: Path, wait: str) -> "FileLock | None":
 
     held, told = FileLock(lock), False
     while True:
-        lock.parent.mkdir(parents=True, exist_ok=True)  # whoever was waited for may have removed it
         try:
+            lock.parent.mkdir(parents=True, exist_ok=True)  # whoever was waited for may have removed it
             held.acquire(timeout=0.2, poll_interval=0.02)
             return held
-        except FileNotFoundError:  # the folder was removed between these two lines
+        except FileNotFoundError:  # a folder was removed between these two lines, or on the way
+            continue
+        except FileExistsError:  # `mkdir` found a folder, and then none: it was removed meanwhile
+            with contextlib.suppress(FileNotFoundError):
+                if not stat.S_ISDIR(lock.parent.lstat().st_mode):
+                    raise
             continue
         except Timeout:
             if not wait:

@@ -252,9 +252,9 @@ def test_a_program_that_fails_is_told_of_each_of_its_jobs(planned, tmp_path):
     assert all("no-such-log" in store.failure(job, seed)["error"] for job in lost for seed in job.seeds)
 
 
-def test_a_log_that_another_command_collects_leaves_the_program_to_it(planned, tmp_path):
+def test_a_program_whose_run_another_command_does_is_left_to_it(planned, tmp_path):
     def work(program, folder, watch):
-        raise BusyError("another command collects it")
+        raise BusyError("another command writes to this run")
 
     [program] = programs(planned())
     assert attempt(program, tmp_path, work, lambda done, total: None) == ("elsewhere", None)

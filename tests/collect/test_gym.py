@@ -1,10 +1,16 @@
 """The Gym-MuJoCo recipes, with the policies that come with the package."""
 
+import contextlib
+import warnings
+
 import numpy as np
 import pytest
 
 import deadreckon as dr
+from deadreckon.bench.jobs import Job
+from deadreckon.bench.work import source
 from deadreckon.collect import gym, recipe, recipe_names
+from deadreckon.collect.recipes import default_path
 from deadreckon.errors import UserError
 from deadreckon.files import alone
 from deadreckon.policies import library, store
@@ -102,6 +108,24 @@ def test_one_collection_at_a_time(tmp_path):
     with alone(path), pytest.raises(UserError, match="another process is at work on .* already"):
         dr.collect_log("hopper-uniform-v2", steps=10, out=path)
     assert dr.collect_log("hopper-uniform-v2", steps=10, out=path) == path
+
+
+def test_a_suite_waits_for_another_command_that_collects_its_log(tmp_path, monkeypatch):
+    """And takes what that one has made."""
+    monkeypatch.setenv("DEADRECKON_HOME", str(tmp_path))
+    job = Job("learn", "BC", "bc", {}, "", "hopper-uniform-v2", "", {}, (0,), rows=10)
+    path = default_path(recipe("hopper-uniform-v2"), 10, 0)
+    held = contextlib.ExitStack()
+
+    def ends(*given, **options):
+        path.write_bytes(b"made by the other one")
+        held.close()
+
+    monkeypatch.setattr(warnings, "warn", ends)  # which it does when it waits
+    with held:
+        held.enter_context(alone(path))
+        assert source(job) == path
+    assert path.read_bytes() == b"made by the other one"
 
 
 def test_too_few_steps_for_two_parts():

@@ -152,7 +152,7 @@ def attempt(program: Program, path: Path, work: Work, watch: Progress) -> tuple[
     try:
         with alone(folder):  # of all that write to it
             return "done", work(program, folder, watch)
-    except BusyError:  # or another command collects its log
+    except BusyError:
         return "elsewhere", None
     except BrokenPipeError:
         raise

@@ -13,7 +13,7 @@ from deadreckon.bench.identity import revisions_of
 from deadreckon.bench.jobs import Job, Program, agent_of, designer_of, estimator_of, log_name, study_of, turns
 from deadreckon.bench.store import JobResult
 from deadreckon.errors import UserError
-from deadreckon.files import alone, read_json, write_json
+from deadreckon.files import read_json, write_json
 from deadreckon.progress import Progress, unwatched
 from deadreckon.runs.holdout import trial_parts
 
@@ -88,14 +88,10 @@ class _Spent:
 
 def source(job: Job) -> Path | str:
     """Where the job's log is read from; one with a recipe is collected first, by one process while the others wait."""
-    from deadreckon.collect.recipes import collect, default_path, recipe, recipe_names
+    from deadreckon.collect.recipes import collect, recipe_names
 
     name = log_name(job)
-    if name not in recipe_names():
-        return name
-    path = default_path(recipe(name), job.rows, 0)
-    with alone(path.with_name(f"{path.name}.wanted"), f"collects {name} already"):
-        return collect(name, steps=job.rows)
+    return collect(name, steps=job.rows, wait=True) if name in recipe_names() else name
 
 
 def _log(job: Job) -> Any:

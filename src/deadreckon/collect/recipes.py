@@ -112,6 +112,7 @@ def collect(
     out: Path | str | None = None,
     threads: int | None = None,
     force: bool = False,
+    wait: bool = False,
     progress: Progress | None = None,
 ) -> Path:
     """Makes a log and writes it as an HDF5 file with D4RL's column names.
@@ -126,12 +127,14 @@ def collect(
         out: the file; if None, the place in the cache where `deadreckon.load` finds it (see `default_path`).
         threads: to simulate with; all cores if None. The log does not depend on it.
         force: replace a file that is there.
+        wait: for another process that collects the same log, and take what it has made, instead of refusing.
         progress: called now and then with the rows done and the rows in all.
 
     Returns:
         The file's path. It is written whole or not at all. A log that lies in the cache already is not made again.
 
     Raises:
+        BusyError: another process collects it, and `wait` is not set.
         UserError: an unknown recipe, or a file `out` that is there already.
     """
     from deadreckon.data.formats.hdf5 import write_hdf5
@@ -143,8 +146,9 @@ def collect(
             raise UserError(f"{path} is there already; --force (force=True) replaces it")
         return path
     scratch = path.parent / f".{path.name}.part"
-    with alone(path), resumable(scratch):
-        write_hdf5(_make(found, steps, seed, threads, scratch, progress), path)
+    with alone(path, wait=f"collects {name} already" if wait else ""), resumable(scratch):
+        if force or not path.exists():  # whoever was waited for has made it
+            write_hdf5(_make(found, steps, seed, threads, scratch, progress), path)
         shutil.rmtree(scratch, ignore_errors=True)
     return path
 
