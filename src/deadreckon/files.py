@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from filelock import FileLock
 
 
+PATIENCE = 100  # times that a folder may be gone before it counts as one that cannot be made, as below /proc
+
+
 def home() -> Path:
     """The folder of collected and downloaded logs: `DEADRECKON_HOME`, else the user's cache folder.
 
@@ -221,13 +224,15 @@ def _locked(lock: Path, wait: str) -> "FileLock | None":
     """A lock that is held; None where another process has it and is not waited for."""
     from filelock import FileLock, Timeout  # 40 ms, which `deadreckon --help` need not take
 
-    held, told = FileLock(lock), False
+    held, told, gone = FileLock(lock), False, 0
     while True:
         try:
             lock.parent.mkdir(parents=True, exist_ok=True)  # whoever was waited for may have removed it
             held.acquire(timeout=0.2, poll_interval=0.02)
             return held
-        except FileNotFoundError:  # a folder was removed between these two lines, or on the way
+        except FileNotFoundError:  # a folder was removed between these two lines, or on the way; or none can be made there
+            if (gone := gone + 1) == PATIENCE:
+                raise
             continue
         except FileExistsError:  # `mkdir` found a folder, and then none: it was removed meanwhile
             with contextlib.suppress(FileNotFoundError):

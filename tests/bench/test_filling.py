@@ -96,7 +96,7 @@ def test_rates_are_the_measured_ones_or_estimates_that_do_not_exceed_them():
     assert between.measured
     assert between.value == pytest.approx((35_894 * 54_116) ** 0.5)  # in the middle, in logarithms
     assert rates.rate(job(), 200).value == pytest.approx(54_116)  # more lanes than were measured: no faster
-    assert rates.rate(job("bc", hidden=[64, 64]), 16) == (pytest.approx(35_894), False)  # less work, but no faster than what was measured
+    assert rates.rate(job("bc", hidden=[64, 64]), 16) == (pytest.approx(35_894), False)  # less work, but no faster
     half = rates.rate(job(batch_size=512), 16)
     assert half == (pytest.approx(35_894 / 2), False)
     assert rates.rate(job("my:agent"), 16).value == min(rates.rate(job(name), 16).value for name in ("my:agent", "cql", "sac"))

@@ -26,7 +26,7 @@ SMALL = {
     name: {"hidden": (16,), "latent_size": 2, "steps": 300, "members": 2, "rounds": 5, "updates": 50, "samples": 200,
            "batch_size": 32, "lr": 3e-3} for name in ("cbas", "autofocus")}  # fmt: skip
 # What draws designs instead of climbing from the best ones has worse ones among them.
-DRAWN = ("cbas", "autofocus", "ddom", "mins")
+DRAWN = ("jitter", "cbas", "autofocus", "ddom", "mins")
 
 
 def small(name):
@@ -69,7 +69,7 @@ def test_proposals(mixed, name):
     assert (found.seed, other.seed) == (3, 4)
     assert found.predicted.shape == found.predicted_std.shape == (8,)
     # The model that comes with them is the one that made the predictions, where there is one of the score.
-    assert (found.fitted is None) == (name in ("random", "best", "ddom"))
+    assert (found.fitted is None) == (name in ("random", "best", "jitter", "ddom"))
     if found.fitted is not None:
         assert found.fitted.is_order == (name == "ram")
         mean, std = found.fitted.predict(found.x)

@@ -10,7 +10,8 @@ from deadreckon.errors import UserError
 from deadreckon.mbo import BestOfData, problem
 from deadreckon.mbo.problems import gfp as gfp_module
 from deadreckon.mbo.problems import hopper_controller as hopper
-from deadreckon.mbo.problems.superconductor import amounts, composition, elements, properties, statistics
+from deadreckon.mbo.problems.sequence_gp import SequenceGP, differences
+from deadreckon.mbo.problems.superconductor import ORACLES, amounts, composition, elements, properties, statistics
 from deadreckon.mbo.problems.synthetic import FUNCTIONS
 
 needs_sklearn = pytest.mark.skipif(importlib.util.find_spec("sklearn") is None, reason="scikit-learn is not installed")
@@ -157,13 +158,15 @@ def test_superconductors(real_data, tmp_path, monkeypatch):
     assert made.visible.y.max() < made.high
     said = float(made.about.split("rank correlation ")[1].split()[0])
     assert said > 0.7
-    monkeypatch.setattr("deadreckon.mbo.problems.forest._train", None)
+    monkeypatch.setattr("deadreckon.mbo.problems.trees._train", None)
     again = problem("superconductor", path=small, form="composition")
     np.testing.assert_array_equal(again.oracle(made.visible.x), made.oracle(made.visible.x))
     # The forest has seen nine tenths of these.
     assert np.corrcoef(made.oracle(made.visible.x), made.visible.y)[0, 1] > 0.8
     with pytest.raises(UserError, match="unknown form 'composit': did you mean composition"):
         problem("superconductor", path=small, form="composit")
+    with pytest.raises(UserError, match="unknown oracle 'boost': did you mean boosting"):
+        problem("superconductor", path=small, oracle="boost")
 
 
 @needs_sklearn
@@ -184,10 +187,10 @@ def test_ucis_files_are_read_too(tmp_path):
 
 
 @needs_sklearn
-def test_a_forest_is_scikit_learns():
-    from sklearn.ensemble import RandomForestRegressor
+def test_forests_and_boosted_trees_are_scikit_learns():
+    from sklearn.ensemble import GradientBoostingRegressor, RandomForestRegressor
 
-    from deadreckon.mbo.problems.forest import forest
+    from deadreckon.mbo.problems.trees import boosted, forest
 
     rng = np.random.default_rng(1)
     x = rng.standard_normal((300, 5)).astype(np.float32)
@@ -198,6 +201,29 @@ def test_a_forest_is_scikit_learns():
     fresh = rng.standard_normal((200, 5)).astype(np.float32)
     np.testing.assert_allclose(found(fresh), theirs.predict(fresh), rtol=1e-12)
     assert found.held_out == 30
+    found = boosted("test", x, y, trees=9, depth=3)
+    theirs = GradientBoostingRegressor(learning_rate=0.02, n_estimators=9, subsample=0.5, max_depth=3, random_state=0)
+    theirs.fit(x[order[30:]], y[order[30:]])
+    np.testing.assert_allclose(found(fresh), theirs.predict(fresh), rtol=1e-12)
+    assert found.about.startswith("gradient boosting of 9 trees; rank correlation 0.")
+
+
+def test_the_superconductors_of_2020_have_boosted_trees_and_no_bounds(tmp_path, monkeypatch):
+    asked = []
+
+    class Judge:
+        about = "known"
+
+        def __call__(self, x):
+            return np.zeros(len(x))
+
+    monkeypatch.setitem(ORACLES, "boosting", lambda name, x, y: asked.append((name, x.shape)) or Judge())
+    (tmp_path / "few.csv").write_text("\n".join(["name,Tc", *(f"Ba{i}Cu{60 - i}O7,{i}" for i in range(1, 41))]) + "\n")
+    made = problem("superconductor-boosting", path=tmp_path / "few.csv")
+    assert (made.name, made.about, asked) == ("superconductor-boosting", "known", [("superconductor-statistics", (40, 81))])
+    assert {(v.low, v.high) for v in made.visible.variables} == {(-np.inf, np.inf)}
+    assert len(made.visible) == 32
+    assert not made.score(made.visible.x[:3] + 1e6).true.any()  # far from all data
 
 
 # ---- the others -----------------------------------------------------------------------------------------------------------
@@ -251,6 +277,26 @@ def test_gfp(real_data, tmp_path, monkeypatch):
     other[0, site] = np.setdiff1d(np.arange(20), x[:, site])[0]
     tried[0, site] = np.setdiff1d(x[:, site], wild[0, site])[0]
     assert made.oracle(other)[0] == made.oracle(wild)[0] != made.oracle(tried)[0]
+
+
+def test_a_process_on_sequences_is_the_formula(home):
+    """Predictions are m + k(x, X) (K + noise I)^-1 (y - m); far away they are the mean; what ranks held-out rows is told."""
+    rng = np.random.default_rng(0)
+    x = rng.integers(0, 3, (400, 6))
+    y = (x == 1).sum(1) + 0.1 * rng.standard_normal(400)
+    found = SequenceGP.of("test", x, y, rows=300)
+    assert (found.rows.shape, found.held_out) == ((300, 6), 40)
+    assert found.rank_correlation > 0.9
+    order = np.random.default_rng(0).permutation(400)
+    rows = order[40:340]
+    np.testing.assert_array_equal(found.rows, x[rows])
+    apart = (x[:, None] != x[None]).sum(-1)
+    np.testing.assert_array_equal(differences(x, x), apart)
+    covariance = np.exp(-apart / found.length)
+    weights = np.linalg.solve(covariance[np.ix_(rows, rows)] + found.noise * np.eye(300), y[rows] - y[rows].mean())
+    np.testing.assert_allclose(found(x), y[rows].mean() + covariance[:, rows] @ weights, atol=1e-4)
+    far = SequenceGP(found.rows, found.weights, found.mean, 0.1, found.noise, 0.0, 0)
+    np.testing.assert_allclose(far(np.full((1, 6), 9)), y[rows].mean(), atol=1e-6)
 
 
 def test_hopper_controllers_are_what_their_scores_say():

@@ -188,6 +188,10 @@ def _notes(jobs: Sequence[Job], missing: Sequence[tuple[Job, int]], store: Store
     again = sorted({job.on for job in jobs if "@dr" in job.data})
     if again:
         notes.append(f"collected again by this package, not the original files: {', '.join(again)}")
+    copies = {on: len({row["log"] for row in found if row["on"] == on and row["log"]}) for on in again}
+    if several := [f"{on} ({count} logs)" for on, count in copies.items() if count > 1]:
+        notes.append(f"collected on machines that round differently, so methods have learned from copies that differ: {', '.join(several)}")
+    notes += dict.fromkeys(f"{row['on']} is scored by {row['oracle']}" for row in map(_with_more, found) if "oracle" in row)
     notes += _tuned(jobs)
     blind = sorted({row["on"] for row in found if row["kind"] == "learn" and np.isnan(row["score"])})
     if blind:
@@ -207,6 +211,10 @@ def _notes(jobs: Sequence[Job], missing: Sequence[tuple[Job, int]], store: Store
         told = row["failure"] + ("; its last good policy counts" if row["kind"] in ("learn", "online") else "")
         notes.append(f"seed {row['seed']} of {row['method']} on {row['on']} failed: {told}")
     return notes
+
+
+def _with_more(row: dict[str, Any]) -> dict[str, Any]:
+    return row | json.loads(row["more"] or "{}")
 
 
 def _tuned(jobs: Sequence[Job]) -> list[str]:

@@ -215,6 +215,7 @@ def _design(job: Job, folder: Path, watch: Progress) -> JobResult:
     for i, seed in enumerate(job.seeds):
         scores = result.scores(i)
         more = {"median": 100.0 * float(scores.percentile(50, True)), "median_raw": float(scores.percentile(50, False))}
+        more["oracle"] = result.about
         rows.append(
             {
                 "seed": seed, "score": 100.0 * float(scores.percentile(100, True)), "raw": float(scores.percentile(100, False)),

@@ -1,6 +1,6 @@
 """Design from data alone: methods that propose designs from scored ones."""
 
-from deadreckon.mbo.baselines import BestOfData, Random
+from deadreckon.mbo.baselines import BestOfData, Jitter, Random
 from deadreckon.mbo.cbas import CbAS
 from deadreckon.mbo.coms import COMs
 from deadreckon.mbo.ddom import DDOM
@@ -16,5 +16,5 @@ from deadreckon.mbo.registry import DESIGNERS, designer
 
 __all__ = [
     "DDOM", "DESIGNERS", "GP", "GPBO", "NEMO", "PROBLEMS", "BestOfData", "COMs", "CbAS", "Designer", "Forward", "MINs",
-    "Problem", "Proposals", "RaM", "Random", "designer", "problem",
+    "Jitter", "Problem", "Proposals", "RaM", "Random", "designer", "problem",
 ]  # fmt: skip

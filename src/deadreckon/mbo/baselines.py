@@ -1,4 +1,4 @@
-"""What any designer has to beat: the best designs of the data, and designs at random."""
+"""What any designer has to beat: the best designs of the data, as they are or moved a little, and designs at random."""
 
 from typing import ClassVar
 
@@ -7,6 +7,7 @@ import numpy as np
 from deadreckon.errors import UserError
 from deadreckon.mbo.batch import batch
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals
+from deadreckon.training.hyperparameters import Count, NonNegative, static
 
 
 class BestOfData(Designer):
@@ -26,6 +27,23 @@ class BestOfData(Designer):
         rows = setting.data.best(setting.n)
         x, y = setting.data.x[rows], setting.data.y[rows]
         return [Proposals(self.label, x, y, np.zeros(setting.n), seed) for seed in setting.seeds]
+
+
+class Jitter(Designer):
+    """The best designs of the data with small normal errors: what is found near them without a model."""
+
+    revision: ClassVar[int] = 1
+
+    best: Count = static(12)  # designs of the data that are moved
+    scale: NonNegative = 0.03  # standard deviation of the errors, in standard deviations of each variable
+
+    def solve(self, setting: DesignInput) -> list[Proposals]:
+        """A draw for every seed; the designs take turns."""
+        data, view = setting.data, setting.data.coordinates
+        z = view.encode(data.x[np.resize(data.best(min(self.best, len(data))), setting.n)])
+        draws = [np.random.default_rng(seed).standard_normal(z.shape) for seed in setting.seeds]
+        low, high = view.bounds
+        return [self.decoded(setting, seed, np.clip(z + self.scale * d, low, high)) for seed, d in zip(setting.seeds, draws)]
 
 
 class Random(Designer):

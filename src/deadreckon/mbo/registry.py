@@ -5,7 +5,7 @@ from typing import Any
 
 from deadreckon.errors import unknown
 from deadreckon.mbo.auto import Auto
-from deadreckon.mbo.baselines import BestOfData, Random
+from deadreckon.mbo.baselines import BestOfData, Jitter, Random
 from deadreckon.mbo.cbas import CbAS
 from deadreckon.mbo.coms import COMs
 from deadreckon.mbo.ddom import DDOM
@@ -36,6 +36,7 @@ DESIGNERS: dict[str, tuple[Callable[[], Designer], str]] = {
     "coms": (COMs, "conservative objective models (Trabucco et al. 2021)"),
     "ram": (RaM, "models trained to rank (Tan et al. 2025)"),
     "best": (BestOfData, "the best designs of the data, as they are"),
+    "jitter": (Jitter, "the twelve best designs of the data, each moved by small errors"),
     "random": (Random, "designs at random"),
 }
 
@@ -44,10 +45,11 @@ DESIGNERS: dict[str, tuple[Callable[[], Designer], str]] = {
 # (the table lost a line). The numbers of updates are ours: designs end about ten deviations of the data, or one for the
 # robots' weights, from where they began; 100 was set with scores of Superconductor's judge in view.
 _WIDE = {"bins": 40, "hidden": (256, 256), "lr": 0.05, "design_lr": 0.1, "label_weight": None}
+_PROTEIN = {**_WIDE, "bins": 20, "hidden": (64, 64)}
 _ROBOT = {"bins": 20, "hidden": (64, 64), "lr": 0.005, "design_lr": 0.001, "steps": 1000, "label_weight": None}
 PRESETS: dict[str, dict[str, dict[str, Any]]] = {
     "nemo": {
-        "superconductor": _WIDE, "molecule": _WIDE, "gfp": {**_WIDE, "bins": 20, "hidden": (64, 64)},
+        "superconductor": _WIDE, "superconductor-boosting": _WIDE, "molecule": _WIDE, "gfp": _PROTEIN, "gfp-gp": _PROTEIN,
         "hopper-controller": _ROBOT, "ant-morphology": _ROBOT, "dkitty-morphology": _ROBOT,
     },
 }  # fmt: skip

@@ -37,7 +37,14 @@ PROBLEMS: dict[str, Entry] = {
     "superconductor": Entry(
         superconductor, "81 statistics of a material; critical temperature by a random forest", SUPERCONDUCTOR_FILE
     ),
+    "superconductor-boosting": Entry(
+        partial(superconductor, "superconductor-boosting", oracle="boosting", bounded=False),
+        "the same without bounds; critical temperature by gradient boosting, as in the benchmark of 2020", SUPERCONDUCTOR_FILE,
+    ),
     "gfp": Entry(gfp, "237 amino acids; brightness by a learned oracle", GFP_FILE),
+    "gfp-gp": Entry(
+        partial(gfp, "gfp-gp", oracle="gp"), "the same; brightness by a Gaussian process, as in the benchmark of 2020", GFP_FILE
+    ),
     "molecule": Entry(molecule, "1,024 substructures; activity by a random forest", MOLECULE_FILE),
     "tfbind8": Entry(tfbind8, "8 bases of DNA; every design's score is known", TFBIND8_FILE),
     "nk": Entry(nk, "8 sites of 4 letters with neighbours' influence; every design's score is known"),
