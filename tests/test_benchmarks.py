@@ -11,6 +11,7 @@ SLOW = pytest.mark.slow
 CASES = ["cql", *(pytest.param(case, marks=SLOW) for case in ("fqe-11", "iql", "awac", "rebrac", "bcq", "nemo-40"))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_operations_by_hand_are_those_of_the_program(monkeypatch, case):
     """The program may do a little more (what it does twice, which XLA finds), never less than it is credited with."""

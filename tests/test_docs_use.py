@@ -53,6 +53,7 @@ def test_predict(folder, monkeypatch, capsys):
     assert len(pd.read_csv("actions.csv")) == 2_000
 
 
+@pytest.mark.slow
 def test_serve(folder, monkeypatch):
     monkeypatch.chdir(folder)
     if not Path("runs/offers").exists():

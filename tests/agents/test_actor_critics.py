@@ -130,6 +130,7 @@ def test_sac_temperature_falls_when_the_policy_is_more_random_than_asked(batch, 
     assert (float(after.log_temperature) > float(state.log_temperature)) is rises
 
 
+@pytest.mark.slow
 def test_sac_n_steps_temperature_then_actor_then_critics(batch):
     """Each step by what those before it have become, as in the public code."""
     agent = SACN(hidden=(16, 16), critics=3, actor_lr=0.01, critic_lr=0.01, temperature_lr=0.1).resolve(SPEC, 10)

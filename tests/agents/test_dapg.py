@@ -188,6 +188,7 @@ def test_a_run_begins_with_a_clone_and_goes_on_where_it_stopped(tmp_path):
         run(tmp_path / "part", 8 + 240, **still)
 
 
+@pytest.mark.slow
 def test_actions_beyond_the_bounds_are_learned_from_as_drawn():
     agent = DAPG(hidden=(8,), batch_size=16).resolve(Spec.empty((4,), MAZE.action_space, MAZE.name), 20)
     experience = Demonstrated(MAZE, agent, [0], 20, SETTINGS, threads=1)

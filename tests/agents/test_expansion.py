@@ -105,6 +105,7 @@ def test_mve_pays_the_entropy_of_every_action_to_come_but_the_first():
     np.testing.assert_allclose(gain[0], DISCOUNT * (first + DISCOUNT * second), rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_steps_of_the_model_whose_numbers_go_bad_are_none():
     agent, state, batch = made(MVE, pays=(np.nan, np.nan), horizon=2)
     state = state._replace(target_critics=flat(state.target_critics, [VALUE, VALUE]))

@@ -50,6 +50,7 @@ def test_cal_qls_term_holds_the_policys_actions_down_to_the_return_and_no_furthe
     np.testing.assert_allclose(loss, expected, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_where_no_return_is_known_cal_ql_is_cql_to_the_bit(batch):
     unknown = batch._replace(monte_carlo=jnp.tile(jnp.asarray([-jnp.inf, 0.0]), (6, 1)))
     fields = {"hidden": (16, 16), "samples": 2, "reward_shift": -1.0, "temperature_lr": 1e-4, "max_target_backup": True}

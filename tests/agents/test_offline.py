@@ -340,6 +340,7 @@ def test_cql_rho_holds_down_what_the_policy_likes(batch):
     np.testing.assert_allclose(loss, plain + 3.0 * (high - np.array(logged)).sum(), rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_cql_rho_weighs_the_policys_actions_by_their_worth(batch):
     agent, state = made(CQL(form="rho", samples=3, **SMALL))
     mean, log_std = numpy_gaussian(state.actor, batch.observation)
@@ -366,6 +367,7 @@ def test_cql_multiplier_rises_where_the_difference_is_too_large(batch, threshold
     assert (float(after.model.log_weight) > float(state.model.log_weight)) is rises
 
 
+@pytest.mark.slow
 def test_cql_imitates_before_it_improves(batch):
     agent, state = made(CQL(warm_start=5, temperature=0.4, **SMALL))
     update = jax.jit(lambda s, step: agent.update(s, batch, step=step, key=KEY)[0])

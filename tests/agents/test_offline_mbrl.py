@@ -50,6 +50,7 @@ def batch_of(rows, n=16):
     return Batch(**{name: jnp.asarray(column) for name, column in rows.take(np.arange(n)).items()})
 
 
+@pytest.mark.slow
 def test_a_batch_is_logged_rows_and_made_up_ones():
     agent, rows, state = prepared(OfflineMBRL)
     assert int(state.model.turns) == 1
@@ -105,6 +106,7 @@ def test_mopo_lowers_rewards_by_the_greatest_deviation():
     np.testing.assert_array_equal(lowered.next_observation, branch.next_observation)
 
 
+@pytest.mark.slow
 def test_mobile_lowers_values_by_the_disagreement_of_backups():
     agent, rows, state = prepared(MOBILE, samples=2000, penalty=3.0)
     logged = batch_of(rows)

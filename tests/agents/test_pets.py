@@ -89,6 +89,7 @@ FIELDS = {"termination": None, "horizon": 3, "population": 10, "cem_elites": 2, 
 SETTINGS = Online(copies=2, explore=40, updates_per_step=0.1, block=10)
 
 
+@pytest.mark.slow
 def test_plans_begin_with_episodes_and_in_a_model_that_was_fitted():
     pendulum = task("inverted-pendulum")
     updates = SETTINGS.updates(90)

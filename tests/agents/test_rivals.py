@@ -266,6 +266,7 @@ def test_algae_dice_is_a_saddle_point_of_residuals_and_first_values(batch):
     np.testing.assert_allclose(loss, -expected.mean(), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_algae_dice_critics_are_moved_through_both_ends_of_the_equation(batch):
     agent, state = made(AlgaeDICE(discount=0.9, exponent=2.0, regularisation=0.0, **SMALL))
     residual = lambda critics: agent.residual(critics, state.actor, state, batch, K_RESIDUAL)[0]  # noqa: E731

@@ -232,6 +232,7 @@ def state(pid: int) -> str:
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc, and priorities, are Linux's")
 def test_idle_work_has_the_lowest_priority_and_stands_still_while_times_are_measured(folder, monkeypatch):
     monkeypatch.setenv("STUDY_SECONDS", "0.05")

@@ -109,6 +109,7 @@ def test_jobs_are_done_once_though_a_process_is_killed_and_a_job_fails(suite, tm
     assert [row["score"] for row in again.rows] == pytest.approx(mine["score"].to_pylist(), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_process_that_always_dies_is_given_up(suite, tmp_path):
     jobs, store = plan(suite), Store(tmp_path / "out")
     deaths = []

@@ -184,6 +184,7 @@ def test_the_command_counts_cells_and_refuses(tmp_path, capsys):
     assert "written alpha=1,2.5" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_of_a_log_of_ones_own_what_is_held_out_is_looked_at_by_nobody(tmp_path, monkeypatch, capsys):
     rng, rows = np.random.default_rng(0), 120
     np.savez(

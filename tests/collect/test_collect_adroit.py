@@ -129,6 +129,7 @@ def test_policies_are_read_without_running_them(real_data):
     np.testing.assert_allclose(policy(seen), out, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_the_cloned_log_is_half_people_half_a_clone(files, monkeypatch):
     monkeypatch.setattr(adroit, "UPDATES", 20)
     log = generate("door-cloned-v1", steps=700, seed=3)

@@ -31,6 +31,7 @@ def test_every_log_has_a_recipe():
 
 @sumo
 # Each network and each kind of driver once; the other pairs are slow.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=() if ("ring" in n) == ("random" in n) else pytest.mark.slow) for n in NAMES]
 )
@@ -98,6 +99,7 @@ def test_pi_with_saturation_keeps_its_mean_speed():
     assert len(controller.speeds) == 61 < PISaturation.WINDOW / 0.5
 
 
+@pytest.mark.slow
 @sumo
 def test_what_the_scores_are_made_of():
     """Ten episodes of each give what the table says, within five standard errors."""

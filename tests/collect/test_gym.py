@@ -173,6 +173,7 @@ def test_library_is_small():
     assert size < 14e6
 
 
+@pytest.mark.slow
 def test_stored_returns_are_those_of_the_shipped_policies():
     """The stored means are of other episodes: within five standard errors of those of a short evaluation."""
     each = library.snapshot("hopper", "medium")

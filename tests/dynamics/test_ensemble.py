@@ -131,6 +131,7 @@ def test_an_update_is_of_changes_of_observations_and_of_rewards_in_deviations(mo
     np.testing.assert_allclose(terminal, [[0.0, 1.0]] * 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("parts", [2, 5])
 def test_stacks_of_members_learn_what_one_stack_does(parts, monkeypatch):
     """Each member from its own rows, with its own weights of them."""

@@ -53,6 +53,7 @@ def test_rules_hold_exactly_and_no_proposal_is_there_twice(name, tmp_path):
         assert not {key(row) for row in made.x} & {key(row) for row in data.x}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["mixture", "constrained", "ordinal"])
 def test_methods_that_know_no_rules_keep_them_too(name, tmp_path):
     """A network is climbed without them; what it proposes is moved to where they hold."""

@@ -119,6 +119,7 @@ def test_names():
 SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("ensemble-min", "coms", "nemo", "cbas", "mins")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["forward", "gp-bo", *SLOW])
 def test_beliefs_are_about_the_designs_that_are_proposed(mixed, name):
     """Not about the coordinates on the way there: two proposals that are the same design are believed the same."""

@@ -57,6 +57,7 @@ def two():
     return targets_of(read, ["gain", "cost"], ["cost"])
 
 
+@pytest.mark.slow
 def test_a_batch_moves_the_front(two):
     front = propose_front(two, 6)
     x = front.made[0].x

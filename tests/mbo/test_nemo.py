@@ -240,6 +240,7 @@ def test_a_longer_fit_begins_where_a_shorter_one_ended(bowl, tmp_path):
     assert seen[0] < SMALL.pretrain
 
 
+@pytest.mark.slow
 def test_a_longer_fit_passes_over_a_broken_checkpoint(bowl, tmp_path):
     shorter = SMALL.replace(steps=SMALL.steps - 20)
     shorter.propose(bowl, 4, seed=1, out=tmp_path)
@@ -280,6 +281,7 @@ def test_refusals(bowl):
         SMALL.replace(lr=1e30).propose(bowl, 4)  # as many as elsewhere, which is the same program
 
 
+@pytest.mark.slow
 def test_models_with_constant_predictions_are_warned_of(bowl, monkeypatch):
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -39,6 +39,7 @@ def columns(buffer):
     return np.split(np.asarray(buffer), np.cumsum([4, 1, 1, 4]), axis=1)
 
 
+@pytest.mark.slow
 def test_what_is_learned_from():
     fit, experience = job(real_ratio=0.2)
     walk(fit)

@@ -432,6 +432,7 @@ def hopper(monkeypatch):
     return tasks.task("hopper")
 
 
+@pytest.mark.slow
 def test_medium_replay_has_any_number_of_rows_and_begins_like_a_longer_one(hopper, tmp_path):
     whole = gym.collect_replay(hopper, name="h", steps=64, scratch=tmp_path / "whole")
     assert len(whole) == 64
@@ -447,6 +448,7 @@ def test_medium_replay_has_any_number_of_rows_and_begins_like_a_longer_one(hoppe
     assert not (other.actions == whole.actions).any()
 
 
+@pytest.mark.slow
 def test_medium_replay_is_the_run_that_the_policies_came_from(hopper, tmp_path):
     """Other capacity, chunks and pauses than `train_online` has, and yet the same rows."""
     run = library.about("hopper")["run"]

@@ -141,6 +141,7 @@ def test_a_clipped_policy_is_divided_by_a_clipped_model():
         assert np.abs(np.log(ratio[where])).mean() < 0.25
 
 
+@pytest.mark.slow
 def test_importance_sampling_with_a_learned_behaviour_policy():
     """With the densities that the log was made with, and with learned ones."""
     log = lqr(-0.5, 0.5, 2000, 8)

@@ -64,6 +64,7 @@ def test_values_are_true_within_their_intervals(world, name):
 SLOW = ("switch", "dros")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SLOW else ()) for n in NEW])
 def test_the_truth_lies_within_as_often_as_promised(name):
     true = garnet(states=4, actions=2, ending=0.3, noise=0.3)

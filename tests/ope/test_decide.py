@@ -203,6 +203,7 @@ def test_a_policy_that_memorised_noise_is_praised_on_its_own_rows_alone():
     assert new.choice.low < 0.0 < new.choice.high
 
 
+@pytest.mark.slow
 def test_critics_out_of_fold_leave_the_noise_to_be_corrected():
     """In sample a critic of many features explains noise; out of fold it cannot."""
     log = bandit(np.random.default_rng(1), rows=400)
@@ -247,6 +248,7 @@ def test_values_are_means_of_action_values(kind):
     assert found.value[0] == pytest.approx((probs(seen) * paid).sum(1).mean(), abs=1e-5)
 
 
+@pytest.mark.slow
 def test_learned_propensities_come_from_other_folds():
     """A model that is fitted for long memorises; of rows it has not seen it says what it knows, which is next to nothing."""
     log = bandit(np.random.default_rng(2), rows=300, known=False)
@@ -290,6 +292,7 @@ def test_a_mixture_over_folds_is_judged_by_the_policy_that_has_not_seen_the_epis
 # ---- simultaneous -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_intervals_of_all_policies_at_once_by_simulation():
     """Eight estimates of skewed scores that vary together, of 60 units: all inside in 95 % of logs, each alone in more."""
     rng, hits, alone, count = np.random.default_rng(0), 0, 0, 300
@@ -393,6 +396,7 @@ def test_no_overlap_knows_nothing():
         assert not gain.deploy
 
 
+@pytest.mark.slow
 def test_deterministic_continuous_policies_are_model_based_only():
     rng = np.random.default_rng(6)
     seen, did = rng.standard_normal((400, 1)), rng.uniform(-1, 1, (400, 1))

@@ -55,6 +55,7 @@ def case_of(log, policies=(SECOND, FIRST), **options):
     return OPEInput(log, policies, discount=0.0, horizon=1, names=names, logged=True, **options)
 
 
+@pytest.mark.slow
 def test_a_guarantee_holds_as_often_as_promised():
     """A policy whose gain is a little: its lower bound lies above in no more than 1 of 10 of logs, short ones too."""
     rng, missed, useful = np.random.default_rng(0), [], []
@@ -141,6 +142,7 @@ def test_decisions_by_a_guarantee_and_under_confounding():
         decide(faint, [LINEAR], model=MODEL, confounding=0.5)
 
 
+@pytest.mark.slow
 def test_bounds_for_confounding_hold_where_there_is_some():
     """Someone saw what is not recorded, and gave the second arm more often where it fares better: odds of 2 between the two."""
     rng, inside, naive, tight = np.random.default_rng(0), [], [], []

@@ -170,6 +170,7 @@ def test_on_a_grid_from_another_policy():
 
 
 # What redrawn episodes weigh is the same code for both.
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param("best-dice", marks=pytest.mark.slow), "vpm"])
 def test_members_of_episodes_of_different_lengths(name):
     """A reward of one a step is worth 1 / (1 - discount), however the redrawn episodes' lengths fall."""

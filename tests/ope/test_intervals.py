@@ -56,6 +56,7 @@ def test_coverage(logs, name):
     assert 0.92 <= np.mean(inside) <= 0.98, np.mean(inside)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("normalised", [True, False])
 def test_coverage_of_whole_episodes(logs, normalised):
     """Their weights spread further: intervals are a little short, as the documentation says."""

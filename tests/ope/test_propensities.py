@@ -26,6 +26,7 @@ def likelihood(logits, taken):
     return log_softmax(logits)[np.arange(len(taken)), taken].mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("true", [0.5, 1.0, 3.0])
 def test_a_known_temperature_is_recovered(true):
     """Within four standard errors of 50,000 rows, and no other is likelier."""
@@ -99,6 +100,7 @@ def test_what_cannot_be_calibrated():
             shifts(logits, taken)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("curved", [False, True])
 def test_a_linear_policy_is_found_by_few_rows_and_a_curved_one_by_more(curved):
     """Out of fold, the better of a network and a linear model is near the true propensities; of the other kind it is not."""

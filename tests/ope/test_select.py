@@ -50,6 +50,7 @@ def case():
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", [ImportanceSampling(), TABULAR, DoublyRobust(fqe=TABULAR)], ids=["is", "fqe", "dr"])
 def test_the_logs_own_policy_is_judged_like_the_others(case, estimator):
     found = estimator.on(case)
@@ -223,6 +224,7 @@ def test_model_based_on_lqr(kind):
     assert abs(found.value[3] - found.value[0]) < 0.3  # the first made the log
 
 
+@pytest.mark.slow
 def test_model_based_compares_with_what_the_logs_policy_makes_up():
     """Episodes are cut off after 10 steps of a reward of 1: what the log got says nothing of what goes on without end."""
     rng = np.random.default_rng(0)
@@ -247,6 +249,7 @@ def test_one_member_says_that_it_gives_no_interval():
     assert "MB-FF has one member, which gives no interval; more members do" in found.warnings
 
 
+@pytest.mark.slow
 def test_model_based_where_episodes_end():
     """A chance of an end shortens made-up episodes as it does true ones."""
     true = garnet(states=4, actions=2, ending=0.3)

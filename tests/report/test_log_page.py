@@ -61,6 +61,7 @@ def test_every_column_stands_on_the_page(tmp_path):
     assert sum(int(count) for count in re.findall(r": (\d+) rows</title>", drawn)) == 54
 
 
+@pytest.mark.slow
 def test_the_page_in_a_browser(tmp_path, browse):
     found, console = browse(page(table(), tmp_path), CHECK)
     assert found["errors"] == []

@@ -25,6 +25,7 @@ def small_csv(path):
     return path
 
 
+@pytest.mark.slow
 def test_two_commands_into_one_folder(tmp_path, capsys):
     log, out = small_csv(tmp_path / "log.csv"), tmp_path / "run"
     options = ["train", "--agent", "bc", "--agent.hidden", "16", "--data", str(log), "--out", str(out), "--steps", "100000000"]

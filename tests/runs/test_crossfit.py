@@ -179,6 +179,7 @@ def test_the_command(log, tmp_path, monkeypatch, capsys):
     assert (fold.reshape(10, 4) == fold[::4, None]).all()
 
 
+@pytest.mark.slow
 def test_each_episode_of_a_mixture_is_one_of_its_members(tmp_path):
     known = generate("maze2d-umaze-v1", steps=1800, seed=0)  # six episodes: all folds learn in the same program
     found = dr.cross_fit(BC, known, out=tmp_path / "c", episodes=1, **OPTIONS)

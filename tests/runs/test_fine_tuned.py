@@ -235,6 +235,7 @@ def test_runs_that_cannot_go_on(offline, run, tmp_path):
         tuned(tmp_path / "bare", tmp_path / "r")
 
 
+@pytest.mark.slow
 def test_a_log_may_stand_in_the_replay_of_an_agent_that_has_learned_nothing(tmp_path):
     options = OPTIONS | {"settings": replace(SETTINGS, explore=16)}
     made = dr.train_online(Returned(), HOPPER, data=LOG, out=tmp_path / "r", **options)
@@ -247,6 +248,7 @@ def test_a_log_may_stand_in_the_replay_of_an_agent_that_has_learned_nothing(tmp_
     assert job.source.experience.logged == 4
 
 
+@pytest.mark.slow
 def test_from_the_command_line(tmp_path, home, capsys):
     path, agent = tmp_path / "hops.hdf5", "tests.runs.test_fine_tuned:Returned"
     write_hdf5(LOG, path)

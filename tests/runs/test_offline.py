@@ -139,6 +139,7 @@ def test_what_nobody_knows_is_not_deployed_unless_the_user_says_so(noise, tmp_pa
     assert "as the user says" in said.results["judged"]["words"]
 
 
+@pytest.mark.slow
 def test_python_functions_are_judged_too_and_what_they_have_no_support_for_has_no_ends():
     """Action 1 is never taken: nothing that any estimator says of a policy that takes it has an end."""
     rng = np.random.default_rng(0)
@@ -176,6 +177,7 @@ def test_late_looks_have_a_level_below_100_percent(number, words):
     assert level_in_words(1.0 - 0.05 / 2.0**number) == words
 
 
+@pytest.mark.slow
 def test_a_column_by_which_episodes_were_held_out_is_redrawn_as_one(noise):
     log, _, folder = noise
     run = train(BC(hidden=(8,)), log, steps=20, out=folder / "users", holdout=Holdout(0.4, "user"))
@@ -232,6 +234,7 @@ def test_estimates_outlive_a_simulator_that_fails(made, tmp_path, monkeypatch):
     assert told["results"][0]["method"] == "WPDIS"
 
 
+@pytest.mark.slow
 def test_one_policy_and_a_file_of_a_log_do(noise, tmp_path, monkeypatch):
     log, run, folder = noise
     write_folder(log, tmp_path / "log")
@@ -241,6 +244,7 @@ def test_one_policy_and_a_file_of_a_log_do(noise, tmp_path, monkeypatch):
     assert judge(run.policy, str(tmp_path / "log"), "is", unseen=True, **QUICK).choice.name == "policy 0"
 
 
+@pytest.mark.slow
 def test_a_cross_fit_is_judged_on_every_episode(noise):
     log, _, folder = noise
     crossed = cross_fit(BC(hidden=(8,)), log, folds=3, steps=20, out=folder / "crossed")

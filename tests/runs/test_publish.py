@@ -83,6 +83,7 @@ def test_measuring_goes_on_where_it_was_stopped(run, shipped, tmp_path):
     assert json.loads(path.read_text()) == json.loads((shipped / "hopper.json").read_text())
 
 
+@pytest.mark.slow
 def test_episodes_are_added_until_the_error_is_small(run, tmp_path):
     path = publish(Publish(str(run), medium=24, expert=80, episodes=4, most=12, error=0.0, out=str(tmp_path)))
     assert json.loads(path.read_text())["policies"]["snapshot-01"]["sampled"]["episodes"] == 12
@@ -98,6 +99,7 @@ def test_batches_join_to_the_mean_and_error_of_all():
     assert known == pytest.approx((x.mean(), x.std(ddof=1) / 60**0.5))
 
 
+@pytest.mark.slow
 def test_more_episodes_are_measured_when_asked_for(run, tmp_path):
     options = Publish(str(run), medium=24, expert=80, episodes=2, most=2, out=str(tmp_path))
     publish(options)

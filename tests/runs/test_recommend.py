@@ -348,6 +348,7 @@ def test_warnings_of_the_log_are_lines_and_suspected_leaks_are_for_the_card(tmp_
     assert of(sent, "line") == [f"! {line}" for line in (*log.warnings, more)]
 
 
+@pytest.mark.slow
 def test_what_diverges_or_runs_out_of_time_is_told(small, tmp_path, monkeypatch):
     real = Attempt._pilot
     pilot = lambda self, candidate, *rest: None if candidate.name == "bold" else real(self, candidate, *rest)  # noqa: E731
@@ -399,6 +400,7 @@ def test_a_fit_that_has_not_settled_does_not_deploy(small, tmp_path, monkeypatch
     assert all("the fit of its estimate has not settled" in own for own in choice["objections"])
 
 
+@pytest.mark.slow
 def test_model_based_estimates_decide_where_they_are_accepted(small, tmp_path, monkeypatch):
     sizes = {"hidden": (8,), "batch_size": 16}
     loose = Candidate("loose", "td3_bc", {"batch_size": 16}, "-", deterministic=True)
@@ -516,6 +518,7 @@ def test_the_command_gives_a_card_where_there_is_no_time_to_speak_of(tmp_path, c
     assert main(["recommend", str(table), "--budget", "0s", "--out", str(tmp_path / "more")]) == 2
 
 
+@pytest.mark.slow
 def test_the_work_ends_with_whoever_asked_for_it():
     environment = os.environ | {"JAX_PLATFORMS": "cpu"}
     process = subprocess.Popen(module.COMMAND, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)

@@ -39,6 +39,7 @@ def same(ours, theirs):
     return len(ours) == len(theirs) and all(np.array_equal(a, b) for a, b in zip(ours, theirs))
 
 
+@pytest.mark.slow
 @sumo
 @roads
 def test_a_copy_depends_on_its_own_seed_and_actions_alone(task):
@@ -64,6 +65,7 @@ def test_a_copy_depends_on_its_own_seed_and_actions_alone(task):
     assert sum(part.any() for part in rows["few"] if part.ndim == 2) > 10  # learners have been seen
 
 
+@pytest.mark.slow
 @sumo
 @roads
 def test_restored_elsewhere_it_goes_on_to_the_bit(task):
@@ -233,6 +235,7 @@ def equilibrium(length):
     return low
 
 
+@pytest.mark.slow
 @sumo
 def test_drivers_form_waves_that_a_follower_stopper_dissolves():
     """Sugiyama et al. 2008 saw the waves, Stern et al. 2018 one car dissolve them; driving evenly has a closed form."""
@@ -285,6 +288,7 @@ def gone(pid, seconds=10.0):
     return False
 
 
+@pytest.mark.slow
 @sumo
 def test_processes_end_with_what_started_them():
     task = replace(RING, horizon=5)

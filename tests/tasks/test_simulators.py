@@ -30,6 +30,7 @@ def assert_same(ours, theirs):
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.slow
 @every
 def test_threads_change_nothing(task):
     logs = []

@@ -52,6 +52,7 @@ def test_the_theorem_as_printed_has_counter_examples():
     assert cnml.printed_bound(two, below) == 0.0 < cnml.functional_regret(cnml.p_nml(two), two, below).max()
 
 
+@pytest.mark.slow
 def test_the_corrected_bounds_hold_and_are_never_below_what_gamma_gives():
     rng = np.random.default_rng(1)
     broken = 0

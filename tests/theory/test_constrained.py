@@ -132,6 +132,7 @@ def test_one_policy_has_coefficient_one_only_where_its_data_is_stationary():
 # ---- Theorem 4.2.1 ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_loss_of_constrained_iteration_is_bounded(many, shifts):
     worlds, _, _, sets, data, discount, rng = many
     delta = rng.exponential(0.1, worlds.rewards.shape) * rng.choice([0.0, 1.0, 3.0], worlds.rewards.shape)

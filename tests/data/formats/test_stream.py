@@ -163,6 +163,7 @@ def test_goes_on_after_a_kill(tmp_path, monkeypatch):
     same(read_folder(tmp_path / "log"), Dataset.from_frame(the_table(), **ASKED["bandit"]))
 
 
+@pytest.mark.slow
 def test_parts_of_another_source_are_not_taken(tmp_path):
     source = tmp_path / "log.parquet"
     parquet.write_table(the_table(), source, row_group_size=25)
