@@ -141,7 +141,7 @@ DESIGNS: dict[str, dict[str, Any]] = {
     "ddom": {**NETS, "steps": 4, "sampling_steps": 5},
     "mins": {**NETS, "latent_size": 2, "steps": 4, "critic_updates": 2, "forward_hidden": (8,), "forward_steps": 4,
              "forward_lr": 0.01, "ascent_steps": 3},
-    "best": {}, "random": {}, "gp": {"rounds": 5, "folds": 2},
+    "best": {}, "jitter": {}, "random": {}, "gp": {"rounds": 5, "folds": 2},
     "auto": {"hidden": (8,), "steps": 4, "networks_from": 50},
 }  # fmt: skip
 

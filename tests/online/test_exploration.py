@@ -71,11 +71,12 @@ class Clocks:
         return self.see(), self.steps.astype(np.float32), fall, ~fall & (self.age >= self.task.horizon)
 
     def state(self):
-        return {"start": self.start.copy(), "age": self.age.copy(), "steps": self.steps.copy(), **self.starts.state()}
+        # Two of the names are of what an experience keeps beside it.
+        return {"start": self.start.copy(), "seen": self.age.copy(), "count": self.steps.copy(), **self.starts.state()}
 
     def restore(self, state):
         self.starts.restore(state)
-        self.start, self.age, self.steps = (state[key].copy() for key in ("start", "age", "steps"))
+        self.start, self.age, self.steps = (state[key].copy() for key in ("start", "seen", "count"))
 
 
 TASK = Ticking("ticking", "toy", 7, (2,), Box((-1.0, 0.5), (3.0, 1.0)), "", tasks.task("hopper").reference)

@@ -224,11 +224,12 @@ class Exploration:
 
     def state(self) -> dict[str, Any]:
         """See `Experience`: the simulator's state, what was last seen, what policies remember, and the number of rows."""
-        return {**self.simulator.state(), "seen": self.seen, "count": np.asarray(self.replay.count), "carry": self.carry}
+        own = {"seen": self.seen, "count": np.asarray(self.replay.count), "carry": self.carry}
+        return {"simulator": self.simulator.state(), **own}
 
     def restore(self, state: dict[str, Any]) -> None:
         """See `Experience`."""
-        lost = self.simulator.restore(state)
+        lost = self.simulator.restore(state["simulator"])
         self.seen = np.array(state["seen"])
         self.carry = jax.device_put(state["carry"])
         self.replay.restore(int(state["count"]))
