@@ -107,6 +107,7 @@ def test_a_front_from_the_command_line(tmp_path, monkeypatch, capsys):
 
     from deadreckon.cli.main import main
 
+    calamine = pytest.importorskip("python_calamine")
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(0)
     rows = [(a, b, a + b, a * a - b) for a, b in rng.uniform(0, 1, (16, 2)).round(2)]
@@ -122,12 +123,20 @@ def test_a_front_from_the_command_line(tmp_path, monkeypatch, capsys):
     ends = [f"{what}_{target}" for target in ("gain", "cost") for what in ("predicted", "predicted_std", "mean_std")]
     assert list(found[0]) == ["a", "b", *ends, "distance"]
     assert float(found[0]["predicted_gain"]) == pytest.approx(float(found[0]["a"]) + float(found[0]["b"]), abs=0.3)
+    sheets = calamine.CalamineWorkbook.from_path("f/proposals.xlsx")
+    head, *cells = sheets.get_sheet_by_name("proposals").to_python()
+    assert head == list(found[0])
+    np.testing.assert_allclose(cells, [[float(value) for value in row.values()] for row in found], rtol=1e-6)
+    assert ["target cost", "to be made small"] in sheets.get_sheet_by_name("about").to_python()
     page = (tmp_path / "f" / "report.html").read_text()
     for said in ("Front of the data", "to be made small", "measured from gain 0, cost 2", "for a new measurement of cost"):
         assert said in page
     for more, said in (
         (["--target", "gain"], "--target does not go with --targets"),
         (["--method", "ram"], "leave out --method ram"),
+        (["--path", "t.csv"], "--path does not go with --targets"),
+        (["--budget", "full"], "--budget does not go with --targets"),
+        (["--method", "gp", "--method.rounds", "5"], "leave --method.* out"),
         (["--reference", "gain", "0"], "--reference needs a number for each of gain, cost"),
     ):
         assert main([*asked, *more]) == 2

@@ -190,7 +190,8 @@ def _notes(jobs: Sequence[Job], missing: Sequence[tuple[Job, int]], store: Store
         notes.append(f"collected again by this package, not the original files: {', '.join(again)}")
     copies = {on: len({row["log"] for row in found if row["on"] == on and row["log"]}) for on in again}
     if several := [f"{on} ({count} logs)" for on, count in copies.items() if count > 1]:
-        notes.append(f"collected on machines that round differently, so methods have learned from copies that differ: {', '.join(several)}")
+        told = "collected on machines that round differently, so methods have learned from copies that differ"
+        notes.append(f"{told}: {', '.join(several)}")
     notes += dict.fromkeys(f"{row['on']} is scored by {row['oracle']}" for row in map(_with_more, found) if "oracle" in row)
     notes += _tuned(jobs)
     blind = sorted({row["on"] for row in found if row["kind"] == "learn" and np.isnan(row["score"])})

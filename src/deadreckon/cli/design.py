@@ -14,8 +14,9 @@ from deadreckon.cli import design_front
 from deadreckon.cli.design_asked import asked, designs
 from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar, Watch
+from deadreckon.cli.sheets import write_beside
 from deadreckon.errors import UserError
-from deadreckon.files import alone, replacing
+from deadreckon.files import alone
 from deadreckon.interrupts import resumable
 from deadreckon.names import file_part
 
@@ -98,6 +99,8 @@ def design(args: Sequence[str]) -> None:
     kind = dataclasses.make_dataclass("DesignMethod", fields)
     kind.__doc__ = Design.__doc__ if name else f"{Design.__doc__} Methods: {', '.join(DESIGNERS)}."
     parsed = parse(kind, rest, "design")
+    if parsed.design.targets and vars(parsed.method) != vars(method):
+        raise UserError("fields of a method do not go with --targets, which have a Gaussian process each; leave --method.* out")
     _propose(name or USUAL, parsed.method, parsed.design)
 
 
@@ -127,7 +130,7 @@ def _write_proposals(method: Any, data: Any, problem: Any, options: Design, out:
         made = method.propose(data, options.n, seed=options.seed, out=out / "fits", watch=watch, **ways)
     scores = None if problem is None else problem.score(made)
     from deadreckon.mbo.nn_distance import nn_distance
-    from deadreckon.mbo.proposal_table import added_columns
+    from deadreckon.mbo.proposal_table import about, added_columns
     from deadreckon.report.design import write_design
 
     far = nn_distance(data, made.x)
@@ -140,7 +143,7 @@ def _write_proposals(method: Any, data: Any, problem: Any, options: Design, out:
     if scores is not None:
         print(f"{scores}\nthe oracle is {problem.about if problem else ''}")
     print(written)
-    _write_sheets(data, made, more, out / "proposals.xlsx")
+    write_beside(data.decode(made.x) | more, about(data, made), out / "proposals.xlsx")
     print(write_design(data, made, far, out / "report.html", scores))
 
 
@@ -154,20 +157,6 @@ def _told(data: Any, made: Any) -> list[str]:
     if made.compared:
         return [*lines, *map(str, made.compared), made.reason]
     return lines if made.quality is None else [*lines, str(made.quality)]
-
-
-def _write_sheets(data: Any, made: Any, more: dict[str, list[Any]], path: Path) -> None:
-    """The proposals as a spreadsheet too, with a sheet that says what they are; a line where it cannot be written."""
-    from deadreckon.data.formats.xlsx_out import write_sheets
-    from deadreckon.mbo.proposal_table import about
-
-    try:
-        with replacing(path) as temporary:
-            write_sheets({"proposals": {**data.decode(made.x), **more}, "about": about(data, made)}, temporary)
-    except UserError as error:
-        print(f"! {path.name} is not written: {error}", file=sys.stderr)
-    else:
-        print(path)
 
 
 def _problem(name: str, path: str | None) -> Any:

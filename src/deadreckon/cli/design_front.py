@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from deadreckon.cli.progress import Watch
+from deadreckon.cli.sheets import write_beside
 from deadreckon.errors import UserError
 from deadreckon.files import alone
 from deadreckon.names import file_part
@@ -16,8 +17,11 @@ def check(name: str, options: Any) -> None:
     Raises:
         UserError: one line, with the option.
     """
-    others = {"--target": options.target, "--problem": options.problem, "--weights": options.weights}
-    for option, value in (others | {"--std-error": options.std_error}).items():
+    others = {
+        "--target": options.target, "--problem": options.problem, "--weights": options.weights, "--path": options.path,
+        "--std-error": options.std_error, "--budget": options.budget,
+    }  # fmt: skip
+    for option, value in others.items():
         if value:
             raise UserError(f"{option} does not go with --targets, which are a front of several scores; leave one of them out")
     if name not in ("auto", "gp"):
@@ -32,7 +36,7 @@ def write_proposals(options: Any, asked: dict[str, Any]) -> None:
     from deadreckon.mbo.designs import Designs
     from deadreckon.mbo.front import propose_front, targets_of
     from deadreckon.mbo.nn_distance import nn_distance
-    from deadreckon.mbo.proposal_table import free_name
+    from deadreckon.mbo.proposal_table import about_front, free_name
     from deadreckon.report.design_front import write_front
 
     schema = None if options.schema is None else DesignSchema.load(options.schema)
@@ -53,12 +57,14 @@ def write_proposals(options: Any, asked: dict[str, Any]) -> None:
             more[f"predicted_std_{each.target}"] = made.predicted_std
             more[f"mean_std_{each.target}"] = made.mean_std
         more["distance"] = nn_distance(data[0], x)
-        written = data[0].write(out / "proposals.csv", x, {free_name(key, data[0]): value for key, value in more.items()})
+        named = {free_name(key, data[0]): value for key, value in more.items()}
+        written = data[0].write(out / "proposals.csv", x, named)
         for line in told(front):
             print(line)
         for line in front.warnings:
             print(f"! {line}", file=sys.stderr)
         print(written)
+        write_beside(data[0].decode(x) | named, about_front(front), out / "proposals.xlsx")
         print(write_front(front, out / "report.html"))
 
 

@@ -15,6 +15,6 @@ from deadreckon.mbo.ram import RaM
 from deadreckon.mbo.registry import DESIGNERS, designer
 
 __all__ = [
-    "DDOM", "DESIGNERS", "GP", "GPBO", "NEMO", "PROBLEMS", "BestOfData", "COMs", "CbAS", "Designer", "Forward", "MINs",
-    "Jitter", "Problem", "Proposals", "RaM", "Random", "designer", "problem",
+    "DDOM", "DESIGNERS", "GP", "GPBO", "NEMO", "PROBLEMS", "BestOfData", "COMs", "CbAS", "Designer", "Forward", "Jitter",
+    "MINs", "Problem", "Proposals", "RaM", "Random", "designer", "problem",
 ]  # fmt: skip

@@ -7,8 +7,11 @@ import numpy as np
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.first_choice import shown_interval
+from deadreckon.mbo.front import Front
 from deadreckon.mbo.nn_distance import neighbours
 from deadreckon.stats.interval import PERCENT
+
+DISTANCE = "to the nearest scored row; 1 is the median distance of a scored row to its nearest neighbour"
 
 
 def added_columns(data: Designs, made: Proposals, true: np.ndarray | None = None) -> dict[str, list[Any]]:
@@ -51,9 +54,26 @@ def about(data: Designs, made: Proposals) -> dict[str, list[Any]]:
         "predicted_std": "standard deviation of one new measurement, noise included",
         "predicted_low, predicted_high": f"the {PERCENT} interval of one new measurement",
         **({} if made.mean_std is None else {"mean_std": "standard deviation of the true score, by the model, not calibrated"}),
-        "distance": "to the nearest scored row; 1 is the median distance of a scored row to its nearest neighbour",
+        "distance": DISTANCE,
         "nearest_row": "row of the data that is nearest, counted from 0 without the line of names",
     }
+    return {"what": list(lines), "value": list(lines.values())}
+
+
+def about_front(front: Front) -> dict[str, list[Any]]:
+    """What proposals for several targets are, as `about` says it of one."""
+    first = front.data[0]
+    lines: dict[str, Any] = {
+        "method": "expected hypervolume improvement, a Gaussian process for each target",
+        "data": first.name, "rows": len(first),
+        **{f"target {each.target}": f"to be made {'small' if each.minimise else 'large'}" for each in front.data},
+        **{f"out of fold, {d.target}": str(m.quality) for d, m in zip(front.data, front.made) if m.quality is not None},
+        "hypervolume of the data": front.before, "expected to be added": front.gain,
+        "predicted_TARGET": "what the model predicts",
+        "predicted_std_TARGET": "standard deviation of one new measurement, noise included",
+        "mean_std_TARGET": "standard deviation of the true score, by the model, not calibrated",
+        "distance": DISTANCE,
+    }  # fmt: skip
     return {"what": list(lines), "value": list(lines.values())}
 
 

@@ -7,8 +7,8 @@ from pyarrow import csv
 
 from deadreckon.errors import UserError, reading
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.problems.trees import forest
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden
+from deadreckon.mbo.problems.trees import forest
 from deadreckon.mbo.variables import Variable
 
 FILE = "molecule.csv"

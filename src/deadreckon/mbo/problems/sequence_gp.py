@@ -1,6 +1,7 @@
 """A Gaussian process on sequences as an oracle, as the design benchmark of 2020 had for proteins: trained once and kept."""
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -41,7 +42,8 @@ class SequenceGP:
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """(n, sites) codes -> (n,) scores."""
         blocks = np.array_split(np.asarray(x, np.int8), max(1, len(x) // 512))
-        return self.mean + np.concatenate([np.exp(-differences(block, self.rows) / self.length) @ self.weights for block in blocks])
+        near = (np.exp(-differences(block, self.rows) / self.length) for block in blocks)
+        return self.mean + np.concatenate([each @ self.weights for each in near])
 
     @property
     def about(self) -> str:
@@ -70,8 +72,8 @@ def _train(cls: type[SequenceGP], x: np.ndarray, y: np.ndarray, rows: int) -> Ar
     codes, mean, std = np.asarray(x[rest], np.int8), float(y[rest].mean()), float(y[rest].std())
     apart, scores = differences(codes, codes), (y[rest] - mean) / std
     some = slice(0, min(TRIED, len(rest)))
-    tried = [(_likelihood(apart[some, some], scores[some], length, noise), length, noise) for length in LENGTHS for noise in NOISES]
-    _, length, noise = max(tried)
+    likelihood = lambda asked: _likelihood(apart[some, some], scores[some], *asked)  # noqa: E731
+    length, noise = max(product(LENGTHS, NOISES), key=likelihood)
     weights = std * cho_solve(_factor(apart, length, noise), scores)
     made = cls(codes, weights, mean, length, noise, 0.0, len(out))
     known = {"mean": mean, "length": length, "noise": noise, "held_out": len(out)}
@@ -83,6 +85,6 @@ def _factor(apart: np.ndarray, length: float, noise: float) -> tuple[np.ndarray,
 
 
 def _likelihood(apart: np.ndarray, scores: np.ndarray, length: float, noise: float) -> float:
-    """Log marginal likelihood of standardised scores, up to a constant, for a prior variance of one (Rasmussen and Williams 2.30)."""
+    """Log marginal likelihood of standardised scores up to a constant, prior variance 1 (Rasmussen and Williams 2.30)."""
     factor = _factor(apart, length, noise)
     return float(-0.5 * scores @ cho_solve(factor, scores) - np.log(np.diag(factor[0])).sum())

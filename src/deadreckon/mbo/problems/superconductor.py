@@ -6,6 +6,7 @@ little from those of UCI's `train.csv`, which is read too.
 """
 
 import csv
+import math
 import re
 from collections.abc import Mapping
 from functools import cache
@@ -19,8 +20,8 @@ from pyarrow import csv as arrow_csv
 
 from deadreckon.errors import UserError, reading, unknown
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.problems.trees import boosted, forest
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden
+from deadreckon.mbo.problems.trees import boosted, forest
 from deadreckon.mbo.variables import Variable
 
 FILE = "superconductor.csv"
@@ -148,7 +149,7 @@ def superconductor(
     else:
         raise UserError(f"{place}: neither columns name and Tc, nor critical_temp and the columns of {form}, as in {SOURCE}")
     judge = ORACLES[oracle](f"superconductor-{form}", x, y)
-    ends = [_ends(column) if bounded else () for column in x.astype(np.float32).T]
+    ends = [_ends(column) if bounded else (-math.inf, math.inf) for column in x.astype(np.float32).T]
     variables = tuple(Variable(column, "continuous", *each) for column, each in zip(names, ends))
     full = Designs(x, y, variables, "superconductor", "critical temperature, K")
     return hidden(name, full, judge, judge.about, most=shown)

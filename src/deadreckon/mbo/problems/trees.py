@@ -1,4 +1,4 @@
-"""Forests and boosted trees as oracles: trained once with scikit-learn, kept as plain arrays, so that judging needs numpy alone."""
+"""Forests and boosted trees as oracles: trained once with scikit-learn, kept as plain arrays; judging needs numpy alone."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
