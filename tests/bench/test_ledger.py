@@ -7,6 +7,7 @@ import os
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -18,7 +19,7 @@ from deadreckon.bench.local import Local
 from deadreckon.bench.plan import plan, plan_all
 from deadreckon.bench.store import JobResult, Store
 from deadreckon.bench.suite import queue, read
-from deadreckon.bench.tables import tables
+from deadreckon.bench.tables import _notes, tables
 from deadreckon.bench.times import forecast
 from deadreckon.bench.work import perform
 from deadreckon.errors import UserError
@@ -257,3 +258,16 @@ def test_idle_work_has_the_lowest_priority_and_stands_still_while_times_are_meas
     run(plan(suite, 1), store, told, executor)
     assert seen == [(os.SCHED_IDLE, 19, team[0]), "T"]
     assert store.undone(plan(suite)) == []
+
+
+def test_a_table_says_of_how_many_copies_of_a_log_it_is_and_who_scored_designs():
+    def row(on, log, more):
+        return {"kind": "learn", "on": on, "log": log, "more": more, "score": 1.0, "cell": "c", "versions": "{}", "failure": ""}
+
+    jobs = [SimpleNamespace(on=on, data=f"{on}@dr1", kind="design", method="m", preset="", cells=["c"]) for on in ("a", "b")]
+    found = [row("a", "1", "{}"), row("a", "2", ""), row("b", "3", '{"oracle": "a forest"}'), row("b", "3", '{"oracle": "a forest"}')]
+    notes = _notes(jobs, [], None, found)
+    assert [note for note in notes if "copies" in note] == [
+        "collected on machines that round differently, so methods have learned from copies that differ: a (2 logs)"
+    ]
+    assert [note for note in notes if "oracle" in note] == ["oracle of b: a forest"]

@@ -192,7 +192,7 @@ def _notes(jobs: Sequence[Job], missing: Sequence[tuple[Job, int]], store: Store
     if several := [f"{on} ({count} logs)" for on, count in copies.items() if count > 1]:
         told = "collected on machines that round differently, so methods have learned from copies that differ"
         notes.append(f"{told}: {', '.join(several)}")
-    notes += dict.fromkeys(f"{row['on']} is scored by {row['oracle']}" for row in map(_with_more, found) if "oracle" in row)
+    notes += dict.fromkeys(f"oracle of {row['on']}: {row['oracle']}" for row in map(_with_more, found) if "oracle" in row)
     notes += _tuned(jobs)
     blind = sorted({row["on"] for row in found if row["kind"] == "learn" and np.isnan(row["score"])})
     if blind:
