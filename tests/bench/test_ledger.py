@@ -265,7 +265,8 @@ def test_a_table_says_of_how_many_copies_of_a_log_it_is_and_who_scored_designs()
         return {"kind": "learn", "on": on, "log": log, "more": more, "score": 1.0, "cell": "c", "versions": "{}", "failure": ""}
 
     jobs = [SimpleNamespace(on=on, data=f"{on}@dr1", kind="design", method="m", preset="", cells=["c"]) for on in ("a", "b")]
-    found = [row("a", "1", "{}"), row("a", "2", ""), row("b", "3", '{"oracle": "a forest"}'), row("b", "3", '{"oracle": "a forest"}')]
+    judged = '{"oracle": "a forest"}'
+    found = [row("a", "1", "{}"), row("a", "2", ""), row("b", "3", judged), row("b", "3", judged)]
     notes = _notes(jobs, [], None, found)
     assert [note for note in notes if "copies" in note] == [
         "collected on machines that round differently, so methods have learned from copies that differ: a (2 logs)"
