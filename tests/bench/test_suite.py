@@ -7,9 +7,10 @@ import sys
 import pytest
 
 from deadreckon import UserError
-from deadreckon.bench.jobs import agent_of, turns
+from deadreckon.bench.jobs import Program, agent_of, turns
 from deadreckon.bench.plan import plan
 from deadreckon.bench.suite import names, read
+from deadreckon.bench.work import perform
 from deadreckon.online import Online
 
 SMALL = """
@@ -246,3 +247,38 @@ def test_a_suite_that_says_too_little_of_logs_is_refused(written, old, new, mess
 def test_an_agent_that_cannot_go_on_is_refused(written):
     with pytest.raises(UserError, match="method 'Replay': ppo does not learn online"):
         plan(read(written(BESIDE.replace('"rlpd", preset = true', '"ppo"'))))
+
+
+DESIGNS = """
+kind = "design"
+seeds = 1
+budget = "cpu"
+problems = ["gfp", "branin"]
+files = { gfp = "0123456789abcdef" }
+[methods]
+best = { agent = "best" }
+"""
+
+
+def test_cells_of_a_declared_file_are_the_same_where_the_file_is_not(written, home, tmp_path, monkeypatch):
+    """And nothing is made from another one."""
+    gfp, branin = plan(read(written(DESIGNS)))
+    assert (gfp.data, branin.data) == ("gfp 0123456789abcdef", "branin")
+    path = home / "designs" / "avgfp.tsv"
+    path.parent.mkdir(parents=True)
+    path.write_text("variant\tscore\n")
+    assert plan(read(written(DESIGNS)))[0].cells == gfp.cells
+    monkeypatch.setattr("deadreckon.mbo.problem", lambda name: None)
+    with pytest.raises(UserError, match=r"^avgfp.tsv is not the file that was planned with: gfp 0123456789abcdef there, gfp "):
+        perform(Program((gfp,)), tmp_path / "run")
+
+
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ('gfp = "0123456789abcdef"', 'tfbind8 = "0123456789abcdef"', "files must give digests of files of some of gfp, branin"),
+    ('"0123456789abcdef"', '"123"', "the digest of the file of gfp must be 16 hexadecimal digits, got '123'"),
+    ('"0123456789abcdef"', "3", "must be 16 hexadecimal digits, got 3"),
+    ('{ gfp = "0123456789abcdef" }', '"x"', "files must give digests of files of some of gfp, branin, got 'x'"),
+])  # fmt: skip
+def test_digests_of_files_that_are_none(written, old, new, message):
+    with pytest.raises(UserError, match=message):
+        read(written(DESIGNS.replace(old, new)))

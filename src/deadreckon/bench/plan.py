@@ -195,7 +195,8 @@ def _design(suite: Suite, method: Method, on: str) -> Job:
     if on not in PROBLEMS:
         raise unknown("problem", on, PROBLEMS)
     options = {"designs": suite.designs, "budget": suite.budget, "fields": method.fields}
-    job = Job("design", method.name, method.agent, {}, "", on, problem_identity(on, PROBLEMS[on].file), options, (0,))
+    data = f"{on} {suite.files[on]}" if on in suite.files else problem_identity(on, PROBLEMS[on].file)
+    job = Job("design", method.name, method.agent, {}, "", on, data, options, (0,))
     made = designer_of(job)
     settings = json.loads(json.dumps({f.name: getattr(made, f.name) for f in dataclasses.fields(made)}, default=repr))
     return dataclasses.replace(job, settings=settings)

@@ -23,6 +23,7 @@
 A file that has `suites = ["a.toml", ...]` instead is a queue: its suites in the order in which they are run.
 """
 
+import re
 import tomllib
 from collections import Counter
 from dataclasses import dataclass, field, fields
@@ -42,7 +43,7 @@ PLACES = {"learn": "logs", "online": "tasks", "design": "problems", "ope": "logs
 OWN = {
     "learn": ("rows", "steps", "episodes", "evaluations"),
     "online": ("rows", "steps", "episodes", "evaluations", "data", "offline"),
-    "design": ("designs", "budget"), "ope": ("rows", "budget"), "study": ("metrics",),
+    "design": ("designs", "budget", "files"), "ope": ("rows", "budget"), "study": ("metrics",),
 }  # fmt: skip
 BUDGETS = ("full", "cpu")
 SIZES = {"seeds", "steps", "offline", "episodes", "evaluations", "rows", "designs", "budget"}  # what [full] may change
@@ -84,6 +85,8 @@ class Suite:
         data: online, the log of each task, where methods have one.
         offline: online, updates of methods that learn from the log first.
         designs: that a designer proposes.
+        files: digest of the file of each problem that is read from one, which tells its cells from those of other files (the
+            BLAKE2b of 8 bytes, in hexadecimal digits); of those that are not named it is that of the file that is there.
         budget: sizes of what designers or estimators fit: `full`, or `cpu`.
         lanes: cells of one program at most, which differ in their seeds or in float settings; None: the executor says.
         about: one line.
@@ -106,6 +109,7 @@ class Suite:
     data: dict[str, str] = field(default_factory=dict)
     offline: int = STEPS
     designs: int = 128
+    files: dict[str, str] = field(default_factory=dict)
     budget: str = "full"
     lanes: int | None = None
     about: str = ""
@@ -212,12 +216,23 @@ def _suite(path: Path, where: str, document: dict[str, Any], full: bool) -> Suit
         if not isinstance(document["ledger"], str):
             raise UserError(f"{where}: ledger must be a folder's name, got {document['ledger']!r}")
         rest["ledger"] = path.parent / safe_path(document["ledger"], f"{where}: ledger")
+    rest["files"] = _files(where, document.get("files", {}), on)
     rest["data"] = _logs(where, document.get("data", {}), on, methods)
     ways = tuple(method(where, kind, *each) for each in methods.items())
     suite = Suite(name, kind, tuple(on), ways, steps=steps, full=bool(changes), **counts, **rest)
     if "steps" in OWN[kind] and suite.evaluations > min(steps.values()):
         raise UserError(f"{where}: {suite.evaluations} evaluations are more than its {min(steps.values())} steps")
     return suite
+
+
+def _files(where: str, given: Any, on: list[str]) -> dict[str, str]:
+    """Of a suite of designs, the digests of problems' files."""
+    if not isinstance(given, dict) or not set(given) <= set(on):
+        raise UserError(f"{where}: files must give digests of files of some of {', '.join(on)}, got {given!r}")
+    for name, digest in given.items():
+        if not isinstance(digest, str) or not re.fullmatch("[0-9a-f]{16}", digest):
+            raise UserError(f"{where}: the digest of the file of {name} must be 16 hexadecimal digits, got {digest!r}")
+    return given
 
 
 def _logs(where: str, data: Any, on: list[str], methods: dict[str, Any]) -> dict[str, str]:

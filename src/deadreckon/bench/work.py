@@ -9,7 +9,7 @@ from typing import Any, TypedDict
 
 import numpy as np
 
-from deadreckon.bench.identity import revisions_of
+from deadreckon.bench.identity import problem_identity, revisions_of
 from deadreckon.bench.jobs import Job, Program, agent_of, designer_of, estimator_of, log_name, study_of, turns
 from deadreckon.bench.store import JobResult
 from deadreckon.errors import UserError
@@ -203,18 +203,21 @@ def _last(metrics: dict[str, np.ndarray], own: np.ndarray) -> dict[str, float]:
 
 
 def _design(job: Job, folder: Path, watch: Progress) -> JobResult:
-    from deadreckon.mbo import problem
+    from deadreckon.mbo import PROBLEMS, problem
     from deadreckon.mbo.protocol import evaluate_designers
     from deadreckon.versions import versions
 
     told = lambda what, step, steps: watch(step, steps)  # noqa: E731
+    posed, file = problem(job.on), PROBLEMS[job.on].file
+    if (here := problem_identity(job.on, file)) != job.data:
+        raise UserError(f"{file} is not the file that was planned with: {job.data} there, {here} here")
     [result] = evaluate_designers(
-        problem(job.on), [(job.method, designer_of(job))], job.options["designs"], seeds=list(job.seeds), out=folder, watch=told
+        posed, [(job.method, designer_of(job))], job.options["designs"], seeds=list(job.seeds), out=folder, watch=told
     )
     rows = []
     for i, seed in enumerate(job.seeds):
         scores = result.scores(i)
-        more = {"median": 100.0 * float(scores.percentile(50, True)), "median_raw": float(scores.percentile(50, False))}
+        more: dict[str, Any] = {"median": 100.0 * float(scores.percentile(50, True)), "median_raw": float(scores.percentile(50, False))}
         more["oracle"] = result.about
         rows.append(
             {
