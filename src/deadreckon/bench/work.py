@@ -217,8 +217,8 @@ def _design(job: Job, folder: Path, watch: Progress) -> JobResult:
     rows = []
     for i, seed in enumerate(job.seeds):
         scores = result.scores(i)
-        more: dict[str, Any] = {"median": 100.0 * float(scores.percentile(50, True)), "median_raw": float(scores.percentile(50, False))}
-        more["oracle"] = result.about
+        median, raw = (float(scores.percentile(50, scaled)) for scaled in (True, False))
+        more = {"median": 100.0 * median, "median_raw": raw, "oracle": result.about}
         rows.append(
             {
                 "seed": seed, "score": 100.0 * float(scores.percentile(100, True)), "raw": float(scores.percentile(100, False)),
