@@ -271,6 +271,9 @@ def test_cells_of_a_declared_file_are_the_same_where_the_file_is_not(written, ho
     monkeypatch.setattr("deadreckon.mbo.problem", lambda name: None)
     with pytest.raises(UserError, match=r"^avgfp.tsv is not the file that was planned with: gfp 0123456789abcdef there, gfp "):
         perform(Program((gfp,)), tmp_path / "run")
+    # A plan that was made without the file names none: it goes on, here to the problem, which is none.
+    with pytest.raises(AttributeError, match="visible"):
+        perform(Program((dataclasses.replace(gfp, data="gfp"),)), tmp_path / "run")
 
 
 @pytest.mark.parametrize(("old", "new", "message"), [

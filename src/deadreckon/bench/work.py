@@ -209,7 +209,8 @@ def _design(job: Job, folder: Path, watch: Progress) -> JobResult:
 
     told = lambda what, step, steps: watch(step, steps)  # noqa: E731
     posed, file = problem(job.on), PROBLEMS[job.on].file
-    if (here := problem_identity(job.on, file)) != job.data:
+    here = problem_identity(job.on, file)
+    if job.data not in (job.on, here):  # a plan that was made without the file takes any
         raise UserError(f"{file} is not the file that was planned with: {job.data} there, {here} here")
     [result] = evaluate_designers(
         posed, [(job.method, designer_of(job))], job.options["designs"], seeds=list(job.seeds), out=folder, watch=told
