@@ -11,6 +11,10 @@ from deadreckon.mbo.front import Front
 from deadreckon.mbo.nn_distance import neighbours
 from deadreckon.stats.interval import PERCENT
 
+# What columns are, whether for one target or several.
+MEAN = "what the model predicts"
+ONE = "standard deviation of one new measurement, noise included"
+TRUE = "standard deviation of the true score, by the model, not calibrated"
 DISTANCE = "to the nearest scored row; 1 is the median distance of a scored row to its nearest neighbour"
 
 
@@ -50,10 +54,10 @@ def about(data: Designs, made: Proposals) -> dict[str, list[Any]]:
         if made.quality.warning:
             lines["warning"] = made.quality.warning
     lines |= {
-        "predicted": "what the model predicts",
-        "predicted_std": "standard deviation of one new measurement, noise included",
+        "predicted": MEAN,
+        "predicted_std": ONE,
         "predicted_low, predicted_high": f"the {PERCENT} interval of one new measurement",
-        **({} if made.mean_std is None else {"mean_std": "standard deviation of the true score, by the model, not calibrated"}),
+        **({} if made.mean_std is None else {"mean_std": TRUE}),
         "distance": DISTANCE,
         "nearest_row": "row of the data that is nearest, counted from 0 without the line of names",
     }
@@ -69,9 +73,9 @@ def about_front(front: Front) -> dict[str, list[Any]]:
         **{f"target {each.target}": f"to be made {'small' if each.minimise else 'large'}" for each in front.data},
         **{f"out of fold, {d.target}": str(m.quality) for d, m in zip(front.data, front.made) if m.quality is not None},
         "hypervolume of the data": front.before, "expected to be added": front.gain,
-        "predicted_TARGET": "what the model predicts",
-        "predicted_std_TARGET": "standard deviation of one new measurement, noise included",
-        "mean_std_TARGET": "standard deviation of the true score, by the model, not calibrated",
+        "predicted_TARGET": MEAN,
+        "predicted_std_TARGET": ONE,
+        "mean_std_TARGET": TRUE,
         "distance": DISTANCE,
     }  # fmt: skip
     return {"what": list(lines), "value": list(lines.values())}
