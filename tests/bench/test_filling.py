@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from deadreckon.bench.device import shared
+from deadreckon.bench.device import platforms_of, required, shared
 from deadreckon.bench.executor import Event, attempt, run
 from deadreckon.bench.filling import Filling, Load, jobs_of, missing, schedule, use
 from deadreckon.bench.jobs import Job, Program, programs
@@ -20,7 +20,7 @@ from deadreckon.bench.suite import queue, read
 from deadreckon.bench.work import perform
 from deadreckon.cli import gpu
 from deadreckon.cli.bench import bench
-from deadreckon.errors import UserError
+from deadreckon.errors import BusyError, UserError
 
 SUITE = """
 kind = "learn"
@@ -290,6 +290,37 @@ def test_without_the_service_processes_take_turns(control, tmp_path, monkeypatch
     monkeypatch.setenv("PATH", "/nowhere")
     with shared() as how:
         assert "there is no nvidia-cuda-mps-control" in how
+
+
+def test_a_device_that_is_filled_is_left_to_the_command_that_does_it(control, tmp_path, monkeypatch):
+    with shared():
+        with pytest.raises(BusyError, match="this GPU"), shared():
+            pass
+        assert "quit" not in control()
+        monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "1")  # another one
+        with shared() as how:
+            assert "service" in how
+
+
+@pytest.mark.parametrize(
+    ("backend", "version", "platforms"),
+    [
+        ("gpu", "PJRT C API\ncuda 13000", "cuda,cpu"), ("gpu", "rocm 60300", "rocm,cpu"), ("tpu", "libtpu", "tpu,cpu"),
+        ("cpu", "cpu", "cpu"), ("gpu", "another", ""),
+    ],
+)  # fmt: skip
+def test_processes_are_told_the_accelerator_that_they_may_not_do_without(backend, version, platforms):
+    assert platforms_of(backend, version) == platforms
+
+
+def test_while_the_device_is_required_processes_are_told_so(monkeypatch):
+    monkeypatch.delenv("JAX_PLATFORMS", raising=False)
+    with required():
+        assert os.environ["JAX_PLATFORMS"] == "cpu"
+    assert "JAX_PLATFORMS" not in os.environ
+    monkeypatch.setenv("JAX_PLATFORMS", "tpu")
+    with required():
+        assert os.environ["JAX_PLATFORMS"] == "tpu"
 
 
 # ---- the command ---------------------------------------------------------------------------------------------------

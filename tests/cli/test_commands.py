@@ -1,5 +1,6 @@
 """The commands as a user types them, on small settings."""
 
+import os
 import pickle
 import re
 import shutil
@@ -45,7 +46,10 @@ def test_agent_help_shows_the_comments_behind_fields(capsys):
 
 def test_collect_info_convert_train_evaluate_report(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("JAX_PLATFORMS", "")
+    monkeypatch.delenv("JAX_PLATFORMS")
     assert main(["data", "collect", "maze2d-umaze-v1", "--steps", "3000", "--seed", "1", "--out", "log.hdf5"]) == 0
+    assert os.environ.pop("JAX_PLATFORMS") == "cpu"
     assert main(["data", "info", "log.hdf5"]) == 0
     out = capsys.readouterr().out
     assert "maze2d-umaze-v1@dr1" in out

@@ -91,6 +91,18 @@ def by_hand(task, rows, seed):
     return [np.array([x for x in column if x is not None]) for column in zip(*out)]
 
 
+def test_actions_are_computed_on_the_processor(tmp_path):
+    held = []
+
+    def acts(observations):
+        held.append(jax.config.jax_default_device)
+        return np.zeros((len(observations), 2), np.float32)
+
+    made = rollouts.acted_in("gymnasium", "x", 0, {})
+    collect_rollouts(tasks.task(MAZE), [Segment(acts, 3)], name="x", seed=0, provenance=made, scratch=tmp_path)
+    assert {device.platform for device in held} == {"cpu"} == {made.extra["device"]}
+
+
 @pytest.mark.parametrize(("task", "rows"), [(HOPPER, 900), (MAZE, 400)])
 def test_uniform_actions_equal_a_rollout_by_hand(task, rows, tmp_path):
     made = log(tmp_path, [Segment(None, rows)], task, seed=3)

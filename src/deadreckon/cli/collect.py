@@ -1,5 +1,6 @@
 """`deadreckon data collect`: known logs again, and logs of what a policy does in any simulator."""
 
+import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +31,8 @@ class Collect:
 
 def collect(options: Collect) -> None:
     """Collects, and prints where the log lies."""
+    # Simulators and the small policies that act in them run on the processor: a GPU is left to programs that train.
+    os.environ.setdefault("JAX_PLATFORMS", "cpu")
     from deadreckon.collect import collect as collect_log
     from deadreckon.collect import recipe
     from deadreckon.collect.recipes import default_path

@@ -3,7 +3,7 @@
 import time
 from pathlib import Path
 
-from deadreckon.bench.device import device_kind, shared
+from deadreckon.bench.device import device_kind, required, shared
 from deadreckon.bench.executor import Event, Executor, run
 from deadreckon.bench.filling import Filling, Load, Planned, jobs_of, missing, schedule, use
 from deadreckon.bench.ledger import store_of
@@ -41,7 +41,8 @@ def fill(suite: str, path: Path, seconds: float, workers: int | None, dry_run: b
         if kind is None:
             raise UserError("--gpu needs an accelerator, and JAX sees none; --dry-run prints a plan all the same")
         print(how)
-        _run(suite, path, seconds, workers, kind)
+        with required():
+            _run(suite, path, seconds, workers, kind)
 
 
 def _prepared(

@@ -37,7 +37,6 @@ UPDATES = 10_000  # of the clone behind the cloned logs
 _CHUNK = 2_000  # updates between its checkpoints
 
 
-
 def demonstrations_file(task: Adroit, retry: RetryPolicy | None = None) -> Path:
     """The 25 demonstrations of a task as Rajeswaran et al. published them, downloaded if they are not there.
 

@@ -5,11 +5,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import jax
-
 from deadreckon._version import __version__
 from deadreckon.collect.rollouts import Segment, collect_rollouts
 from deadreckon.data.provenance import Provenance
+from deadreckon.devices import acting_platform
 from deadreckon.errors import UserError
 from deadreckon.files import alone
 from deadreckon.interrupts import resumable
@@ -72,7 +71,7 @@ def collect_in_task(
     if path.exists() and not force:
         raise UserError(f"{path} is there already; --force (force=True) replaces it")
     versions = {each: metadata.version(each) for each in ("mujoco", "numpy", "jax")} | {"deadreckon": __version__}
-    extra = {"task": task.name, "policy": by, "actions": "drawn", "device": jax.devices()[0].platform}
+    extra = {"task": task.name, "policy": by, "actions": "drawn", "device": acting_platform()}
     extra |= task.described
     provenance = Provenance("collected", None, seed, versions | task.versions, extra=extra)
     scratch = path.parent / f".{path.name}.part"

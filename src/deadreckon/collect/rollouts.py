@@ -24,6 +24,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box
 from deadreckon.data.step import Step
+from deadreckon.devices import acting_platform, on_processor
 from deadreckon.errors import UserError
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.progress import Progress
@@ -101,7 +102,8 @@ def collect_rollouts(
         if isinstance(segment.policy, EnvPolicy) and jax.tree.leaves(segment.policy.start(1)):
             raise UserError(f"{name}: a policy that remembers earlier steps cannot collect a log, one of single steps can")
     stage = Stage(scratch, task, kinds, asked_for(name, seed, [segment.rows for segment in segments], provenance))
-    _collect(task, segments, stage, seed, threads, progress)
+    with on_processor():
+        _collect(task, segments, stage, seed, threads, progress)
     dense = all(_drawn(each.policy) and (each.policy is None or each.policy.has_log_prob) for each in segments)
     return stage.log(name, provenance, densities=dense)
 
@@ -278,6 +280,6 @@ def column_kinds(task: Task, policy: Any) -> dict[str, tuple[tuple[int, ...], An
 
 
 def acted_in(body: str, name: str, seed: int, extra: dict[str, Any]) -> Provenance:
-    """Where a log comes from in which policies act, on this device, in a body of the package `body` and MuJoCo."""
+    """Where a log comes from in which policies act, on the processor, in a body of the package `body` and MuJoCo."""
     versions = {each: metadata.version(each) for each in ("mujoco", body, "numpy", "jax")} | {"deadreckon": __version__}
-    return Provenance("collected", name, seed, versions, extra=extra | {"device": jax.devices()[0].platform})
+    return Provenance("collected", name, seed, versions, extra=extra | {"device": acting_platform()})

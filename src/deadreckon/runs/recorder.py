@@ -1,12 +1,10 @@
 """What a run writes while it goes: metrics, policies, evaluations and how far it has come."""
 
-import contextlib
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -14,6 +12,7 @@ import pyarrow.compute as pc
 from deadreckon.agents import agent_name
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.history import beginning, stacked
+from deadreckon.devices import on_processor
 from deadreckon.files import replacing, write_json
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy, History, memoryless
@@ -31,16 +30,6 @@ from deadreckon.training.part import Part
 
 RECORDED = 8  # episodes per policy whose observations are kept for pictures
 PICTURED = 32  # most observation dimensions of a log whose stretches are kept for pictures
-
-
-def _beside_training() -> contextlib.AbstractContextManager[Any]:
-    """Puts what policies compute on the processor: on an accelerator each of their actions would wait for a chunk to end."""
-    if jax.default_backend() == "cpu":
-        return contextlib.nullcontext()
-    try:
-        return jax.default_device(jax.local_devices(backend="cpu")[0])
-    except RuntimeError:  # JAX_PLATFORMS names the accelerator alone
-        return contextlib.nullcontext()
 
 
 def _nothing(policy: EnvPolicy) -> dict[str, float]:
@@ -185,7 +174,7 @@ class Recorder:
         self.pending.append(self.pool.submit(self._judge, step))
 
     def _judge(self, step: int) -> None:
-        with _beside_training():
+        with on_processor():
             self._judge_beside(step)
 
     def _judge_beside(self, step: int) -> None:
