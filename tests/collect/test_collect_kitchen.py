@@ -5,6 +5,8 @@ import pytest
 
 from deadreckon.collect import generate, kitchen, kitchen_demonstrator, recipe
 from deadreckon.collect.kitchen_demonstrator import KNOWN, Demonstrator
+from deadreckon.data.catalogue import load
+from deadreckon.errors import UserError
 from deadreckon.tasks import task
 from deadreckon.tasks.kitchen import _FIRST
 
@@ -71,13 +73,34 @@ def short(monkeypatch):
 @pytest.mark.parametrize("kind", ["partial", "mixed"])
 def test_a_short_log(kind, short, monkeypatch):
     monkeypatch.setattr(kitchen, "_errand", lambda task, number, generator: ["kettle"] * (1 + number))
-    log = generate(f"kitchen-{kind}-v0", steps=40)
-    assert log.name == f"kitchen-{kind}-v0@dr1-40-steps"
-    assert log.observations.shape == (40, 60)
+    log = generate(f"kitchen-{kind}-v0", steps=45)
+    assert log.name == f"kitchen-{kind}-v0@dr2-45-steps"
+    assert log.observations.shape == (45, 60)
     assert log.episodes >= 2
     assert log.final_known.all()
-    np.testing.assert_array_equal(log.timeouts[log.ends], True)
-    np.testing.assert_array_equal(log.observations[:, 30:], np.float32(task(f"kitchen-{kind}").goal) + np.zeros((40, 1)))
+    # All but the last, which is cut, end as demonstrations of D4RL do.
+    np.testing.assert_array_equal(log.terminals[log.ends], [True] * (log.episodes - 1) + [False])
+    np.testing.assert_array_equal(log.timeouts[log.ends], [False] * (log.episodes - 1) + [True])
+    np.testing.assert_array_equal(log.observations[:, 30:], np.float32(task(f"kitchen-{kind}").goal) + np.zeros((45, 1)))
+
+
+def test_rows_earn_what_is_done_in_what_they_observe(short, monkeypatch):
+    monkeypatch.setattr(kitchen, "_errand", lambda task, number, generator: ["kettle"])
+    monkeypatch.setattr("deadreckon.tasks.kitchen.NEAR", 0.4)  # within which the slide cabinet is from the beginning
+    log = generate("kitchen-partial-v0", steps=30)
+    done = task("kitchen-partial").done(log.observations[:, :30].astype(float)).sum(1)
+    np.testing.assert_array_equal(log.rewards, done)
+    assert (log.rewards >= 1.0).all()
+    assert (log.lengths[:-1] > 5).all()  # a reward of every row, not of the first one alone
+
+
+def test_logs_of_the_earlier_recipe_are_read_and_not_made(tmp_path, monkeypatch):
+    monkeypatch.setenv("DEADRECKON_HOME", str(tmp_path))
+    with pytest.raises(UserError, match=r"kitchen-mixed-v0@dr1 .*earlier recipe.*makes kitchen-mixed-v0@dr2"):
+        load("kitchen-mixed-v0@dr1")
+    with pytest.raises(UserError, match="kitchen-mixed-v0@dr1"):
+        recipe("kitchen-mixed-v0@dr1")
+    assert recipe("kitchen-mixed-v0@dr2") is recipe("kitchen-mixed-v0")
 
 
 def test_a_killed_collection_is_gone_on_with(short, monkeypatch, tmp_path):
@@ -102,7 +125,8 @@ def test_a_killed_collection_is_gone_on_with(short, monkeypatch, tmp_path):
 def test_the_complete_log_solves_the_task():
     log = generate("kitchen-complete-v0", steps=400)
     assert log.terminals[log.ends[:-1]].all()
-    assert log.returns()[:-1].tolist() == [4.0] * (log.episodes - 1)
+    assert log.rewards[log.ends[:-1]].tolist() == [4.0] * (log.episodes - 1)
+    assert (np.diff(log.rewards) <= 1.0).all()
     assert (log.lengths <= 280).all()
 
 

@@ -5,7 +5,8 @@ import pytest
 
 from deadreckon.errors import UserError
 from deadreckon.policies import BlackBoxPolicy
-from deadreckon.runs.evaluate import evaluate
+from deadreckon.runs.evaluate import Evaluation, evaluate
+from deadreckon.tasks import task
 
 STILL = BlackBoxPolicy(lambda seen, rng: np.zeros((len(seen), 2)))
 
@@ -20,3 +21,16 @@ STILL = BlackBoxPolicy(lambda seen, rng: np.zeros((len(seen), 2)))
 def test_settings_out_of_range_are_refused(options, words):
     with pytest.raises(UserError, match=words):
         evaluate([STILL, STILL], "maze2d-umaze", episodes=1, **options)
+
+
+@pytest.mark.parametrize(("name", "theirs"), [("maze2d-umaze", 100.0), ("hopper", None), ("maze2d-eval-umaze", None)])
+def test_a_score_by_the_benchmarks_own_references_is_told_where_ours_are_others(name, theirs):
+    returns = np.tile([160.86, 161.86, 162.86], (2, 1))
+    result = Evaluation(task(name), returns, returns, np.ones((2, 3), int), (0.99,) * 2, ("a", "b"))
+    if theirs is None:
+        assert result.published_score() is None
+        assert "D4RL" not in str(result)
+    else:
+        assert result.published_score(1).value == pytest.approx(theirs)
+        assert str(result).count("by D4RL's references 100.0") == 3
+        assert result.score(1).value < 70.0

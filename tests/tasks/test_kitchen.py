@@ -91,3 +91,23 @@ def test_gymnasiums_checks(task):
         check_env(env, skip_render_check=True)
     np.testing.assert_array_equal(env.reset(seed=3)[0], task.simulate([3]).reset()[0])
     assert env.step(env.action_space.sample())[4] == {"success": False}
+
+
+class Drawn:
+    """A renderer that notes the camera."""
+
+    def update_scene(self, data, camera):
+        self.camera = camera
+
+    def render(self):
+        return np.zeros((4, 4, 3), np.uint8)
+
+
+def test_pictures_are_seen_from_inside_the_kitchen():
+    simulator = tasks.task("kitchen-complete").simulate([0])
+    simulator.reset()
+    simulator.picture(0, (4, 4), drawn := Drawn())
+    assert (drawn.camera.distance, drawn.camera.azimuth, drawn.camera.elevation) == (2.2, 70.0, -35.0)
+    assert drawn.camera.lookat.tolist() == [-0.2, 0.5, 2.0]
+    simulator.picture(0, (4, 4), drawn, camera=-1)
+    assert drawn.camera == -1

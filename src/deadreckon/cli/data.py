@@ -178,7 +178,7 @@ def _list(options: List) -> None:
         copies = ", ".join(at_hand(e)) or "-"
         rows.append([e.name, f"{recipe(e.recipe).steps:,}", e.task, copies, e.original or "-", e.minari or "-"])
     print(table(rows, right=(1,)))
-    print("\n`deadreckon data collect NAME` collects a log again on this machine; its name is NAME@dr1, unlike the original.")
+    print("\n`deadreckon data collect NAME` collects a log again on this machine; its name is NAME@dr1, of the kitchen @dr2.")
     print("`deadreckon data get NAME --source d4rl|minari` downloads the original (NAME@d4rl) or Minari's (NAME@minari).")
 
 

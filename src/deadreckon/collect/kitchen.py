@@ -2,8 +2,12 @@
 
 It leads the hand from waypoint to waypoint through MuJoCo's Jacobian, sub-task by sub-task. It knows where the things stand,
 sees what a policy sees, and remembers how far it has got, so the behaviour that is logged is not Markovian.
+
+Rewards and ends are those that D4RL's script gives demonstrations (`generate_kitchen_datasets.py`), which are not the task's:
+a row earns as many of the wanted sub-tasks as are done in what it observes, and the last one of a demonstration is a terminal.
 """
 
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -13,17 +17,18 @@ import numpy as np
 from deadreckon._version import __version__
 from deadreckon.collect.kitchen_demonstrator import KNOWN, Demonstrator
 from deadreckon.collect.stage import asked_for, same_collection
-from deadreckon.data.catalogue import VERSION
+from deadreckon.data.catalogue import version_of
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.kitchen import ELEMENTS, JOINTS
 from deadreckon.data.provenance import Provenance
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
 from deadreckon.progress import Progress
-from deadreckon.tasks.kitchen import JOINTS, Kitchen
+from deadreckon.tasks.kitchen import Kitchen
 
 BATCH = 16  # episodes side by side; part of the recipe, so that data does not depend on the machine
 DIRECTED = 4  # in the partial log, one episode in so many is directed to the task
-_COLUMNS = ("observations", "actions", "rewards", "terminals", "final")
+_COLUMNS = ("observations", "actions", "rewards")
 
 
 def _errand(task: Kitchen, number: int, generator: np.random.Generator) -> list[str]:
@@ -49,15 +54,15 @@ def collect_kitchen(
 ) -> Dataset:
     """Collects one of the three kinds of log, which the task's name says.
 
-    `kitchen-complete`: the task's four sub-tasks in order; episodes in which one fails are left out. `kitchen-partial`: one
-    episode in four tries these, the others four of the six sub-tasks that the demonstrator knows, at random.
-    `kitchen-mixed`: only others, so that none solves the task. An episode ends where the task is solved (a terminal), after
-    280 steps, or where the demonstrator is through with its list (timeouts).
+    `kitchen-complete`: the task's four sub-tasks in order; episodes at whose end not all are done are left out.
+    `kitchen-partial`: one episode in four tries these, the others four of the six sub-tasks that the demonstrator knows, at
+    random. `kitchen-mixed`: only others, so that none solves the task. An episode ends where the demonstrator is through with
+    its list, or after 280 steps: in both cases with a terminal, as in D4RL's logs.
 
     Args:
         task: where, and which kind.
         name: of the recipe, such as `kitchen-mixed-v0`.
-        steps: rows; the last episode is cut where they are full.
+        steps: rows; the last episode is cut where they are full, by a timeout.
         scratch: folder of a collection under way, which is gone on with after a kill.
         seed: random seed.
         threads: to simulate with; all cores if None. The log does not depend on it.
@@ -78,24 +83,25 @@ def collect_kitchen(
                 np.savez(file, **made)  # pyright: ignore[reportArgumentType]
         with np.load(path) as found:
             episodes = _split(dict(found))
-        kept = [each for each in episodes if task.name != "kitchen-complete" or each["terminals"][-1]]
+        kept = [each for each in episodes if task.name != "kitchen-complete" or each["rewards"][-1] == len(task.elements)]
         parts += kept
         rows += sum(len(each["rewards"]) for each in kept)
         batch += 1
         if progress:
             progress(min(rows, steps), steps)
-    columns: dict[str, Any] = {key: np.concatenate([part[key] for part in parts])[:steps] for key in _COLUMNS[:-1]}
+    columns: dict[str, Any] = {key: np.concatenate([part[key] for part in parts])[:steps] for key in _COLUMNS}
     lengths = np.array([len(part["rewards"]) for part in parts])
     ends = np.cumsum(lengths) - 1
     last = int(np.searchsorted(ends, steps - 1))  # the episode in which the rows are full
     final = np.stack([part["final"][0] for part in parts[: last + 1]])
+    timeouts = np.zeros(steps, bool)
     if ends[last] >= steps:
         final[-1] = np.concatenate([part["observations"] for part in parts])[steps]
-    timeouts = np.zeros(steps, bool)
-    timeouts[np.append(ends[:last], steps - 1)] = True
+        timeouts[-1] = True
+    terminals = np.isin(np.arange(steps), ends)
     return Dataset.from_arrays(
-        **columns, timeouts=timeouts & ~columns["terminals"], final_observations=final, action_space=task.action_space,
-        name=f"{name}@{VERSION}", provenance=provenance,
+        **columns, terminals=terminals, timeouts=timeouts, final_observations=final, action_space=task.action_space,
+        name=f"{name}@{version_of(name)}", provenance=provenance,
     )  # fmt: skip
 
 
@@ -103,12 +109,16 @@ def _batch(task: Kitchen, batch: int, seed: int, threads: int | None) -> dict[st
     """`BATCH` episodes as columns, one after the other, with their lengths."""
     numbers = batch * BATCH + np.arange(BATCH)
     sequences = [np.random.SeedSequence([seed, int(number)]).spawn(2) for number in numbers]
-    simulator = task.simulate([int(own.generate_state(1, np.uint64)[0]) for own, _ in sequences], threads)
+    # Where everything is to be done, which the demonstrator cannot, no episode ends with the task's own sub-tasks.
+    endless = replace(task, elements=tuple(ELEMENTS))
+    simulator = endless.simulate([int(own.generate_state(1, np.uint64)[0]) for own, _ in sequences], threads)
     leader = Demonstrator(BATCH)
     for copy, (number, (_, other)) in enumerate(zip(numbers, sequences)):
         generator = np.random.default_rng(other)
         leader.begin(copy, _errand(task, int(number), generator), generator)
+    goal = task.goal.astype(np.float32)
     seen = simulator.reset()
+    seen[:, JOINTS:] = goal
     rows: list[list[tuple[Any, ...]]] = [[] for _ in numbers]
     final = np.zeros_like(seen)
     running = np.ones(BATCH, bool)
@@ -116,14 +126,13 @@ def _batch(task: Kitchen, batch: int, seed: int, threads: int | None) -> dict[st
         actions = np.zeros((BATCH, 9), np.float32)
         for copy in np.flatnonzero(running).tolist():
             actions[copy] = leader.act(copy, seen[copy, :JOINTS].astype(np.float64), task)
-            if leader.finished(copy) and rows[copy]:  # its last row is the one before
-                running[copy], final[copy] = False, seen[copy]
-        if not running.any():
-            break
-        following, rewards, terminals, timeouts = simulator.step(actions)
-        for copy in np.flatnonzero(running):
-            rows[copy].append((seen[copy], actions[copy], rewards[copy], terminals[copy]))
-            if terminals[copy] or timeouts[copy]:
+        rewards = task.done(seen[:, :JOINTS].astype(np.float64)).sum(1).astype(np.float32)
+        following, _, _, timeouts = simulator.step(actions)
+        following[:, JOINTS:] = goal
+        for copy in np.flatnonzero(running).tolist():
+            rows[copy].append((seen[copy], actions[copy], rewards[copy]))
+            # The last row is one in which the demonstrator has seen that all is done.
+            if leader.finished(copy) or timeouts[copy]:
                 running[copy], final[copy] = False, following[copy]
         seen = following
     columns = zip(*(row for episode in rows for row in episode))
@@ -134,7 +143,7 @@ def _batch(task: Kitchen, batch: int, seed: int, threads: int | None) -> dict[st
 def _split(batch: dict[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
     """The episodes of a batch."""
     cuts = np.cumsum(batch["lengths"])[:-1]
-    columns = {key: np.split(batch[key], cuts) for key in _COLUMNS[:-1]}
+    columns = {key: np.split(batch[key], cuts) for key in _COLUMNS}
     columns["final"] = np.split(batch["final"], len(batch["final"]))
     return [{key: column[i] for key, column in columns.items()} for i in range(len(batch["final"]))]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-from deadreckon.data.catalogue import VERSION, cached_path
+from deadreckon.data.catalogue import cached_path, version_of
 from deadreckon.data.dataset import Dataset
 from deadreckon.devices import on_processor
 from deadreckon.errors import UserError, unknown
@@ -53,13 +53,13 @@ _RECIPES: dict[str, Recipe] = {}
 
 
 def recipe(name: str) -> Recipe:
-    """The recipe of that name (`@dr1` behind it is allowed).
+    """The recipe of that name (its version behind it, such as `@dr1`, is allowed).
 
     Raises:
         UserError: there is none; the message names the nearest.
     """
     try:
-        return _RECIPES[name.removesuffix(f"@{VERSION}")]
+        return _RECIPES[name.removesuffix(f"@{version_of(name.partition('@')[0])}")]
     except KeyError:
         raise unknown("recipe", name, _RECIPES) from None
 
@@ -160,7 +160,7 @@ def collected_name(found: Recipe, steps: int | None, seed: int) -> str:
     """What a collected log is called. A part or another seed has it in its name: it never passes for the full log."""
     part = f"-{steps}-steps" if steps is not None and steps != found.steps else ""
     other = f"-seed-{seed}" if seed else ""
-    return f"{found.name}@{VERSION}{part}{other}"
+    return f"{found.name}@{version_of(found.name)}{part}{other}"
 
 
 def default_path(found: Recipe, steps: int | None, seed: int) -> Path:

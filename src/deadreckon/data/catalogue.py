@@ -32,6 +32,7 @@ class Entry:
         original: path of D4RL's file below its download root; None where D4RL has no such log.
         minari: id of the Minari twin, which was collected anew and differs.
         version: of our recipe.
+        earlier: versions of it that are read where they lie, and that nothing collects any more.
         twin_layout: (width, columns, constants): of the twin's observations, which have this width, these columns are taken
             and these numbers put behind them, so that they are laid out as the original's; None takes them as they are.
         sha256: of the original file, in hexadecimal; D4RL never published any.
@@ -46,6 +47,7 @@ class Entry:
     original: str | None
     minari: str | None
     version: str = VERSION
+    earlier: tuple[str, ...] = ()
     twin_layout: tuple[int, tuple[int, ...], tuple[float, ...]] | None = None
     sha256: str | None = None
     controller: str = "policy"
@@ -122,7 +124,11 @@ def _kitchen(kind: str) -> Entry:
     rows, file = _KITCHEN[kind]
     name = f"kitchen-{kind}-v0"
     twin, layout = f"D4RL/kitchen/{kind}-v2", (59, _POSITIONS, kitchen_goal(KITCHENS[f"kitchen-{kind}"]))
-    return Entry(name, "kitchen", f"kitchen-{kind}", name, rows, f"kitchen/{file}.hdf5", twin, twin_layout=layout)
+    # dr1 paid once for each sub-task, as the task does, and had timeouts where demonstrations end.
+    return Entry(
+        name, "kitchen", f"kitchen-{kind}", name, rows, f"kitchen/{file}.hdf5", twin, version="dr2", earlier=("dr1",),
+        twin_layout=layout,
+    )  # fmt: skip
 
 
 # D4RL's own words for the mazes in the names of its files.
@@ -161,6 +167,11 @@ ENTRIES: dict[str, Entry] = {
 TWINS = {found.minari: name for name, found in ENTRIES.items() if found.minari is not None}  # by Minari's ids
 
 
+def version_of(name: str) -> str:
+    """The version of our recipe of that name."""
+    return ENTRIES[name].version if name in ENTRIES else VERSION
+
+
 def plain_name(name: str) -> str:
     """The name of the downloaded copy that an id of Minari's means (`hopper-medium-v2@minari`); other names as they are."""
     return f"{TWINS[name]}@{TWIN}" if name in TWINS else name
@@ -178,7 +189,7 @@ def entry(name: str) -> Entry:
             raise UserError(f"no file {name}, and no data set is called so (`deadreckon data list` lists them)")
         raise unknown("data set", base, ENTRIES)
     found = ENTRIES[base]
-    if version and version not in (found.version, *found.sources):
+    if version and version not in (found.version, *found.earlier, *found.sources):
         downloads = "".join(f", {base}@{source} (downloaded)" for source in found.sources)
         raise UserError(f"unknown version {version!r} of {base}: known are {found.collected} (collected){downloads}")
     return found
@@ -252,6 +263,8 @@ def _how(found: Entry, version: str) -> str:
         if version in ("", source)
     ][:1]
     collect = f"`deadreckon data collect {found.recipe}` makes"
+    if version in found.earlier:
+        return f"{found.name}@{version} is not here, and is of an earlier recipe: {collect} {found.collected} offline"
     if version in found.sources:
         return f"{found.name}@{version} is not here yet: {gets[0]}, or {collect} {found.collected} offline"
     name = f"{found.name}@{version}" if version else found.name

@@ -72,8 +72,8 @@ def render(page: Page, title: str | None = None) -> str:
         ("mazes", "Trajectories", curves.trajectories(page)),
         ("provenance", "Provenance", provenance.section(page)),
     ]
-    again = any("@dr" in name for name in logs)
-    return document(title, lead, _facts(page, logs), sections, note(tag("code", "@dr1"), AGAIN) if again else None)
+    again = sorted({"@" + name.partition("@")[2].split("-")[0] for name in logs if "@dr" in name})
+    return document(title, lead, _facts(page, logs), sections, note(tag("code", ", ".join(again)), AGAIN) if again else None)
 
 
 def document(

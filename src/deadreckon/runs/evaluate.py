@@ -56,12 +56,21 @@ class Evaluation:
         scores = self.scores
         return None if scores is None else mean_interval(scores if policy is None else scores[policy])
 
+    def published_score(self, policy: int | None = None) -> Interval | None:
+        """The same by the benchmark's own reference returns; None where it has none, or where `score` uses them."""
+        scale = self.task.published
+        if scale is None or scale == self.task.reference:
+            return None
+        return mean_interval(scale.normalise(self.returns if policy is None else self.returns[policy]))
+
     def __str__(self) -> str:
         lines = [f"{self.task.name}: {self.returns.shape[1]} episodes per policy, {PERCENT} intervals"]
         width = max(map(len, self.names))
         for i, name in (*enumerate(self.names), *([(None, "all")] if len(self.names) > 1 else [])):
-            returns, score = mean_interval(self.returns if i is None else self.returns[i]), self.score(i)
-            lines.append(f"  {name:<{width}}  return {returns:.1f}" + ("" if score is None else f"   score {score:.1f}"))
+            line = f"  {name:<{width}}  return {mean_interval(self.returns if i is None else self.returns[i]):.1f}"
+            line += f"   score {score:.1f}" if (score := self.score(i)) is not None else ""
+            line += f"   by D4RL's references {theirs:.1f}" if (theirs := self.published_score(i)) is not None else ""
+            lines.append(line)
         return "\n".join(lines)
 
 

@@ -95,14 +95,14 @@ class MujocoCopies:
             self._starts.begin(which, seeds)
         return self._start(which, [self._starts.next(i) for i in which])
 
-    def picture(self, copy: int, size: tuple[int, int], renderer: Any = None, camera: Any = -1) -> tuple[Any, np.ndarray]:
+    def picture(self, copy: int, size: tuple[int, int], renderer: Any = None, camera: Any = None) -> tuple[Any, np.ndarray]:
         """What a camera sees of a copy.
 
         Args:
             copy: which.
             size: height and width in pixels.
             renderer: one that an earlier call gave; None makes one.
-            camera: name or number in the model, or an `MjvCamera`.
+            camera: name or number in the model, or an `MjvCamera`; None: the task's own.
 
         Returns:
             The renderer, and (height, width, 3) uint8.
@@ -113,8 +113,12 @@ class MujocoCopies:
         self._mujoco.mj_forward(model, data)
         if renderer is None:
             renderer = self._mujoco.Renderer(model, *size)
-        renderer.update_scene(data, camera)
+        renderer.update_scene(data, self._camera() if camera is None else camera)
         return renderer, renderer.render()
+
+    def _camera(self) -> Any:
+        """What sees the task: here the free camera, where MuJoCo puts it."""
+        return -1
 
     def _start(self, which: Any, starts: Any) -> np.ndarray:
         """Starts an episode of each of the copies `which` with what was drawn for it; gives their observations."""

@@ -120,6 +120,13 @@ class KitchenSimulator(MujocoCopies):
         read = self._read[which]
         return np.hstack([read, np.broadcast_to(self.task.goal, read.shape)]).astype(np.float32)
 
+    def _camera(self) -> Any:
+        # That of `FrankaKitchen-v1`; MuJoCo's own place is outside the walls.
+        camera = self._mujoco.MjvCamera()
+        camera.distance, camera.azimuth, camera.elevation = 2.2, 70.0, -35.0
+        camera.lookat[:] = -0.2, 0.5, 2.0
+        return camera
+
     def _outcome(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         now = self.task.done(self._read) & self._left & self._alive[:, None]
         self._left &= ~now
