@@ -49,7 +49,7 @@ def home(tmp_path, monkeypatch):
 
 
 MAPS = Path("/proc/self/maps")  # of this process, on Linux
-MANY = 12_000  # of them: about 2.5 GB. A process may have 65,530, and the compiler crashes beyond
+MANY = 24_000  # of them: about 5 GB. A process may have 65,530, and the compiler crashes beyond
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -104,6 +104,7 @@ def test_a_tanh_gaussian_beside_a_linear_policy_is_worth_what_it_plays(study):
     assert abs(got.mean() - own - gain[0]) < 4.5 * np.hypot(error[0], got.std() / np.sqrt(len(got)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["classes", "missing", "supported", "users", "many-actions", "pricing"])
 def test_values_of_one_decision_are_those_of_draws(study, name):
     """Other contexts, actions drawn: not the sums over actions that the truth is made of."""

@@ -34,6 +34,7 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("docs")
 
 
+@pytest.mark.slow
 def test_predict(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     monkeypatch.setattr(sys, "path", [*sys.path])
@@ -72,6 +73,7 @@ def test_serve(folder, monkeypatch):
         process.terminate()
 
 
+@pytest.mark.slow
 def test_export_explain_and_monitor(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     if not Path("runs/offers").exists():

@@ -59,6 +59,7 @@ def test_keys_are_the_same_in_compiled_and_vectorised_code():
     assert [[data(key) for key in row] for row in stacked] == one_by_one
 
 
+@pytest.mark.slow
 def test_numbers_of_names_do_not_meet_those_that_stay():
     assert all(0 <= n < 8 for n in NUMBERS.values())
     named = {node.value for path in SOURCE.rglob("*.py") for node in purposes(ast.parse(path.read_text()))}

@@ -47,6 +47,7 @@ def lane(tree, i):
     return jax.tree.map(lambda w: w[i], tree)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("critics", "weight"), [(2, 0.75), (3, 0.4)])
 def test_target_is_the_best_mixed_value_and_stops_at_terminals(critics, weight):
     agent, state, batch = setup(critics=critics, min_weight=weight, target_samples=5, discount=0.9)
@@ -100,6 +101,7 @@ def test_actor_loss_is_the_lagrangian(value):
     np.testing.assert_allclose(warm, np.mean(mmds), rtol=2e-3)  # the constraint alone
 
 
+@pytest.mark.slow
 def test_mmd_gradient_reaches_the_actor_and_never_the_behaviour_model():
     """A public implementation loses it: the multiplier's backward pass cancels the gradient."""
     agent, state, batch = setup(warm_start=10)
@@ -195,6 +197,7 @@ def test_a_large_multiplier_keeps_the_support_and_zero_forgets_it(half_support):
     assert free.mean() > held.mean() + 0.2
 
 
+@pytest.mark.slow
 def test_multiplier_zero_is_the_unconstrained_actor_exactly():
     agent, state, batch = setup(dual=False, multiplier=0.0, warm_start=0)
     key = jax.random.key(4)
@@ -209,6 +212,7 @@ def test_multiplier_zero_is_the_unconstrained_actor_exactly():
         np.testing.assert_allclose(a, b, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_importance_sampled_losses_equal_numpy():
     agent = Compiled(ISBEAR(hidden=(16, 16), policy_samples=3, delta=0.25, warm_start=0).resolve(SPEC, 100))
     state = agent.init(SPEC, jax.random.key(0))
@@ -256,6 +260,7 @@ def test_sac_base_adds_entropy():
     assert float(warm.log_temperature) == float(state.log_temperature)  # it rests while the actor cannot answer
 
 
+@pytest.mark.slow
 def test_mmd_after_the_tanh_and_against_the_logged_action():
     agent, state, batch = setup(mmd_actions="after_tanh", mmd_reference="logged", kernel="gaussian", policy_samples=3)
     pre = jnp.asarray(np.random.default_rng(1).normal(size=(3, 6, 1)), jnp.float32)

@@ -41,6 +41,7 @@ def dense_fisher(actor, seen):
     return np.einsum("nap,a,naq->pq", means, precision, means) / len(seen) + 2.0 * deviations.T @ deviations
 
 
+@pytest.mark.slow
 def test_fisher_products_are_those_of_the_dense_matrix_and_of_the_divergences_hessian():
     actor, seen = actor_and_rows()
     flat, rebuilt = ravel_pytree(actor)
@@ -52,6 +53,7 @@ def test_fisher_products_are_those_of_the_dense_matrix_and_of_the_divergences_he
     np.testing.assert_allclose(jax.jit(jax.hessian(apart))(flat), wanted, rtol=1e-3, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_step_is_numpys_solution_and_diverges_by_half_of_delta():
     actor, seen = actor_and_rows()
     flat, rebuilt = ravel_pytree(actor)
@@ -112,6 +114,7 @@ def advantages_of(state, rows):
     return (out - out.mean()) / out.std()
 
 
+@pytest.mark.slow
 def test_without_demonstrations_likelier_are_the_better_actions():
     rows = block()
     state = AGENT.observing(AGENT.init(SPEC, jax.random.key(0)), rows["observation"].reshape(-1, 3))
@@ -146,6 +149,7 @@ def test_a_clone_speaks_in_actions_and_deviates_as_it_errs():
     np.testing.assert_allclose(jnp.exp(as_shown.log_std), shown["action"].std(0), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_the_policy_is_the_actor_on_raw_observations():
     rows = block()
     state = AGENT.observing(AGENT.init(SPEC, jax.random.key(0)), 3.0 + rows["observation"].reshape(-1, 3))

@@ -35,6 +35,7 @@ def windows(steps=4):
     return draw(2, steps), draw(2, steps, 1), jnp.tanh(draw(2, steps, 1)), jnp.arange(steps) * jnp.ones((2, 1))
 
 
+@pytest.mark.slow
 def test_a_block_against_numpy():
     block = Block.create(6, 2, jax.random.key(1))
     x = np.random.default_rng(0).normal(size=(2, 3, 6)).astype(np.float32)
@@ -53,6 +54,7 @@ def test_a_block_against_numpy():
     np.testing.assert_allclose(got, expected, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_no_token_looks_ahead_or_at_what_is_not_there():
     net = eqx.filter_jit(Transformer.create(2, 8, 2, jax.random.key(1)))
     x = jax.random.normal(KEY, (1, 5, 8))
@@ -79,6 +81,7 @@ def test_gradients_are_made_shorter_together():
     np.testing.assert_allclose(clip_by_norm(grads, 10.0)["b"], [4.0], rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_an_action_sees_its_return_and_observation_and_all_before_but_not_itself():
     _, state = made()
     wanted, observation, action, time = windows()
@@ -93,6 +96,7 @@ def test_an_action_sees_its_return_and_observation_and_all_before_but_not_itself
     assert np.abs(out - net(wanted, observation, action.at[:, 1].add(0.5))).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_the_loss_is_of_the_steps_that_are_there():
     agent, state = made(dropout=0.0)
     wanted, observation, action, time = windows()
@@ -104,6 +108,7 @@ def test_the_loss_is_of_the_steps_that_are_there():
     np.testing.assert_allclose(loss, expected, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_it_acts_as_it_was_trained_with_what_is_left_of_the_return():
     """Step by step in two environments, the second of which begins anew; beyond the window the oldest step is forgotten."""
     agent, state = made()

@@ -68,6 +68,7 @@ def test_which_agents_choose():
 # ---- losses
 
 
+@pytest.mark.slow
 def test_q_values_of_choices(batch):
     _, state = started("iql")
     expected = values(state.critics, batch.observation)[:, np.arange(6), np.asarray(batch.action)]
@@ -83,6 +84,7 @@ def test_iql_imitates_choices_by_advantage(batch):
     np.testing.assert_allclose(loss, -(np.exp(2 * advantage) * log_prob).mean(), rtol=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("entropy_backup", [False, True])
 def test_cql_is_sac_with_means_over_all_choices(batch, entropy_backup):
     agent, state = started("cql", discount=0.9, temperature=0.3, entropy_backup=entropy_backup, cql_weight=2.0)
@@ -113,6 +115,7 @@ def test_cql_rho_weighs_the_policys_choices_by_their_worth(batch):
     np.testing.assert_allclose(metrics["gap"], gap.mean(), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_rem_is_q_learning_on_mixtures_of_heads(batch):
     agent, state = started("rem", discount=0.9, heads=4)
     weight = np.asarray(simplex(key_for(KEY, "weights"), 4))

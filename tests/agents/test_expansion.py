@@ -80,6 +80,7 @@ def test_mve_is_the_sum_by_hand():
     np.testing.assert_allclose(loss, 2 * (weight * error).sum() / weight.sum(), rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_mve_of_no_steps_is_sac():
     agent, state, batch = made(MVE, horizon=0, entropy_backup=True)
     sac, plain, _ = made(SAC, entropy_backup=True)
@@ -91,6 +92,7 @@ def test_mve_of_no_steps_is_sac():
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_mve_pays_the_entropy_of_every_action_to_come_but_the_first():
     agent, state, batch = made(MVE, horizon=1, entropy_backup=True)
     free = agent.replace(entropy_backup=False)

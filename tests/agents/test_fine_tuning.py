@@ -118,6 +118,7 @@ def test_rlpds_actor_climbs_the_mean_of_all_critics(rlpd, batch):
     np.testing.assert_allclose(entropy, log_prob(mean, log_std, pre).mean(), rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_rlpds_actor_and_temperature_move_at_the_end_of_every_so_many_updates(rlpd, batch):
     agent, state = rlpd
     update = jax.jit(lambda s, step: agent.update(s, batch, step=step, key=KEY))
@@ -133,6 +134,7 @@ def test_rlpds_actor_and_temperature_move_at_the_end_of_every_so_many_updates(rl
     )
 
 
+@pytest.mark.slow
 def test_values_of_rlpd_are_means_in_the_units_of_the_log(batch):
     agent, state = made(RLPD(hidden=(16, 16), critics=3, reward_scale=4.0))
     value = q_values(state.critics, batch.observation, batch.action)
@@ -145,6 +147,7 @@ def test_values_of_rlpd_are_means_in_the_units_of_the_log(batch):
 # ---- what changes when they go on ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_schedules_of_the_run_on_the_log_are_over(batch):
     agent, state = made(IQL(hidden=(16, 16)))
     assert agent.actor_decay_steps == 10.0

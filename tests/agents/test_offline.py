@@ -166,6 +166,7 @@ def test_iql_losses(batch, likelihood):
     np.testing.assert_allclose(agent.actor_loss(state.actor, batch, jnp.asarray(gap)), expected, rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_iql_critics_look_forward_to_the_new_value_but_not_behind_a_terminal(batch):
     agent, state = made(IQL(discount=0.9, **SMALL))
     after, metrics = updated(agent, state, batch)
@@ -183,6 +184,7 @@ def test_iql_critics_look_forward_to_the_new_value_but_not_behind_a_terminal(bat
     np.testing.assert_allclose(after.target_critics.weights[0], expected, rtol=1e-5, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_an_expectile_of_a_half_is_the_mean_and_of_one_nearly_the_greatest():
     """Of one state with three actions, of known worth: what the value loss is least at."""
     worth = jnp.asarray([0.0, 1.0, 4.0])
@@ -221,6 +223,7 @@ def test_xql_loss_is_finite_however_wrong_a_value_is(batch):
     assert all((np.asarray(leaf) == 0).all() for leaf in jax.tree.leaves(slope))
 
 
+@pytest.mark.slow
 @both_likelihoods
 def test_awac_target_advantage_and_weights(batch, likelihood):
     agent, state = made(AWAC(discount=0.9, temperature=0.5, max_weight=1.3, samples=3, likelihood=likelihood, **SMALL))
@@ -237,6 +240,7 @@ def test_awac_target_advantage_and_weights(batch, likelihood):
     np.testing.assert_allclose(agent.weights(jnp.asarray([1e9])), 1.3, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_crr_counts_what_is_better_or_weighs_it(batch):
     advantage = jnp.asarray([-1.0, 0.0, 0.2, 9.0])
     np.testing.assert_array_equal(CRR().weights(advantage), [0, 0, 1, 1])
@@ -260,6 +264,7 @@ def normalised_mlp(net, x):
     return x[:, 0]
 
 
+@pytest.mark.slow
 def test_rebrac_target_and_actor_loss(batch):
     agent, state = made(ReBRAC(discount=0.9, policy_noise=0.0, actor_penalty=0.3, critic_penalty=0.7, **SMALL))
     assert "next_action" in agent.needs(SPEC).columns
@@ -383,6 +388,7 @@ def test_cql_imitates_before_it_improves(batch):
     np.testing.assert_allclose(loss, (0.4 * own - least_q(state.critics, batch.observation, np.tanh(pre))).mean(), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_sac_n_believes_the_least_of_all_its_critics(batch):
     agent, state = made(SACN(critics=5, temperature=1e-20, **SMALL))
     mean, log_std = numpy_gaussian(state.actor, batch.next_observation)
@@ -424,6 +430,7 @@ def test_edac_likeness_by_hand_and_by_pairs():
     np.testing.assert_allclose(alike(same, batch), 4.0, rtol=1e-4)  # 4 x 3 pairs of 1, over 3
 
 
+@pytest.mark.slow
 def test_edac_adds_it_to_the_critics_loss(batch):
     agent, state = made(EDAC(critics=3, diversity=2.0, **SMALL))
     of = lambda each: jax.jit(each.critic_loss)(state.critics, state, batch, jnp.zeros(6), KEY)  # noqa: E731

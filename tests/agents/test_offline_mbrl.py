@@ -89,6 +89,7 @@ def test_ends_are_known_of_known_logs_and_where_a_task_is_said():
         agent("walk", termination="maze2d-umaze")
 
 
+@pytest.mark.slow
 def test_mopo_lowers_rewards_by_the_greatest_deviation():
     agent, rows, state = prepared(MOPO)
     logged = batch_of(rows)
@@ -128,6 +129,7 @@ def test_mobile_lowers_values_by_the_disagreement_of_backups():
     assert (np.asarray(free) < 0.5).any()
 
 
+@pytest.mark.slow
 def test_combo_holds_critics_down():
     agent, rows, state = prepared(COMBO, samples=4000)
     batch = batch_of(rows)
@@ -150,6 +152,7 @@ def test_combo_holds_critics_down():
     assert without == pytest.approx(squares, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_a_lane_whose_model_goes_bad_fails_alone():
     lanes = [MOPO(**TINY | {"model_lr": lr}).resolve(LOG.spec, 4) for lr in (1e-3, 1e30)]
     fitted = fit(lanes, TransitionSource(LOG, lanes[0].needs(LOG.spec)), [0, 1], 4)

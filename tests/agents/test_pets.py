@@ -40,6 +40,7 @@ def planner(gain=(0.5, 0.5), tolls=(0.0, 0.0), **fields):
     return agent.policy(agent.init(SPEC, jax.random.key(0))._replace(model=ensemble))
 
 
+@pytest.mark.slow
 def test_returns_are_the_sums_by_hand():
     policy = planner(gain=(0.5, 1.0), horizon=3, population=2, cem_elites=1)
     actions = jnp.asarray([[0.2, -0.4, 0.9], [1.0, 1.0, -1.0]])[..., None]
@@ -49,6 +50,7 @@ def test_returns_are_the_sums_by_hand():
     np.testing.assert_allclose(found, by_hand, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_plan_goes_where_rewards_are():
     policy = planner(horizon=4)
     plan = np.asarray(policy.plan(jnp.zeros(2), jnp.zeros((4, 1)), jax.random.key(0)))[:, 0]
@@ -61,6 +63,7 @@ def test_the_plan_goes_where_rewards_are():
     assert np.asarray(split.plan(jnp.zeros(2), jnp.zeros((4, 1)), jax.random.key(0)))[0, 0] < -0.3
 
 
+@pytest.mark.slow
 def test_a_plan_is_gone_on_with_and_forgotten_when_an_episode_begins():
     policy = planner(horizon=4)
     before = policy.start(2) + jnp.asarray([0.1, 0.2, 0.3, 0.4])[:, None]

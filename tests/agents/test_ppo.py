@@ -89,6 +89,7 @@ SETTINGS = Online(copies=2, explore=30, updates_per_step=0.25, block=20)
 PENDULUM = task("inverted-pendulum")
 
 
+@pytest.mark.slow
 def test_it_learns_from_the_last_block_alone():
     updates = SETTINGS.updates(110)
     agent = PPO(hidden=(8,), batch_size=16).resolve(Spec.empty((4,), PENDULUM.action_space, PENDULUM.name), updates)

@@ -53,6 +53,7 @@ def test_what_is_no_preset_says_so():
         preset("bc", "hopper")
 
 
+@pytest.mark.slow
 def test_the_command_line_begins_from_a_preset_and_fields_win(capsys, tmp_path):
     with pytest.raises(SystemExit):
         main(["train", "--agent", "rebrac", "--preset", "maze2d", "--help"])

@@ -73,6 +73,7 @@ def test_awr_returns_are_td_lambda_within_episode_and_window():
     np.testing.assert_allclose(advantage, np.asarray(got) - now, atol=1e-5)
 
 
+@pytest.mark.slow
 @both_likelihoods
 def test_awr_imitates_by_standardised_advantages_of_the_rows_that_are_there(likelihood):
     rows = windows()
@@ -97,6 +98,7 @@ def test_awr_imitates_by_standardised_advantages_of_the_rows_that_are_there(like
     np.testing.assert_allclose(metrics["weight"], mean(weight), rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_awr_learns_nothing_from_a_batch_without_rows():
     rows = windows()
     agent, state = made(AWR(window=3, batch_size=6, **SMALL))
@@ -109,6 +111,7 @@ def test_awr_learns_nothing_from_a_batch_without_rows():
 # ---- KL-control
 
 
+@pytest.mark.slow
 @both_likelihoods
 def test_kl_control_pays_for_its_divergence_in_targets_and_actor(batch, likelihood):
     agent, state = made(KLControl(discount=0.9, temperature=0.4, likelihood=likelihood, **SMALL))
@@ -130,6 +133,7 @@ def test_kl_control_pays_for_its_divergence_in_targets_and_actor(batch, likeliho
     np.testing.assert_allclose(mean, away.mean(), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_kl_control_pays_more_where_it_is_too_far_away(batch):
     for target_kl, more in ((30.0, False), (0.0, True)):
         agent, state = made(KLControl(target_kl=target_kl, temperature=0.4, **SMALL))
@@ -179,6 +183,7 @@ def test_kl_control_begins_as_the_model_of_the_log_that_it_is_held_to(likelihood
 # ---- DQfD
 
 
+@pytest.mark.slow
 def test_dqfd_wants_the_logged_action_above_all_others_by_a_margin(batch):
     agent, state = made(DQfD(margin=0.3, margin_weight=0.7, samples=4, discount=0.9, **SMALL))
     uniform = np.asarray(jax.random.uniform(KEY, (4, 6, 1), minval=-1.0, maxval=1.0))
@@ -252,6 +257,7 @@ def algae(batch, state, temperature, key):
     return np.stack(deltas), np.stack([q(state.critics, j, batch.initial_observation, action) for j in range(2)])
 
 
+@pytest.mark.slow
 def test_algae_dice_is_a_saddle_point_of_residuals_and_first_values(batch):
     agent, state = made(AlgaeDICE(discount=0.9, temperature=0.3, regularisation=2.0, exponent=1.5, **SMALL))
     state = state._replace(target_critics=jax.tree.map(lambda leaf: 1.1 * leaf, state.critics))
@@ -286,6 +292,7 @@ def test_algae_dice_critics_are_moved_through_both_ends_of_the_equation(batch):
 # ---- FQL
 
 
+@pytest.mark.slow
 def test_fql_flow_is_fitted_on_straight_lines_from_noise(batch):
     agent, state = made(FQL(**SMALL))
     k_noise, k_time = keys(KEY, "noise", "time")

@@ -68,6 +68,7 @@ def test_training_on_scaled_rewards_is_training_on_a_log_that_has_them(name):
         np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", AGENTS)
 def test_values_are_told_in_the_logs_units(kind):
     plain = kind(hidden=(8, 8)).resolve(LOG.spec, 6)

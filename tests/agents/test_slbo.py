@@ -33,6 +33,7 @@ def made():
     return experience, agent, jax.tree.map(lambda leaf: leaf[0], states), np.asarray(data["packed"][0]).reshape(12, 3, -1)
 
 
+@pytest.mark.slow
 def test_episodes_begin_where_real_ones_do(made):
     experience, _, _, rows = made
     real = experience.real(0)
@@ -43,6 +44,7 @@ def test_episodes_begin_where_real_ones_do(made):
     assert all(tuple(row) in starts for row in rows[0, :, :4])
 
 
+@pytest.mark.slow
 def test_steps_follow_each_other_as_the_model_says(made):
     """A step leads to what the network says, without chance; where that is the end, another real start follows."""
     experience, agent, state, rows = made
@@ -64,6 +66,7 @@ def test_real_observations_are_standardised_with_and_probabilities_told(made):
     assert experience.count == 36
 
 
+@pytest.mark.slow
 def test_what_goes_out_of_all_bounds_is_cut_off(made):
     experience, agent, state, _ = made
     last = state.model.params["nets"].biases[-1].at[..., 0].set(1e8)

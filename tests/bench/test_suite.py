@@ -38,6 +38,7 @@ def written(tmp_path):
     return write
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", names())
 def test_every_suite_of_the_package_can_be_planned(name):
     suite = read(name)

@@ -235,6 +235,7 @@ def test_there_are_at_least_25_kinds():
     assert len(CASES) >= 25
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, good):
     """A file-size limit stands for the full disk: the write fails in the middle."""
     code = (

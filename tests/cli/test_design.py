@@ -28,6 +28,7 @@ def table(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_from_a_table_to_proposals(table, capsys):
     asked = ["--data", "alloys.csv", "--target", "cost", "--minimise", "-n", "5", "--bounds", "heat", "0", "12"]
     assert main(["design", *FORWARD, *asked]) == 0

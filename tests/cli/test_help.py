@@ -71,6 +71,7 @@ def test_every_help_is_a_phrase(name):
         assert not re.search(r"\b(rows a batch|a seed|a policy each|a second|redrawn|judge)\b", text), f"{field.name}: {text!r}"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("words", "text"), [
     (["train", "--agent", "iql"], "inverse temperature of the advantage weights"),
     (["train", "--agent", "cql"], "log-sum-exp over actions"),

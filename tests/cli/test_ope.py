@@ -54,6 +54,7 @@ def test_from_files_to_a_decision(made, capsys):
     assert again == out
 
 
+@pytest.mark.slow
 def test_options_of_what_is_estimated(made, capsys, monkeypatch):
     """A horizon, clusters that are no column, and who says that the policies are new to the log."""
     words = ESTIMATORS["fqe-linear"][1]
@@ -79,6 +80,7 @@ def test_what_is_deployed_is_used_as_it_was_judged(made):
     assert use({"file": None, "run": "hopper snapshot-01", "seed": None}, ["hopper"], True) is None
 
 
+@pytest.mark.slow
 def test_a_policy_of_a_table_is_used_by_predict(tmp_path):
     frame = {"x": np.arange(30.0), "action": ["mail", "call", "none"] * 10, "reward": np.arange(30.0)}
     log = dr.Dataset.from_frame(frame, action="action", reward="reward")

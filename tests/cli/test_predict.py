@@ -42,6 +42,7 @@ def predicted(run, frame, tmp_path, *words, out="actions.csv", **how):
     return code, tmp_path / out
 
 
+@pytest.mark.slow
 def test_actions_of_a_file(run, tmp_path, capsys):
     run, log = run
     code, out = predicted(run, table(), tmp_path)
@@ -127,6 +128,7 @@ def test_policies_that_a_folder_stands_for(run, tmp_path, capsys):
     assert "cannot be read as a policy file" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_policy_without_a_schema(tmp_path, capsys):
     log = dr.Dataset.from_arrays(observations=np.zeros((20, 3)), actions=np.zeros((20, 2)), rewards=np.zeros(20))
     run = train(dr.agents.BC(hidden=(8,), batch_size=8), log, out=tmp_path / "run", steps=3, task=False)

@@ -95,6 +95,7 @@ def test_a_downloaded_copy_serves_where_the_authors_file_is_not(home, real_data)
         adroit.human(DOOR)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [t.name for t in TASKS])
 def test_a_short_expert_log_of_every_task(files, name):
     found = task(name)

@@ -89,6 +89,7 @@ def test_every_log_can_be_made(task, tmp_path):
     assert (known.task, known.steps) == (task.name, 1_000_000)
 
 
+@pytest.mark.slow
 def test_an_ant_walks_to_the_goal_and_a_kill_changes_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(rollouts, "FLUSH", 100)
     task = replace(tasks.task("antmaze-umaze"), horizon=260)

@@ -40,6 +40,7 @@ def test_unreachable_cells_stay():
     np.testing.assert_array_equal(following, [[0, 1], [0, 1]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(LAYOUTS))
 def test_pursuits_succeed_and_every_cell_is_visited(name):
     task = tasks.task(f"maze2d-{name}")
@@ -60,6 +61,7 @@ def test_pursuits_succeed_and_every_cell_is_visited(name):
 RECIPES = [name for name in collect.recipe_names() if name.startswith("maze2d-")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RECIPES)
 def test_a_short_log_of_every_recipe(name):
     log = collect.generate(name, steps=2_500)
@@ -108,6 +110,7 @@ def test_the_log_replays(umaze):
         np.testing.assert_allclose(seen[0], umaze.next_observations_at(np.array([row]))[0], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_the_log_depends_on_the_seed_alone(umaze):
     again = collect.generate("maze2d-umaze-v1", steps=30_000, threads=1)
     more = collect.generate("maze2d-umaze-v1", steps=30_000, threads=3)

@@ -32,6 +32,7 @@ def test_every_log_of_the_benchmark_has_a_recipe():
     assert len(gym_recipes) == 4 * (5 + 2)
 
 
+@pytest.mark.slow
 def test_collected_halfcheetah_earns_what_is_stored(home):
     """The issue's own check: 20 whole episodes, within 5 % of the true return of the shipped policy."""
     path = dr.collect_log("halfcheetah-medium-v2", steps=20_000)
@@ -46,6 +47,7 @@ def test_collected_halfcheetah_earns_what_is_stored(home):
     assert not list(path.parent.glob(".*.part"))  # nothing of the work is left behind
 
 
+@pytest.mark.slow
 def test_logged_actions_have_the_densities_of_their_policy():
     log = dr.collect.generate("hopper-medium-v2", steps=300)
     policy = library.snapshot("hopper", "medium").policy()
@@ -53,6 +55,7 @@ def test_logged_actions_have_the_densities_of_their_policy():
     np.testing.assert_allclose(log.extras["behavior_log_probs"], expected, rtol=1e-4, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_two_parts_follow_each_other():
     log = dr.collect.generate("walker2d-uniform-expert-v2", steps=401)
     log_probs = log.extras["behavior_log_probs"]
@@ -62,6 +65,7 @@ def test_two_parts_follow_each_other():
     assert len(log) == 401
 
 
+@pytest.mark.slow
 def test_random_is_a_policy_and_uniform_is_not():
     random, uniform = (dr.collect.generate(f"hopper-{kind}-v2", steps=2000) for kind in ("random", "uniform"))
     assert np.ptp(uniform.extras["behavior_log_probs"]) == 0.0
@@ -138,6 +142,7 @@ def test_a_task_without_policies_says_how_to_make_them():
         dr.collect.generate("humanoid-medium-v2", steps=10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SUITE)
 def test_shipped_policies(name):
     policies = dr.load_policies(name)

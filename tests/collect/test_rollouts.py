@@ -103,6 +103,7 @@ def test_actions_are_computed_on_the_processor(tmp_path):
     assert {device.platform for device in held} == {"cpu"} == {made.extra["device"]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("task", "rows"), [(HOPPER, 900), (MAZE, 400)])
 def test_uniform_actions_equal_a_rollout_by_hand(task, rows, tmp_path):
     made = log(tmp_path, [Segment(None, rows)], task, seed=3)
@@ -196,6 +197,7 @@ def test_threads_change_nothing(both, threads, tmp_path):
     assert log(tmp_path, threads=threads).fingerprint == both[0].fingerprint
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.68, 0.7, 1.0])
 def test_killed_and_gone_on_with_is_the_same(both, share, tmp_path):
     made, told = both
@@ -219,6 +221,7 @@ def test_killed_and_gone_on_with_is_the_same(both, share, tmp_path):
     assert bool(more) == (kept < len(made))
 
 
+@pytest.mark.slow
 def test_killed_inside_an_episode_is_the_same(tmp_path):
     segments, calls = [Segment(policy(MAZE), 130), Segment(None, 250)], []
     whole = log(tmp_path / "whole", segments, MAZE, progress=lambda done, total: calls.append(done))
@@ -237,6 +240,7 @@ def test_killed_inside_an_episode_is_the_same(tmp_path):
         assert log(tmp_path / f"{kill_at}", segments, MAZE).fingerprint == whole.fingerprint
 
 
+@pytest.mark.slow
 def test_a_log_does_not_depend_on_how_many_run_side_by_side(both, tmp_path, monkeypatch):
     monkeypatch.setattr(rollouts, "COPIES", 24)
     assert log(tmp_path).fingerprint == both[0].fingerprint

@@ -577,6 +577,7 @@ def test_a_last_row_of_sums_or_means_is_told(tmp_path, function):
     assert not told(read(path), "looks like a total")
 
 
+@pytest.mark.slow
 def test_no_last_row_of_noise_is_taken_for_a_total():
     once, flag = np.zeros((2, 20), int)
     once[[3, 19]] = flag[[7, 19]] = 1  # each sums up to its last cell

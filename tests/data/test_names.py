@@ -77,6 +77,7 @@ def hostile_file(kind: str, name: str) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["npz", "parquet", "csv", "pkl"])
 def test_converting_a_strangers_log_writes_nowhere_else(place, kind, capsys):
     for name in ("../victim/important", str(place / "victim" / "important"), "a/b"):

@@ -51,6 +51,7 @@ def test_likelihoods_equal_numpy():
     np.testing.assert_allclose(bernoulli_nll(jnp.asarray(logit), jnp.asarray(happened)), wanted, rtol=1e-5, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_soft_bounds_hold_and_have_slopes():
     bounds = jnp.array([[-10.0], [0.5]])
     x = jnp.linspace(-100.0, 100.0, 41)[:, None]
@@ -63,6 +64,7 @@ def test_soft_bounds_hold_and_have_slopes():
     assert slope[1, 0] == pytest.approx(1.0, abs=1e-3)  # what is above is held by the upper bound, which learns
 
 
+@pytest.mark.slow
 def test_gradients_equal_differences():
     """Of the whole loss, in float64: likelihood, bounds and chance of an end."""
     rng = np.random.default_rng(0)
@@ -81,6 +83,7 @@ def test_gradients_equal_differences():
         assert np.abs(found).max() > 0.1
 
 
+@pytest.mark.slow
 def test_losses_equal_numpy_for_each_member_on_its_own_rows():
     rng = np.random.default_rng(0)
     model = Gaussian(members=3, hidden=(8,))
@@ -147,6 +150,7 @@ def test_stacks_of_members_learn_what_one_stack_does(parts, monkeypatch):
     np.testing.assert_allclose(also["model_nll"], told["model_nll"], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_decay_of_layers_by_hand():
     """On rows that are predicted already only the decay has a gradient, whose sign is all of Adam's first step."""
     model = Gaussian(members=2, hidden=(4,), deterministic=True, layer_decay=(0.5, 0.25), weight_decay=0.0, lr=1e-3)
@@ -165,6 +169,7 @@ def fitted():
     return model, *Trainer(elites=3, most_epochs=60).fit(model, SPEC, linear(4000), 0)
 
 
+@pytest.mark.slow
 def test_a_linear_world_is_found(fitted):
     model, ensemble, report = fitted
     assert report.rows == 3200
@@ -183,6 +188,7 @@ def test_a_linear_world_is_found(fitted):
     np.testing.assert_allclose(np.exp(0.5 * np.asarray(log_variance)).mean((0, 1))[:2], NOISE, rtol=0.2)
 
 
+@pytest.mark.slow
 def test_intervals_are_calibrated_on_rows_held_out(fitted):
     model, ensemble, _ = fitted
     fresh = linear(2000, seed=1)
@@ -203,6 +209,7 @@ def test_the_best_are_elites_and_their_errors_are_of_the_weights_kept(fitted):
     assert (np.sort(report.error)[:3] < 1.5 * np.square(NOISE).sum() / 3).all()
 
 
+@pytest.mark.slow
 def test_a_later_fit_goes_on_and_is_deterministic(fitted):
     model, ensemble, report = fitted
     trainer = Trainer(elites=3, most_epochs=2, patience=0)
@@ -215,6 +222,7 @@ def test_a_later_fit_goes_on_and_is_deterministic(fitted):
     np.testing.assert_allclose(fresh.mean, again.mean)
 
 
+@pytest.mark.slow
 def test_a_fit_ends_when_nothing_gets_better():
     """Noise alone: after its mean is known there is nothing to learn."""
     rng = np.random.default_rng(0)
@@ -234,6 +242,7 @@ def test_the_autoregressive_model_fits_the_same_way():
     assert (np.asarray(drawn).std(1) > 0).all()
 
 
+@pytest.mark.slow
 def test_refusals():
     with pytest.raises(UserError, match="9 rows are too few to fit a model to, 10 or more are needed"):
         Trainer().fit(Gaussian(members=2, hidden=(4,)), SPEC, linear(9), 0)

@@ -5,6 +5,7 @@ from itertools import pairwise
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from deadreckon.dynamics import Ensemble, Model, branches, rollout
 from deadreckon.policies.policy import NormalizedPolicy
@@ -47,6 +48,7 @@ def test_every_step_is_an_elites_and_all_have_equal_shares():
     assert all(b.running.all() for b in found)
 
 
+@pytest.mark.slow
 def test_blocks_of_rows_are_put_together_again(monkeypatch):
     """Rows stand where they stood, also where blocks do not divide them."""
     monkeypatch.setattr(rollout, "BLOCK", 5)
@@ -74,6 +76,7 @@ def test_blocks_draw_on_their_own(monkeypatch):
     assert len(np.unique(np.asarray(found[0].reward))) == 12
 
 
+@pytest.mark.slow
 def test_what_has_ended_runs_no_more():
     starts = jnp.stack([jnp.arange(6.0), jnp.zeros(6)], 1)
     found = branches(Counting(members=1), ensemble([1], [0]), Half(), starts, 3, jax.random.key(0),
@@ -87,6 +90,7 @@ def test_what_has_ended_runs_no_more():
     assert not alone[1].running.any()
 
 
+@pytest.mark.slow
 def test_numbers_that_go_bad_are_no_rows():
     found = branches(Counting(members=2), ensemble([1, np.nan], [0, 1]), Half(), jnp.zeros((10, 2)), 2, jax.random.key(0),
                      lambda following: jnp.zeros(len(following), bool))  # fmt: skip
@@ -95,6 +99,7 @@ def test_numbers_that_go_bad_are_no_rows():
     assert np.isfinite(np.asarray(found[1].next_observation)[np.asarray(found[1].running)]).all()
 
 
+@pytest.mark.slow
 def test_the_same_key_gives_the_same_rollouts():
     run = lambda key: branches(Counting(members=2), ensemble([1, 2], [0, 1]), Half(), jnp.zeros((8, 2)), 2, key)  # noqa: E731
     one, two, other = run(jax.random.key(0)), run(jax.random.key(0)), run(jax.random.key(1))

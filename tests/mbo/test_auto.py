@@ -52,6 +52,7 @@ def test_of_noise_no_method_is_praised():
     assert (at, reason) == (0, "none of 2 methods ranks unseen designs better than chance")
 
 
+@pytest.mark.slow
 def test_few_designs_have_the_process_and_many_are_tried_by_all():
     rng = np.random.default_rng(0)
     x = rng.uniform(-1, 1, (120, 2))

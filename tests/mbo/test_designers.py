@@ -95,6 +95,7 @@ def test_redrawn_designs_count():
     np.testing.assert_array_equal(weight.sum(0), 20)
 
 
+@pytest.mark.slow
 def test_coms_learns_not_to_promise_beyond_the_data():
     """With the penalty its ascent ends on lower promises than without."""
     rng = np.random.default_rng(0)
@@ -131,6 +132,7 @@ def test_beliefs_are_about_the_designs_that_are_proposed(mixed, name):
     np.testing.assert_allclose(twice.predicted, mixed.coordinates.score(mixed.coordinates.encode(found.x)[:, 0]), rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_few_rows_give_many_different_designs():
     rng = np.random.default_rng(0)
     x = rng.uniform(0, 1, (12, 2))

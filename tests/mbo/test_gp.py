@@ -69,6 +69,7 @@ def test_measurements_that_are_repeated_count_more():
     assert abs(mean[1] + 3.0) > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TABLES)
 def test_proposals_of_the_default_are_within_the_rules_and_better_than_the_data(name):
     table = TABLES[name]()
@@ -111,6 +112,7 @@ def test_a_row_out_of_fold_is_judged_by_its_own_noise():
     assert 0.5 < np.median(scaled[::2]) / np.median(scaled[1::2]) < 2
 
 
+@pytest.mark.slow
 def test_of_noise_no_skill_is_claimed():
     """At most one table in forty is taken for more than noise on average; of four, none or one are here."""
     praised = 0
@@ -175,6 +177,7 @@ def test_designs_that_are_kept_lie_apart():
     assert sorted(order.tolist()) == [5, 6, 7, 8, 9]
 
 
+@pytest.mark.slow
 def test_networks_are_judged_on_designs_that_they_have_not_seen():
     data = TABLES["wide"](100, variables=4).designs()
     small = designer("forward", hidden=(16,), steps=300, lr=0.01, ascent_steps=5)

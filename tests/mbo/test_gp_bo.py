@@ -12,6 +12,7 @@ from deadreckon.mbo.gp_bo import GPBO, log_improvement
 from deadreckon.mbo.variables import Variable
 
 
+@pytest.mark.slow
 def test_log_improvement_is_the_logarithm_of_the_integral():
     u = np.linspace(-12.0, 4.0, 200)
     # u Phi(u) + phi(u) is the integral of Phi up to u; by quadrature of exp(log Phi), which keeps its digits far out.
@@ -20,12 +21,14 @@ def test_log_improvement_is_the_logarithm_of_the_integral():
     np.testing.assert_allclose(log_improvement(jnp.asarray(u, jnp.float32)), exact, atol=4e-3)
 
 
+@pytest.mark.slow
 def test_log_improvement_has_a_slope_everywhere():
     slope = jax.vmap(jax.grad(log_improvement))(jnp.array([-30.0, -5.001, -4.999, 0.0, 8.0]))
     assert np.isfinite(slope).all()
     assert (np.asarray(slope) > 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kernel", ["rbf", "inner"])
 def test_posterior_is_that_of_scikit_learn(kernel):
     gaussian_process = pytest.importorskip("sklearn.gaussian_process")

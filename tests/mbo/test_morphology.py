@@ -48,6 +48,7 @@ def test_scores_that_are_stored_are_the_judges(name):
     assert np.median(np.abs(found - made.visible.y[rows])) < 0.02 * (made.high - made.low)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_the_default_body_moves(name):
     task, _ = NAMES[name]

@@ -59,6 +59,7 @@ def test_quantisation_at_the_edges():
     np.testing.assert_array_equal(quantise(u, K), [0, 0, 1, 4, 7, 7, 7, 0])
 
 
+@pytest.mark.slow
 def test_losses_equal_numpy():
     net = Net.create(3, (4,), K, True, jax.random.key(0))
     x = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32)
@@ -71,6 +72,7 @@ def test_losses_equal_numpy():
     np.testing.assert_allclose(cross_entropy(net, x, label), -(np.where(wanted, np.log(o), np.log1p(-o))).sum(-1), rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_gradients_of_mu_and_of_the_mean_point_alike():
     """Proposition 6.3.1."""
     net = Net.create(4, (8, 8), K, True, jax.random.key(1))
@@ -270,6 +272,7 @@ def test_a_killed_fit_goes_on_in_another_process_too():
     assert repr(Fixed(np.array([1.0, 2.0]))) == "Fixed(0a108fd7267a5566)"
 
 
+@pytest.mark.slow
 def test_refusals(bowl):
     with pytest.raises(UserError, match="n must be 1 or more, got 0"):
         SMALL.propose(bowl, 0)

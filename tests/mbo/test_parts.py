@@ -24,6 +24,7 @@ def linear(weights, bias):
     return MLP((jnp.asarray(weights),), (jnp.asarray(bias, jnp.float32),), net.activation)
 
 
+@pytest.mark.slow
 def test_listnet_equals_numpy():
     rng = np.random.default_rng(0)
     x, y = rng.standard_normal((7, 3)).astype(np.float32), rng.standard_normal(7).astype(np.float32)
@@ -40,6 +41,7 @@ def test_weights_of_scores_by_hand():
     np.testing.assert_allclose(weight, expected / expected.mean(), rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_density_of_mixed_designs_equals_scipy():
     variables = [Variable("a", low=-9, high=9), Variable("c", "categorical", levels=tuple("xyz"))]
     data = Designs.from_arrays(np.array([[i / 5, i % 3] for i in range(12)]), np.arange(12.0), variables)

@@ -299,6 +299,7 @@ def test_a_process_on_sequences_is_the_formula(home):
     np.testing.assert_allclose(far(np.full((1, 6), 9)), y[rows].mean(), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_hopper_controllers_are_what_their_scores_say():
     """Designs are made again from the shipped scores, and the simulator gives them those scores."""
     made = dr.mbo.problem("hopper-controller")

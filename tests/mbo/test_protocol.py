@@ -38,6 +38,7 @@ def test_results_are_kept(branin, tmp_path, monkeypatch):
         evaluate_designers(branin, asked[1:], 16, seeds=range(5), out=tmp_path)
 
 
+@pytest.mark.slow
 def test_seeds_in_several_programs_are_the_same_seeds(branin):
     small = designer("forward", hidden=(8,), steps=20, ascent_steps=5, batch_size=16)
     whole = evaluate_designers(branin, [("forward", small)], 4, seeds=[3, 5])[0]

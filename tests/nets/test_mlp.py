@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from deadreckon.nets.mlp import GLOROT, MLP, ORTHOGONAL, Init, ensemble, joined, minimum, q_values, softplus, split
 from deadreckon.nets.optim import ADAM, apply_gradients, copy, polyak_update
@@ -24,6 +25,7 @@ def numpy_mlp(net, x):
             x = (x - x.mean(-1, keepdims=True)) / np.sqrt(x.var(-1, keepdims=True) + 1e-6)
 
 
+@pytest.mark.slow
 def test_softplus_and_its_slope():
     x = np.array([-200.0, -20.0, -3.0, -0.5, 0.0, 0.5, 3.0, 20.0, 200.0])
     np.testing.assert_allclose(softplus(jnp.asarray(x)), np.logaddexp(x, 0.0), rtol=1e-6, atol=1e-7)
@@ -42,6 +44,7 @@ def test_a_stack_split_and_joined():
     assert [len(part) for part in split(jnp.arange(2), 4)] == [1, 1]
 
 
+@pytest.mark.slow
 def test_q_values_of_one_and_of_many_actions_agree_with_numpy():
     critics = ensemble(lambda k: MLP.create(5, (16, 16), 1, k), 2, jax.random.key(0))
     obs, actions = np.random.default_rng(0).normal(size=(7, 3)), np.random.default_rng(1).normal(size=(4, 7, 2))
@@ -76,6 +79,7 @@ def test_adamw_takes_a_share_of_the_parameters_away_in_learning_rates():
     np.testing.assert_allclose(apply_gradients(params, still, ADAM.init(params), 0.1, 0.5)[0]["w"], [1.9, -3.8], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_vae_loss_equals_numpy():
     vae = VAE.create(3, 2, (8,), jax.random.key(0))
     obs, act = np.random.default_rng(0).normal(size=(5, 3)), np.tanh(np.random.default_rng(1).normal(size=(5, 2)))
@@ -97,6 +101,7 @@ def test_the_least_and_its_slope():
     np.testing.assert_array_equal(slope, [[0, 1, 1], [1, 0, 0], [0, 0, 0]])  # of two that are equal, the first's
 
 
+@pytest.mark.slow
 def test_networks_begin_as_asked():
     key = jax.random.key(0)
     net = MLP.create(20, (64, 64), 3, key, init=ORTHOGONAL)

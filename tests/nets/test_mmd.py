@@ -66,6 +66,7 @@ def test_gaussian_bandwidth_is_a_variance():
     assert float(mmd(x, shifted, "gaussian", 20.0)[0]) > 0.05 > float(mmd(x, shifted, "gaussian", 400.0)[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["laplacian", "laplacian_l1", "gaussian", "mixture"])
 def test_gradient_is_finite_where_samples_agree_and_points_home_where_not(kind):
     same = np.ones((3, 2, 2), "f4")

@@ -62,6 +62,7 @@ def test_what_is_learned_from():
     assert set(experience.metrics) == {"model_error", "model_epochs", "rollout_length"}
 
 
+@pytest.mark.slow
 def test_lengths_of_rollouts():
     agent = MBPO().resolve(Spec.empty((11,), task("hopper").action_space, "hopper"), 1)
     assert agent.target_entropy == -1.0
@@ -75,6 +76,7 @@ def test_lengths_of_rollouts():
     assert len(experience._batches[0][0]) == 2 * 60
 
 
+@pytest.mark.slow
 def test_of_long_rollouts_no_more_is_kept_than_asked_for():
     fit, experience = job(rollout_length=(5, 5, 1, 2), model_buffer_size=100)
     walk(fit)

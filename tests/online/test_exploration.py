@@ -273,6 +273,7 @@ def test_batches_hold_rows_that_exist_up_to_the_newest(run):
         assert (metrics["oldest"] < 6).all()  # and the oldest are there too
 
 
+@pytest.mark.slow
 def test_a_lane_equals_the_run_of_its_seed_alone(run, tmp_path):
     _, _, files = run
     job = fit(tmp_path, (4,))

@@ -249,6 +249,7 @@ def test_policies_that_do_not_fit_the_log_are_told_in_a_line():
         OPEInput(log, flat, names=[LOGGED])
 
 
+@pytest.mark.slow
 def test_estimators_share_what_they_fit(monkeypatch):
     true = garnet(states=4, actions=2, ending=0.2)
     log = true.log(tables(true, 1, 0.3)[0], 30, 20, np.random.default_rng(0))
@@ -269,6 +270,7 @@ def test_estimators_share_what_they_fit(monkeypatch):
     assert len(fits) == 2  # which shares those of the estimator itself
 
 
+@pytest.mark.slow
 def test_a_killed_fit_goes_on(tmp_path):
     true = garnet(states=4, actions=2, ending=0.2)
     log = true.log(tables(true, 1, 0.3)[0], 30, 20, np.random.default_rng(0))
@@ -329,6 +331,7 @@ def test_warnings_say_when_not_to_trust():
     assert any("40 of 40 episodes are cut off, after 30 steps" in line for line in found.warnings)
 
 
+@pytest.mark.slow
 def test_a_fit_that_still_changes_is_told():
     """A reward a step, and a long horizon: after a few updates the critics have not yet added it up."""
     true = garnet(states=3, actions=2)

@@ -45,6 +45,7 @@ def world(request):
     return case, np.array([exact(true, p, discount, horizon) for p in (*policies, policies[0])])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVED)
 def test_values_are_true_within_their_intervals(world, name):
     case, values = world
@@ -78,6 +79,7 @@ def test_the_truth_lies_within_as_often_as_promised(name):
     assert np.mean(inside) >= 0.88, np.mean(inside)
 
 
+@pytest.mark.slow
 def test_critics_of_least_variance_have_less_of_it():
     """One step, an action that the log seldom takes and the policy always: what matters is the fit there."""
     rng = np.random.default_rng(0)
@@ -114,6 +116,7 @@ def one_step(observations, actions, rewards, chances, **extras):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*SOLVED, "plain-dr", "magic", "dr"])
 def test_no_overlap_is_no_knowledge(name):
     """A policy that takes no logged action: its interval is endless, whatever the critics make up."""
@@ -164,6 +167,7 @@ def test_cut_off_episodes_count_by_their_chance_to_go_on():
         assert found.value[0] == pytest.approx(true.value(target, 0.9), abs=0.25 * abs(true.value(target, 0.9)) + 0.1)
 
 
+@pytest.mark.slow
 def test_a_critic_that_memorises_is_told():
     rng = np.random.default_rng(0)
     seen = rng.standard_normal((120, 4))
@@ -178,6 +182,7 @@ def test_a_critic_that_memorises_is_told():
     assert set(NEW) <= set(ESTIMATORS)
 
 
+@pytest.mark.slow
 def test_linear_critics_of_one_fold_are_those_of_the_world_in_the_log():
     """As the public code has it: fitted to the rows that they correct. A table's are exact there."""
     world = garnet(states=4, actions=2, ending=0.3, noise=0.3)

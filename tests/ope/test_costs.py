@@ -84,6 +84,7 @@ def test_who_may_cost_too_much_is_not_deployed(limit, deployed):
     assert [told in line for line in choice.objections[1]] == ([True] if told else [])
 
 
+@pytest.mark.slow
 def test_a_limit_chooses_among_those_within():
     """The best beyond the limit does not keep the second best from being chosen."""
     cheap = np.array([0.3, 0.7])
@@ -93,6 +94,7 @@ def test_a_limit_chooses_among_those_within():
     assert (choice.name, choice.deploy) == ("cheap", True)
 
 
+@pytest.mark.slow
 def test_what_does_not_depend_on_rewards_is_fitted_once(monkeypatch):
     fit = behavior._fit
     log = bandit(600, 2)
@@ -156,6 +158,7 @@ def test_limits_that_are_none_are_refused(given, words):
         limits_of((given,) if isinstance(given, str) else given, case().given)
 
 
+@pytest.mark.slow
 def test_limits_need_costs_and_a_name_where_there_are_several():
     log = case().given
     plain = Dataset.from_arrays(

@@ -37,6 +37,7 @@ def likely(seen: np.ndarray, pre: np.ndarray) -> np.ndarray:
     return norm.logpdf(pre, 0.5 * seen, STD) - np.log(1 - np.tanh(pre) ** 2)
 
 
+@pytest.mark.slow
 def test_shares_of_gaussian_policies():
     asked = {"same": (0.0, STD), "wider": (0.0, 3 * STD), "mean": (0.0, 0.0), "beside": (2.0 * STD, STD), "far": (4 * STD, 0.0)}
     case = OPEInput(log(2000, 40), [bent(*each) for each in asked.values()], names=list(asked))
@@ -52,6 +53,7 @@ def test_shares_of_gaussian_policies():
     assert coverage(case, model) is found  # made once
 
 
+@pytest.mark.slow
 def test_a_model_that_knows_its_few_rows_by_heart_does_not_rule_out_the_logs_own_policy():
     model = BehaviorModel(hidden=(64, 64), steps=2000, lr=3e-3)
     same, far = coverage(OPEInput(log(40, 20), [bent(0.0, STD), bent(6 * STD, 0.0)]), model)
@@ -59,6 +61,7 @@ def test_a_model_that_knows_its_few_rows_by_heart_does_not_rule_out_the_logs_own
     assert far < 0.4
 
 
+@pytest.mark.slow
 def test_actions_at_the_bounds_are_like_those_beside_them():
     """Draws that are cut at the bounds, as many a controller's are: a tanh's density has no limit there."""
     rng = np.random.default_rng(0)
@@ -71,6 +74,7 @@ def test_actions_at_the_bounds_are_like_those_beside_them():
     assert (coverage(OPEInput(cut, still), BehaviorModel(hidden=(), steps=2000, lr=3e-3)) > 0.9).all()
 
 
+@pytest.mark.slow
 def test_discrete_actions():
     """The log takes two of four actions; a policy of all four is covered by half."""
     rng = np.random.default_rng(0)
@@ -94,6 +98,7 @@ def test_short_logs_tell_nothing(episodes, length):
     assert np.isnan(coverage(OPEInput(log(episodes, length), [bent(0.0, STD)]))).all()
 
 
+@pytest.mark.slow
 def test_a_long_episode_among_short_ones_is_learned_from():
     """Held out it would leave the model too few rows."""
     short, rng = log(60, 20), np.random.default_rng(1)

@@ -35,6 +35,7 @@ def exact(world, table):
     return float(world.initial @ np.linalg.solve(np.eye(world.states) - DISCOUNT * flow, (table * world.rewards).sum(1)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["dr", "marginal"])
 def test_the_value_beyond_the_recording_is_that_of_the_world(recorded, kind):
     """Most of it lies beyond. Rows at the end of the recording count for the behaviour policy too, or it would end oftener."""
@@ -50,6 +51,7 @@ def test_the_value_beyond_the_recording_is_that_of_the_world(recorded, kind):
     assert found.corrected == (kind == "marginal")
 
 
+@pytest.mark.slow
 def test_errors_beyond_the_recording_are_those_within_it(recorded):
     """Of `dr`, whose corrections end there: a share b beyond makes them 1 / (1 - b) times as large. `drl` corrects all."""
     _, _, other, log = recorded

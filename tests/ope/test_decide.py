@@ -90,6 +90,7 @@ def test_estimands_in_words_and_what_has_no_value():
 # ---- critics and ratios that are solved ---------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("horizon", [None, 6])
 @pytest.mark.parametrize("estimator", [LinearFQE(n_bootstrap=200), DRL, DR], ids=["fqe-linear", "drl", "dr-linear"])
 def test_linear_estimates_are_exact_in_a_table(horizon, estimator):
@@ -112,6 +113,7 @@ def test_linear_estimates_are_exact_in_a_table(horizon, estimator):
         assert (exact < found.high).all()
 
 
+@pytest.mark.slow
 def test_ratios_of_occupancies_are_those_of_the_world():
     true = garnet(states=4, actions=2, noise=0.1)
     behavior, target = tables(true, 1, 0.3)[0], tables(true, 1, 1.0, seed=1)[0]
@@ -126,6 +128,7 @@ def test_ratios_of_occupancies_are_those_of_the_world():
     assert weights.mean() == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_a_linear_quadratic_problem_is_solved_by_products_of_features():
     """x' = 0.8 x + u + noise, reward -(x^2 + u^2), u = -0.5 x + noise of 0.3, five steps from x = 1."""
     rng = np.random.default_rng(0)
@@ -186,6 +189,7 @@ def memory(log, share=0.9):
     return BlackBoxPolicy(draw, action_probs=probs)
 
 
+@pytest.mark.slow
 def test_a_policy_that_memorised_noise_is_praised_on_its_own_rows_alone():
     log = bandit(np.random.default_rng(0))
     part, held = log.split(0.8)
@@ -384,6 +388,7 @@ def test_actions_that_the_log_never_takes_are_told(known):
             assert not decide(case, model=QUICK).choice.deploy
 
 
+@pytest.mark.slow
 def test_no_overlap_knows_nothing():
     """A policy that never does what was logged: minus to plus infinity, not zero to zero."""
     log = lacking(np.random.default_rng(5), 200, 0.0)
@@ -417,6 +422,7 @@ def test_deterministic_continuous_policies_are_model_based_only():
     assert [type(e).__name__ for e in automatic(alone)] == ["FQE"]
 
 
+@pytest.mark.slow
 def test_few_clusters_decide_nothing():
     log = lacking(np.random.default_rng(7), 19, 0.4)
     choice = decide(OPEInput(log, constant([0.1, 0.1, 0.8]), discount=0.0, logged=True), model=QUICK).choice
@@ -427,6 +433,7 @@ def test_few_clusters_decide_nothing():
 # ---- the promise --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_cross_fitted_estimates_are_unbiased_and_cover_on_generated_bandits():
     """Rewards depend on the context and the action; 15 logs, known propensities (many more, and learned ones, in the study)."""
     logs, rng, errors, hits = 15, np.random.default_rng(0), [], 0

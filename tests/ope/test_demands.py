@@ -114,6 +114,7 @@ def test_what_a_guarantee_lacks():
         decide(lacks_all, [LINEAR], guarantee=True, model=MODEL)
 
 
+@pytest.mark.slow
 def test_decisions_by_a_guarantee_and_under_confounding():
     rng = np.random.default_rng(1)
     clear = decide(case_of(trials(1000, rng, 0.5)), [LINEAR], model=MODEL, guarantee=True, return_range=(0.0, 1.0))

@@ -80,6 +80,7 @@ def world(request):
 
 # Forms of the DICE family differ in their losses alone, which golden numbers know; distributions of returns have fast tests of
 # their own; VPM's members are looked at below.
+@pytest.mark.slow
 @cases(FITTED, everywhere=["fqe"], nowhere=["dual-dice", "gen-dice", "fqe-d", "vpm"])
 def test_fitted_values_are_those_of_the_world_in_the_log(world, name):
     case, _, policies = world
@@ -106,6 +107,7 @@ def test_ratios_are_those_of_exact_occupancies(world, name):
 
 # Critics are fast where episodes end and where they are cut off; in the chain the weights alone are. MAGIC's intervals have
 # tests of their own.
+@pytest.mark.slow
 @cases(WEIGHTED, everywhere=["is", "wis", "pdis", "wpdis"], nowhere=["magic"], also=[("goes on", "dr")])
 def test_weighted_values_are_true_within_their_intervals(world, name):
     case, true, policies = world
@@ -122,6 +124,7 @@ def test_weighted_values_are_true_within_their_intervals(world, name):
 CORRECTED = [pytest.param(name, marks=pytest.mark.slow) for name in ("dr", "wdr")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["is", "pdis", "wis", "wpdis", *CORRECTED])
 def test_mean_over_many_logs(name):
     """Plain weights are unbiased for the return within the log's horizon; self-normalised ones nearly so."""

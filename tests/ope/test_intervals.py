@@ -66,6 +66,7 @@ def test_coverage_of_whole_episodes(logs, normalised):
     assert 0.89 <= np.mean(inside) <= 0.96, np.mean(inside)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("interval", ["hoeffding", "bernstein"])
 def test_bounds_hold_more_often_than_promised(interval):
     """One step of a reward of 0 or 1, half as likely again under the policy: a return of 0 to 1, a weight of 1.5 at most."""

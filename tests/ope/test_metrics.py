@@ -40,6 +40,7 @@ def test_regret_among_ties_is_a_mean_over_orders(k):
     assert m.regret(estimates, truth, k) == pytest.approx(9.0 - np.mean(orders))
 
 
+@pytest.mark.slow
 def test_clipping_makes_ties_of_overestimates():
     """The public notebook's form: two policies estimated above twice the range cannot be told apart."""
     truth = np.array([0.0, 1.0, 0.5])
@@ -52,6 +53,7 @@ def test_clipping_makes_ties_of_overestimates():
     assert (plain.absolute_error.value, clipped.absolute_error.value) == pytest.approx((4 / 3, 2.5 / 3))
 
 
+@pytest.mark.slow
 def test_bootstrap_over_policies():
     rng = np.random.default_rng(0)
     truth = rng.standard_normal(11)
@@ -63,6 +65,7 @@ def test_bootstrap_over_policies():
     assert found == m.compare(truth + 0.1 * np.random.default_rng(0).standard_normal(22)[11:], truth)
 
 
+@pytest.mark.slow
 def test_the_metric_itself_stands_beside_its_mean_over_redrawn_policies():
     """Two policies, the worse estimated higher: regret 1. Of the four draws with replacement two are of one policy alone."""
     truth, estimates = np.array([0.0, 1.0]), np.array([5.0, 4.0])

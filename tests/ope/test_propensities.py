@@ -52,6 +52,7 @@ def test_the_exact_optimum_of_two_actions():
     assert temperature(np.zeros((4, 2)), np.ones(4, int)) == 100.0  # says nothing at any temperature
 
 
+@pytest.mark.slow
 def test_an_overfitted_model_is_too_sure():
     """Logistic regression on as many features as rows: out of fold T is far above one, and the likelihood improves."""
     from scipy.optimize import minimize

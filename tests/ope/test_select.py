@@ -65,6 +65,7 @@ def test_the_logs_own_policy_is_judged_like_the_others(case, estimator):
     assert select([found]).deploy == found.corrected
 
 
+@pytest.mark.slow
 def test_a_paired_difference_is_surer_than_two_values(case):
     """What a redrawn log does to both cancels in their difference."""
     found = ImportanceSampling().on(case)
@@ -72,6 +73,7 @@ def test_a_paired_difference_is_surer_than_two_values(case):
     assert (found.bootstrap[:, 1] - found.bootstrap[:, 2]).std() ** 2 < apart
 
 
+@pytest.mark.slow
 def test_decisions_against_deploying(case):
     only_worse = OPEInput(case.data, case.policies[:1], discount=0.9, names=["worse"], logged=True)
     choice = select([TABULAR.on(only_worse)], accept_model_based=True)
@@ -88,6 +90,7 @@ def test_decisions_against_deploying(case):
         select([few, ImportanceSampling().on(case)])
 
 
+@pytest.mark.slow
 def test_others_are_evidence(case):
     choice = select([ImportanceSampling().on(case), TABULAR.on(case)])
     assert choice.evidence[0].startswith("FQE-L2: +")
@@ -241,6 +244,7 @@ def test_model_based_compares_with_what_the_logs_policy_makes_up():
     assert not select([found]).deploy
 
 
+@pytest.mark.slow
 def test_one_member_says_that_it_gives_no_interval():
     log = lqr(-0.5, 0.5, 10, 5)
     model = BehaviorModel(hidden=(4,), steps=10)

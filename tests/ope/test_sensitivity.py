@@ -89,6 +89,7 @@ def confounded(rng, n, strength):
     return action, y
 
 
+@pytest.mark.slow
 def test_a_confounded_world_is_inside_its_box_alone():
     """Always acting is worth 0.8. The plain estimate says more; bounds and their intervals at the true Gamma hold it."""
     held, plain = [], []

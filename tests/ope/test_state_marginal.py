@@ -97,6 +97,7 @@ def test_the_influence_is_that_of_an_episode_s_weight(world, normalised, cut):
         assert (ahead - back) / 2e-6 * 80 == pytest.approx(found.scores[i] - found.value, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_coverage_also_of_logs_that_are_cut_off(world):
     """Value +- 1.96 errors holds the truth in about 95 % of 300 logs, a third of whose episodes are cut off somewhere."""
     true, behavior, target = world
@@ -112,6 +113,7 @@ def test_coverage_also_of_logs_that_are_cut_off(world):
     assert 0.91 <= np.mean(held) <= 0.98, np.mean(held)
 
 
+@pytest.mark.slow
 def test_the_variance_grows_with_a_power_of_the_horizon():
     """From 5 to 80 steps the error of products outgrows the return many times over, that of marginal ratios never does."""
     true = garnet(states=4, actions=2, branches=3, noise=0.3, seed=3)

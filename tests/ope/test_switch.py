@@ -136,6 +136,7 @@ def test_parameters_are_chosen_out_of_fold():
         cross_fitted(scores, np.zeros(30), choose)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["bound", "tail"])
 def test_a_chosen_parameter_is_near_the_better_end(way):
     """Heavy one-step weights, and a critic without a flaw or useless: either end of the grid is best, and neither is known.

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy import stats
 
 from deadreckon.data.spec import Box, Spec
@@ -19,6 +20,7 @@ def _rows(n: int = 200) -> tuple[np.ndarray, np.ndarray]:
     return observation, np.clip(observation[:, :2] + 0.5 * rng.standard_normal((n, 2)), -1, 1).astype(np.float32)
 
 
+@pytest.mark.slow
 def test_a_clipped_gaussian_has_one_deviation_an_action():
     """Its likelihood is numpy's, and its deviations are best where they are those of its errors."""
     model = behavior.Clipped.create(SPEC, (8,), jax.random.key(0))
@@ -38,6 +40,7 @@ def test_a_clipped_gaussian_has_one_deviation_an_action():
     np.testing.assert_allclose(jax.grad(nll)(jnp.log(jnp.asarray(best))), 0.0, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_draws_are_cut_to_the_bounds_which_have_what_lies_beyond():
     """Between the bounds densities integrate to what the bounds leave, and both are what the draws say."""
     model = behavior.Clipped.create(SPEC, (8,), jax.random.key(0))
@@ -57,6 +60,7 @@ def test_draws_are_cut_to_the_bounds_which_have_what_lies_beyond():
     np.testing.assert_allclose(np.trapezoid(first[1:-1], grid[1:-1]) + at.sum(), 1.0, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_change_of_bounds_scales_densities_alone():
     """With bounds of two the density is half as large, and what the bounds have is the same."""
     inner = behavior.policy(behavior.Clipped.create(SPEC, (8,), jax.random.key(0)))
@@ -66,6 +70,7 @@ def test_a_change_of_bounds_scales_densities_alone():
     np.testing.assert_allclose(apart, np.log(2.0) * np.array([2, 1, 0]), atol=1e-5)
 
 
+@pytest.mark.slow
 def test_deviations_have_a_least():
     """Of an action that is always the same they would fall without end."""
     model = behavior.Clipped.create(SPEC, (8,), jax.random.key(0))

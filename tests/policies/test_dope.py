@@ -34,6 +34,7 @@ def by_hand(found, x):
 KINDS = [("relu", "tanh_gaussian"), ("tanh", "tanh_gaussian"), ("tanh", "gaussian")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("nonlinearity", "output"), KINDS)
 def test_acts_as_published(tmp_path, nonlinearity, output):
     path, found = written(tmp_path, nonlinearity=nonlinearity, output_distribution=output)

@@ -78,6 +78,7 @@ def test_acts_on_what_it_saw_as_on_the_stacked_log(space, tmp_path):
     np.testing.assert_allclose(acted(lambda seen, first: play(seen, first=first), space)[1], done, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("space", SPACES.values(), ids=SPACES)
 def test_members_of_a_mixture_carry_their_own(space, tmp_path):
     policy = of(space, 0)

@@ -19,6 +19,7 @@ def test_some_are_shipped():
     assert set(OURS) == mazes | ants | {"door", "pen", "hammer", "relocate"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OURS)
 def test_snapshots(name):
     policies, found, world = dr.load_policies(name), library.library(name), task(name)

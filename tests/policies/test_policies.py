@@ -66,6 +66,7 @@ def test_file_round_trip_and_numpy_player(kind, tmp_path):
     assert ((play(x) >= VIEW.low) & (play(x) <= VIEW.high)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", DRAWING)
 def test_draws_of_the_numpy_player_are_distributed_as_ours(kind, tmp_path):
     policy = make(kind)
@@ -193,6 +194,7 @@ def episodes(act, lengths=(7, 12), n=300):
     return np.array(out), np.array(begun)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("player", [False, True])
 @pytest.mark.parametrize("greedy", [False, True])
 def test_a_mixture_draws_at_the_beginning_of_an_episode_and_keeps_to_it(player, greedy, tmp_path):
@@ -243,6 +245,7 @@ def test_a_mixtures_members_keep_their_coordinates_and_its_file_comes_back(tmp_p
     assert mixture.action_probs is None
 
 
+@pytest.mark.slow
 def test_a_mixture_of_choices_tells_the_chances_of_its_first(tmp_path):
     plain = Normalizer(None, None, None, None)
     members = [EnvPolicy.of(Categorical(MLP.create(3, (8,), 4, key)), plain) for key in jax.random.split(KEY)]
@@ -270,6 +273,7 @@ def test_player_needs_numpy_alone(tmp_path):
     np.testing.assert_allclose(json.loads(out), make("gaussian")(np.zeros((1, 3))), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_density_over_environment_actions_integrates_to_one():
     net = MLP.create(1, (4,), 2, KEY)
     policy = EnvPolicy.of(TanhGaussian(net), Normalizer(None, None, np.array([-3.0]), np.array([1.0])))

@@ -33,6 +33,7 @@ def of(name):
     return EnvPolicy(DISCRETE[name], None, None, None, None) if name in DISCRETE else make(name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["deterministic", "normalised", *DRAWING, *DISCRETE])
 def test_it_does_what_the_policy_does(name):
     policy, x = of(name), np.random.default_rng(0).normal(size=(16, 3)).astype("f4")

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+import pytest
 
 import deadreckon as dr
 from deadreckon.runs import compared
@@ -28,6 +29,7 @@ def accused(group):
     return found
 
 
+@pytest.mark.slow
 def test_sites_are_exchanged_as_a_whole():
     assert accused(group=True) <= 1
     assert accused(group=False) >= 5  # what exchanging rows would do

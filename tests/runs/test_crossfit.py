@@ -42,6 +42,7 @@ def fitted(log, tmp_path_factory):
     return dr.cross_fit(BC, log, out=tmp_path_factory.mktemp("runs") / "c", **OPTIONS)
 
 
+@pytest.mark.slow
 def test_every_episode_is_held_out_once(fitted, log):
     fold = folds(log, 3)
     np.testing.assert_array_equal(fitted.fold_of(log), fold)
@@ -58,6 +59,7 @@ def test_every_episode_is_held_out_once(fitted, log):
     assert "3 folds of up to 4 of 12 episodes, each held out once" in str(fitted)
 
 
+@pytest.mark.slow
 def test_the_mixture_is_of_all_folds_and_has_seen_everything(fitted, log):
     assert isinstance(fitted.policy.inner, Mixture)
     acts = fitted.policy(X)
@@ -102,6 +104,7 @@ def test_killed_and_gone_on_with_no_fold_is_done_again(fitted, log, tmp_path):
     np.testing.assert_array_equal(again.policy(X), fitted.policy(X))
 
 
+@pytest.mark.slow
 def test_the_policy_to_deploy_may_have_learned_from_everything(log, tmp_path):
     found = dr.cross_fit(BC, log, out=tmp_path / "c", by="user", deliver="refit", **OPTIONS)
     assert found.policy_path == tmp_path / "c" / "refit"
@@ -118,6 +121,7 @@ def test_the_policy_to_deploy_may_have_learned_from_everything(log, tmp_path):
     assert isinstance(other.policy.inner, Mixture)
 
 
+@pytest.mark.slow
 def test_a_failed_seed_is_left_out_and_a_failed_fold_is_told(log, tmp_path):
     bad = dr.agents.BC(hidden=(8,), batch_size=8, lr=1e38)
     found = dr.cross_fit([BC, bad], log, out=tmp_path / "one", seeds=2, **OPTIONS)
@@ -191,6 +195,7 @@ def test_each_episode_of_a_mixture_is_one_of_its_members(tmp_path):
     assert near.any(1).sum() > 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("deliver", "seeds"), [("mixture", 1), ("mixture", 2), ("refit", 2)])
 def test_what_is_judged_of_a_seed_is_what_is_deployed_of_it(log, tmp_path, deliver, seeds):
     found = dr.cross_fit(BC, log, out=tmp_path / "c", deliver=deliver, seeds=seeds, **OPTIONS)

@@ -45,6 +45,7 @@ def test_all_of_it_on_one_card(made, capsys):
         assert words in out, words
 
 
+@pytest.mark.slow
 def test_what_is_refused_is_no_look(made, capsys):
     command = ["ope", "--data", str(made / "log.npz"), "--policies", str(made / "bc")]
     assert main([*command, "--guarantee"]) == 2

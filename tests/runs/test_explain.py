@@ -148,6 +148,7 @@ def table(tmp_path_factory):
     return folder, run
 
 
+@pytest.mark.slow
 def test_a_run_keeps_it_and_the_report_shows_it(table, capsys):
     folder, run = table
     assert main(["explain", str(run.path)]) == 0

@@ -49,6 +49,7 @@ def numpys(place):
     return export(place / "run", "numpy", place / "numpy")
 
 
+@pytest.mark.slow
 def test_numpy_alone_plays_the_folder_by_the_names_of_the_table(place, numpys):
     fresh = rows_of_table(50, seed=1).drop(columns=["action", "reward"])
     fresh.to_csv(place / "fresh.csv", index=False)

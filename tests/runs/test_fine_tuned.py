@@ -117,6 +117,7 @@ def test_it_begins_with_the_parameters_targets_and_coordinates_of_the_run(offlin
         np.testing.assert_allclose(begins.std, learned.observations.std(0) + STD_FLOOR, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_its_curve_begins_with_the_policy_of_the_run(offline, run):
     told = run.evaluations.to_pydict()
     assert sorted(set(told["step"])) == [0, 16, 32, 48]
@@ -162,6 +163,7 @@ def test_the_report_tells_what_it_began_with_and_how_it_is_made_again(offline, r
     assert f"{STEPS} steps a seed to learn" in told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [8, 16, 48])
 def test_killed_and_resumed_is_the_same_as_unbroken(offline, run, step, tmp_path):
     def stop(progress, steps):
@@ -175,6 +177,7 @@ def test_killed_and_resumed_is_the_same_as_unbroken(offline, run, step, tmp_path
     assert again.metrics.equals(run.metrics)
 
 
+@pytest.mark.slow
 def test_made_longer_it_equals_one_that_was_long(offline, run, tmp_path):
     short = tuned(offline, tmp_path / "r", steps=64)
     assert short.config["steps"] == 32
@@ -182,6 +185,7 @@ def test_made_longer_it_equals_one_that_was_long(offline, run, tmp_path):
     assert_same(again, run, STEPS)
 
 
+@pytest.mark.slow
 def test_another_start_share_or_log_is_another_run(offline, run, tmp_path):
     with pytest.raises(dr.UserError, match=r"holds another run: log.share was 0.5, now 0.25"):
         tuned(offline, run.path, resume=True, log_share=0.25)

@@ -15,6 +15,7 @@ def log():
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_fit_is_train_in_a_new_folder_every_time(log, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     agent = dr.agents.BC(hidden=(16, 16), batch_size=32)

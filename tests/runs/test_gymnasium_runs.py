@@ -46,6 +46,7 @@ def rows_of(run, task=CART):
     return np.fromfile(run.path / "replay" / "seed0.bin", np.float32).reshape(-1, 12)
 
 
+@pytest.mark.slow
 def test_discrete_actions_are_learned_from_as_numbers(run):
     rows = rows_of(run)
     assert set(np.unique(rows[:, 4])) == {0.0, 1.0}

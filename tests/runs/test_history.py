@@ -64,6 +64,7 @@ def run(log, tmp_path_factory):
     return train(AGENT, log, out=tmp_path_factory.mktemp("runs") / "h2", history=2, **OPTIONS)
 
 
+@pytest.mark.slow
 def test_two_steps_teach_what_one_does_not(run):
     assert run.config["history"] == 2
     assert history_of(run.policy) == 2

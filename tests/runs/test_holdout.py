@@ -50,6 +50,7 @@ def run(log, tmp_path_factory):
     return train(log, tmp_path_factory.mktemp("runs") / "r", seeds=2)
 
 
+@pytest.mark.slow
 def test_a_fifth_is_held_out_where_nothing_else_judges(run, log):
     parts = Holdout().parts(log)
     assert run.config["data"]["holdout"] == {"share": 0.2, "by": "random", "seed": 0, "learning": 16, "held": 4}
@@ -65,6 +66,7 @@ def test_a_fifth_is_held_out_where_nothing_else_judges(run, log):
     assert "learned from 16 of 20 episodes; 4 are held out for `deadreckon ope`" in summary(run)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", ["time", "user"])
 def test_what_is_held_out_changes_nothing(by, tmp_path):
     held = Holdout(0.2, by).parts(make()).held
@@ -89,6 +91,7 @@ def test_what_was_seen_is_known_in_any_part_of_the_log(run, log):
     assert Seen.of([None], log).unseen.all()
 
 
+@pytest.mark.slow
 def test_nothing_is_held_out_where_a_simulator_judges_or_nobody_wants_it(log, tmp_path):
     known = generate("maze2d-umaze-v1", steps=1500, seed=0)
     judged = train(known, tmp_path / "judged", episodes=1)
@@ -141,6 +144,7 @@ def test_a_run_from_before_goes_on_with_all_episodes(log, tmp_path):
     np.testing.assert_array_equal(again.taught, log.episode_ids)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("few", "holdout", "words"),
     [(make(9), None, "mine: 9 episodes are too few"), (make(18), Holdout(by="user"), "mine: 9 values of user are too few")],
@@ -167,6 +171,7 @@ def test_of_a_memory_mapped_log_the_latest_are_held_out_and_nothing_is_copied(lo
     np.testing.assert_array_equal(run.held, log.episode_ids[-4:])
 
 
+@pytest.mark.slow
 def test_runs_that_share_a_program_hold_the_same_out(log, tmp_path):
     agents = {name: dr.agents.BC(hidden=(8,), batch_size=8, lr=lr) for name, lr in (("a", 1e-3), ("b", 1e-2))}
     runs = dr.train_together(agents, log, out=tmp_path / "all", holdout=Holdout(0.5), **OPTIONS)

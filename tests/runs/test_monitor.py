@@ -54,6 +54,7 @@ def of_reference(place, name, **options):
     return monitor(place / "run", place / name, reference=place / "log.csv", estimates=place, **options)
 
 
+@pytest.mark.slow
 def test_nothing_is_found_where_nothing_has_changed(place):
     found = of_reference(place, "same.csv")
     assert not found.alarm, found
@@ -98,6 +99,7 @@ def test_a_log_of_the_policy_in_use_needs_no_propensities_and_estimates_lie_besi
     assert isinstance(found.value, Realised)
 
 
+@pytest.mark.slow
 def test_what_an_early_look_finds_later_looks_find_too(place):
     """So that one may look daily: drift is tested at fixed numbers of episodes alone, from the same rows."""
     log = dr.read(place / "older.csv", action="action", reward="reward")
@@ -110,6 +112,7 @@ def test_what_an_early_look_finds_later_looks_find_too(place):
     assert "age" in found
 
 
+@pytest.mark.slow
 def test_actions_of_the_policy_are_what_the_new_ones_are_compared_with(place):
     """The log's actions are a coin's; the greedy policy's are not, so a log of coins is not the policy's."""
     found = monitor(place / "run", place / "same.csv", estimates=place)
@@ -121,6 +124,7 @@ def test_actions_of_the_policy_are_what_the_new_ones_are_compared_with(place):
     assert not monitor(place / "run", place / "own.csv", estimates=place).alarm
 
 
+@pytest.mark.slow
 def test_a_new_level_is_outside_the_log_and_a_new_action_is_refused(place):
     rows = table(250, 4)
     rows.loc[rows.index % 2 == 0, "kind"] = "unheard of"

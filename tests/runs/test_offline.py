@@ -38,6 +38,7 @@ def made(tmp_path_factory):
     return folder, log, judged
 
 
+@pytest.mark.slow
 def test_what_is_told(made):
     folder, _, (estimates, choice, told) = made
     assert told == read_estimates(folder / "ope")
@@ -112,6 +113,7 @@ def noise(tmp_path_factory):
 QUICK = {"model": BehaviorModel(hidden=(8,), steps=50), "discount": 0.0}
 
 
+@pytest.mark.slow
 def test_policies_are_judged_on_the_episodes_that_taught_none_of_them(noise):
     log, run, _ = noise
     told = judge([run], log, **QUICK).results
@@ -129,6 +131,7 @@ def test_policies_are_judged_on_the_episodes_that_taught_none_of_them(noise):
     assert judge([run], new, **QUICK).results["judged"]["episodes"] == 300
 
 
+@pytest.mark.slow
 def test_what_nobody_knows_is_not_deployed_unless_the_user_says_so(noise, tmp_path):
     log, run, _ = noise
     store.save(tmp_path / "mine.npz", run.policy)
@@ -261,6 +264,7 @@ def test_a_cross_fit_is_judged_on_every_episode(noise):
     assert found.value[0] == pytest.approx(each.mean(), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_log_whose_levels_mean_something_else_is_refused(tmp_path):
     """Site b would be read as site a: both logs have two sites and two doses, under other names."""
     rng = np.random.default_rng(0)

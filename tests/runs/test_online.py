@@ -69,6 +69,7 @@ def stop_at(step):
     return watch
 
 
+@pytest.mark.slow
 def test_run_folder_holds_what_was_asked_and_what_came_out(run):
     config = run.config
     assert config["agent"] == {"name": "tests.agents.little:Little", "fields": {"lr": 0.01, "hidden": [4], "batch_size": 8}}
@@ -102,6 +103,7 @@ def test_evaluations_are_of_the_policies_kept(run):
     np.testing.assert_allclose(first.returns.ravel(), last["return"][:3])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [8, 16, 48])
 def test_killed_and_resumed_is_the_same_as_unbroken(run, step, tmp_path):
     with pytest.raises(Stop):
@@ -120,6 +122,7 @@ def test_killed_and_resumed_is_the_same_as_unbroken(run, step, tmp_path):
     assert again.metrics.equals(run.metrics)
 
 
+@pytest.mark.slow
 def test_killed_before_the_first_checkpoint_and_after_the_last(run, tmp_path, monkeypatch):
     def stop(self, *args):
         raise Stop
@@ -140,6 +143,7 @@ def test_killed_before_the_first_checkpoint_and_after_the_last(run, tmp_path, mo
     assert again.metrics.equals(run.metrics)
 
 
+@pytest.mark.slow
 def test_a_broken_newest_checkpoint_costs_no_more_than_the_chunk_before_it(run, tmp_path):
     with pytest.raises(Stop):
         train(tmp_path / "r", watch=stop_at(40))
@@ -185,6 +189,7 @@ def longer(tmp_path_factory):
     return train(tmp_path_factory.mktemp("runs") / "longer", steps=STEPS + 48)
 
 
+@pytest.mark.slow
 def test_a_run_made_longer_equals_one_that_was_long_from_the_beginning(run, longer, tmp_path):
     shutil.copytree(run.path, tmp_path / "r")
     # Killed right after it was made longer: it is not finished any more, and the old policy is not taken for its last.
@@ -251,6 +256,7 @@ def test_when_all_lanes_fail_the_run_ends_and_says_so(tmp_path):
     assert again.failures == failed.failures
 
 
+@pytest.mark.slow
 def test_evaluations_are_at_least_a_block_apart(tmp_path):
     settings = replace(SETTINGS, updates_per_step=0.125)
     few = train(tmp_path / "r", settings=settings, evaluate_every=1, steps=STEPS, episodes=1)

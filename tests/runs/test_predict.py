@@ -96,6 +96,7 @@ NAMED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TABLES)
 def test_new_rows_get_named_actions_alike_by_jax_and_numpy(runs, name):
     log, run = runs[name]
@@ -216,6 +217,7 @@ LEGAL = {"x": [0.0, 1.0, 2.0, 3.0] * 5, "action": ["wait", "call", "visit", "cal
          "may": ["wait|call", "call", "visit|wait", "wait|call|visit"] * 5}  # fmt: skip
 
 
+@pytest.mark.slow
 def test_legal_actions_are_obeyed(tmp_path):
     log = dr.Dataset.from_frame(LEGAL, legal="may")
     run = train(dr.agents.BC(**NETS), log, out=tmp_path / "run", **SHORT)
@@ -283,6 +285,7 @@ def test_policies_on_histories_refuse_rows_without_order(history):
         assert len(run.predict(open_.assign(dose=[10, 40, 20, None]))) == 4
 
 
+@pytest.mark.slow
 def test_the_mixture_of_a_cross_fit_is_a_file_like_others(tmp_path):
     log = dr.Dataset.from_frame(offers(), action="offer", reward="paid")
     cross = cross_fit(dr.agents.BC(**NETS), log, folds=2, out=tmp_path / "cross", **SHORT)

@@ -34,6 +34,7 @@ def shipped(run, tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_what_is_measured_is_what_is_shipped(shipped, monkeypatch):
     monkeypatch.setattr(library, "ROOT", shipped)
     library.about.cache_clear()
@@ -125,6 +126,7 @@ def test_a_library_stays_whole_while_another_is_measured(run, shipped, tmp_path)
     assert [path.name for path in tmp_path.glob("*.json")] == ["hopper.json"]
 
 
+@pytest.mark.slow
 def test_snapshots_alone_are_shipped_where_no_logs_are_made_with_them(run, tmp_path):
     path = publish(Publish(str(run), episodes=2, most=2, out=str(tmp_path)))
     about = json.loads(path.read_text())

@@ -40,6 +40,7 @@ def cut(request, tmp_path_factory):
     return file, train(BC, dr.read(file, horizon=25), out=folder / "run", **SHORT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", ["run", "file"])
 def test_a_log_that_is_divided_otherwise_is_refused(cut, which):
     file, run = cut
@@ -82,6 +83,7 @@ def test_episodes_that_a_run_knows_nothing_of_are_not_fresh_beside_known_ones(pa
         assert len(fresh(gather([each]), log.select(range(20, 30)), False).held) == 10
 
 
+@pytest.mark.slow
 def test_the_same_file_of_which_nothing_is_known_is_refused(part, tmp_path):
     log, _ = part
     rng = np.random.default_rng(0)
@@ -107,6 +109,7 @@ def table(name, doses):
     return Dataset.from_frame(frame, action="dose", reward="gain", name=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("other", [[0, 1, 50], ["hold", "sell", "buy"]], ids=["sparse", "texts"])
 def test_levels_that_one_side_alone_has_are_a_difference(tmp_path, other):
     plain, levelled = table("plain", [0, 1, 2]), table("levelled", other)

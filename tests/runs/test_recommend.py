@@ -388,6 +388,7 @@ def test_deterministic_policies_come_last_and_the_plan_says_what_that_means():
     assert "judged by a model only, so deployed with --accept-model-based only" in plan
 
 
+@pytest.mark.slow
 def test_a_fit_that_has_not_settled_does_not_deploy(small, tmp_path, monkeypatch):
     from deadreckon.ope.linear import Fit
 
@@ -482,6 +483,7 @@ def test_what_leaves_no_episode_for_the_card_is_refused(tmp_path):
     assert not [state for state in of(sent, "state") if "candidates" in state]
 
 
+@pytest.mark.slow
 def test_a_run_may_be_ended_early(tmp_path):
     def watch(progress, steps):
         if progress.step == 40:

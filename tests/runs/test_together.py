@@ -70,6 +70,7 @@ def test_a_report_shows_them_as_runs_with_their_own_settings(runs, tmp_path):
     assert [seed for seed, *_ in third.failed] == [3, 4]
 
 
+@pytest.mark.slow
 def test_interrupted_and_resumed_is_the_same_as_unbroken(runs, log, tmp_path):
     class Stop(Exception):
         pass
@@ -96,6 +97,7 @@ def test_interrupted_and_resumed_is_the_same_as_unbroken(runs, log, tmp_path):
             np.testing.assert_array_equal(a(X), b(X))
 
 
+@pytest.mark.slow
 def test_a_watcher_that_has_seen_enough_ends_all(log, tmp_path):
     def watch(progress, steps):
         if progress.step == 20:

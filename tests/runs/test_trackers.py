@@ -150,6 +150,7 @@ def events(folder):
     return found
 
 
+@pytest.mark.slow
 def test_event_files_of_tensorboard_have_no_doubled_points(log, whole, tmp_path):
     pytest.importorskip("tensorboardX")
     run = interrupted(log, tmp_path / "r", "tensorboard")
@@ -325,6 +326,7 @@ def test_runs_that_share_a_program_are_tracked_apart(log, tmp_path):
         assert [point["train/critic_loss"] for _, _, point in each.points] == run.metrics["critic_loss"].to_pylist()
 
 
+@pytest.mark.slow
 def test_the_command_line_takes_several_trackers(log, tmp_path, monkeypatch, capsys):
     from deadreckon.cli.main import main
     from deadreckon.data.formats.folder import write_folder

@@ -33,6 +33,7 @@ def run(log, tmp_path_factory):
     return dr.train(agent(), log, out=tmp_path_factory.mktemp("runs") / "whole", **SETTINGS)
 
 
+@pytest.mark.slow
 def test_run_folder_holds_what_was_asked_and_what_came_out(run, log):
     config = run.config
     assert config["agent"]["name"] == "td3_bc"
@@ -89,6 +90,7 @@ def test_a_finished_run_is_given_back_and_another_is_refused(run, log):
         dr.train(agent(alpha=3.0), log, out=run.path, resume=True, **SETTINGS)
 
 
+@pytest.mark.slow
 def test_a_finished_run_made_longer_equals_one_that_was_long_from_the_beginning(run, log, tmp_path):
     import shutil
 
@@ -144,6 +146,7 @@ def test_a_run_that_notes_no_revisions_is_not_gone_on_with(run, log, tmp_path):
     assert read_json(tmp_path / "r" / "run.json") == config
 
 
+@pytest.mark.slow
 def test_an_evaluation_lost_to_a_kill_is_done_again(run, log, tmp_path):
     import shutil
 
@@ -153,6 +156,7 @@ def test_an_evaluation_lost_to_a_kill_is_done_again(run, log, tmp_path):
     assert again.evaluations.equals(run.evaluations)
 
 
+@pytest.mark.slow
 def test_a_failed_lane_keeps_its_last_good_policy(log, tmp_path):
     lanes = [agent(), agent(critic_lr=1e30)]
     run = dr.train(lanes, log, out=tmp_path / "r", **SETTINGS)
@@ -162,6 +166,7 @@ def test_a_failed_lane_keeps_its_last_good_policy(log, tmp_path):
     assert run.config["agent"]["fields"]["critic_lr"] == [3e-4, 1e30]
 
 
+@pytest.mark.slow
 def test_without_a_task_there_are_losses_and_distances(log, tmp_path):
     from dataclasses import replace
 
@@ -194,6 +199,7 @@ def test_what_does_not_fit_is_told_before_anything_is_written(log, tmp_path):
     assert not (tmp_path / "no").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "folder"),
     [
@@ -222,6 +228,7 @@ def test_a_run_named_after_its_log_lies_in_runs_whatever_the_log_is_called(log, 
     assert [path.name for path in (tmp_path / "a" / "b" / "runs").iterdir()] == [folder]
 
 
+@pytest.mark.slow
 def test_a_kill_while_the_first_file_is_written_can_be_resumed(log, tmp_path):
     (tmp_path / "r").mkdir()
     (tmp_path / "r" / ".run.json.abc.tmp").write_text("half")
@@ -229,6 +236,7 @@ def test_a_kill_while_the_first_file_is_written_can_be_resumed(log, tmp_path):
     assert not list(run.path.rglob("*.tmp"))
 
 
+@pytest.mark.slow
 def test_lanes_are_judged_by_their_own_settings(log, tmp_path):
     lanes = [agent(discount=0.5), agent(discount=0.99)]
     run = dr.train(lanes, log, out=tmp_path / "r", **(SETTINGS | {"steps": 2, "evaluate_every": 2}))
@@ -312,6 +320,7 @@ def test_interval_of_a_mean_by_hand():
     assert np.isnan(one.low)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("policies", "episodes", "between", "starts"),
     [(2, 5, 3, 0), (2, 20, 1, 0), (2, 100, 0.3, 0), (3, 5, 0, 0), (3, 20, 1, 1), (3, 100, 0.3, 0), (3, 100, 0, 1),
@@ -354,6 +363,7 @@ def test_two_sample_mmd_equals_numpy_and_the_probe_tells_copies_from_strangers(l
     assert float(copy) < 0.05
 
 
+@pytest.mark.slow
 def test_a_policy_that_remembers_is_given_its_carry_back():
     import jax.numpy as jnp
 

@@ -36,6 +36,7 @@ def test_coverage(samples, n):
     assert held >= 1 - ALPHA - 3 * np.sqrt(ALPHA * (1 - ALPHA) / LOGS), held
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [100, 1000])
 @pytest.mark.parametrize("samples", SAMPLES)
 def test_bets_are_tighter_than_what_they_replace(samples, n):

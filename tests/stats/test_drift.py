@@ -24,6 +24,7 @@ def test_equal_units_are_accused_no_more_often_than_said():
     assert np.mean(np.array(p) <= 0.5) >= 0.3  # and they are no less often small than they may be
 
 
+@pytest.mark.slow
 def test_many_columns_are_corrected_for():
     rng = np.random.default_rng(1)
     wrong = 0

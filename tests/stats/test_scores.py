@@ -107,6 +107,7 @@ def test_draws_are_by_seed():
     assert chances[0] != chances[1]
 
 
+@pytest.mark.slow
 def test_coverage_is_what_the_docstring_says():
     """Of 3 seeds: 89 % at best over many tasks, worst to best on one task; of many seeds what was asked for."""
     assert 2 * stats.norm.cdf(stats.norm.ppf(0.975) * np.sqrt([2 / 3, 4 / 5, 9 / 10])) - 1 == pytest.approx(

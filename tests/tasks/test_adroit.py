@@ -33,6 +33,7 @@ def theirs():
         env.close()
 
 
+@pytest.mark.slow
 @every
 def test_observations_are_gymnasium_robotics_and_rewards_d4rls(task, theirs):
     env, simulator = theirs[task.name], task.simulate([7])
@@ -55,6 +56,7 @@ def test_observations_are_gymnasium_robotics_and_rewards_d4rls(task, theirs):
     assert ended > 1 if task.name == "pen" else ended == 0  # it is dropped
 
 
+@pytest.mark.slow
 def test_a_dropped_pen_ends_the_episode():
     task = tasks.task("pen")
     simulator = task.simulate(range(4))
@@ -95,6 +97,7 @@ def test_a_demonstration_can_be_begun_where_it_began(real_data, theirs):
 
 @pytest.mark.parametrize("task", [pytest.param(task, marks=[] if task.name == "door" else pytest.mark.slow) for task in TASKS],
                          ids=lambda task: task.name)  # fmt: skip
+@pytest.mark.slow
 def test_dapgs_policies_succeed_here(task, real_data):
     """Order of observations, scale of actions and physics at once: the experts of the old simulator are experts in this one."""
     policy = load_dapg(real_data / "adroit" / f"{task.name}-v0_dapg_policy.pickle")

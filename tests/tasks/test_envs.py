@@ -57,6 +57,7 @@ def test_equal_to_the_simulator_over_falls(task):
     assert walk(task, 1.5, 200).count("fall") >= 2  # with actions beyond the bounds too
 
 
+@pytest.mark.slow
 def test_ant_equals_the_simulator_up_to_the_time_limit():
     assert walk(tasks.task("ant"), 0.3, 1010) == ["timeout"]
 

@@ -85,6 +85,7 @@ def test_restored_elsewhere_it_goes_on_to_the_bit(task):
     assert any(len(part) < 4 for part in unbroken)
 
 
+@pytest.mark.slow
 @sumo
 @roads
 def test_gymnasiums_checks(task):
@@ -94,6 +95,7 @@ def test_gymnasiums_checks(task):
     env.close()
 
 
+@pytest.mark.slow
 @sumo
 def test_the_environment_equals_the_simulator_to_the_time_limit():
     env, simulator = gymnasium.make(RING.gym_id), RING.simulate([5])
@@ -172,6 +174,7 @@ def test_merge_by_hand():
     env.close()
 
 
+@pytest.mark.slow
 @sumo
 def test_a_crash_is_terminal_and_pays_nothing():
     reckless = replace(RING, guarded=False, horizon=200)

@@ -56,6 +56,7 @@ def test_the_tasks():
         assert task.split == ("training" if training else "evaluation")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_bit_is_gymnasiums(name):
     task = replace(tasks.task(name), horizon=HORIZON)
@@ -116,6 +117,7 @@ def test_a_fall_at_the_horizon_is_a_terminal():
     assert (ends[-1][0][0], ends[-1][1][0]) == (True, False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_observations_and_health_of_any_state(name):
     """Speeds that clip, and both sides of every limit of health, put into both simulators."""

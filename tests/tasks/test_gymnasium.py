@@ -43,6 +43,7 @@ def by_hand(env, policy, seeds):
     return zip(*out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "policy"), [("Pendulum-v1", pushing), ("CartPole-v1", leaning)])
 def test_returns_are_those_of_a_loop_written_by_hand(name, policy):
     returns, lengths, _ = map(list, by_hand(gymnasium.make(name), policy, episode_seeds(4, 3)))
@@ -116,6 +117,7 @@ def test_observations_of_frozen_lake_are_one_hot():
             break
 
 
+@pytest.mark.slow
 def test_dicts_are_flattened_as_gymnasium_and_as_logs_have_them():
     with pytest.warns(UserWarning, match="texts are not observed: note"):
         task = dr.task(GOAL)

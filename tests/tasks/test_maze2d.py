@@ -107,6 +107,7 @@ def test_copies_threads_and_gymnasium_agree_to_the_bit(name):
     np.testing.assert_array_equal(few.reset()[0], env.reset()[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["maze2d-umaze", "maze2d-eval-medium", "maze2d-large"])
 def test_the_ball_stays_in_the_maze(name):
     task = tasks.task(name)

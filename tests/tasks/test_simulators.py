@@ -43,6 +43,7 @@ def test_threads_change_nothing(task):
     assert len(logs[0]) > 1 + 4 * STEPS  # episodes ended and began anew
 
 
+@pytest.mark.slow
 @every
 def test_a_copy_depends_on_its_own_seed_and_actions_alone(task):
     actions = forces(task)

@@ -214,6 +214,7 @@ def test_returns_of_two_worlds(many):
     assert lost <= return_bound(h, 0.0, discount)
 
 
+@pytest.mark.slow
 def test_returns_of_two_branched_rollouts(many):
     """B.2.4: other dynamics and policies before and after the branch, errors under the first rollout at its own states."""
     worlds, model, old, new, discount = many
@@ -301,6 +302,7 @@ def test_bounds_grow_with_errors_and_scale_with_rewards(bound):
         assert bound(k, 0.0, 0.0, discount) == 0.0
 
 
+@pytest.mark.slow
 def test_best_length():
     rng = np.random.default_rng(0)
     for _ in range(500):

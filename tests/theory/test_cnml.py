@@ -27,6 +27,7 @@ def test_by_hand():
     assert cnml.minimax_regret(sure) == pytest.approx(0.0)
 
 
+@pytest.mark.slow
 def test_it_is_the_minimax_distribution():
     rng = np.random.default_rng(0)
     for _ in range(2000):

@@ -80,6 +80,7 @@ def test_sets_of_policies():
         con.support(behavior, 0.6)
 
 
+@pytest.mark.slow
 def test_the_operator_is_bellmans_in_the_modified_world(many):
     """T' E_Π q = E_Π T^Π q for any q; the fixed points agree, and iteration comes to them. Without E_π[r], nothing does."""
     worlds, _, _, sets, _, discount, rng = many
@@ -147,6 +148,7 @@ def test_the_loss_of_constrained_iteration_is_bounded(many, shifts):
     assert (greedy.max(1) > 0.0).mean() > 0.5  # there is something to bound
 
 
+@pytest.mark.slow
 def test_what_a_set_costs_is_bounded(many):
     """V* - V^Π <= α_V / (1 - γ); Q* - Q^Π <= α / (1 - γ), which is all that the printed constant bounds: of V it fails."""
     worlds, _, _, sets, _, discount, _ = many
@@ -200,6 +202,7 @@ def test_the_factors_of_the_corrected_bound_are_needed():
 # ---- Theorem 4.2.2 ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_coefficient_of_a_support_set_is_bounded(many, shifts):
     worlds, _, epsilon, sets, data, discount, _ = many
     come = run(con.reachable, worlds.transitions, worlds.initial, sets, over=(0, 0, 0))

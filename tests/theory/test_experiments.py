@@ -14,6 +14,7 @@ def on():
     return propagation.grid(5, 5, rows=500)
 
 
+@pytest.mark.slow
 def test_errors_on_a_grid():
     on = propagation.grid()
     found = propagation.propagate(on, 0.3, shown=(1, 60), draws=40)
@@ -104,6 +105,7 @@ def test_the_best_policy_within_a_distance():
         assert world.value(near, 0.9) <= world.value(best, 0.9) + 1e-9
 
 
+@pytest.mark.slow
 def test_the_printed_penalty_holds_every_policy_where_it_is():
     """In 2,000 worlds no radius gains as much in the model as C grows: the old policy is the maximum."""
     rng = np.random.default_rng(0)

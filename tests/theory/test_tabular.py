@@ -23,6 +23,7 @@ def test_a_chain_by_hand():
 WORLDS = {"chain": chain(4), "grid": gridworld(3, 3), "ends": garnet(ending=0.2), "goes on": garnet(seed=1)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
 def test_solutions_agree_with_each_other(world):
     policy = softmax(np.random.default_rng(0).standard_normal((world.states, world.actions)))

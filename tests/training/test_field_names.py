@@ -57,6 +57,7 @@ def test_what_is_meant():
         with_field_names(iql, {"sharpness": 1, "beta": 2})
 
 
+@pytest.mark.slow
 def test_a_run_folder_with_old_names_is_read_reported_and_gone_on_with(tmp_path):
     log, agent = corridor(200), dr.agents.IQL(beta=2.0, tau=0.1, actor_decay_steps=0.0, **SMALL)
     path = dr.train(agent, log, steps=4, out=tmp_path / "run").path
@@ -110,6 +111,7 @@ def test_the_command_line_takes_other_names(tmp_path, capsys):
     assert "--agent.beta and --agent.sharpness are one setting" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("words", "suggested"), [
     (["train", "--agent", "cql", "--data", "x", "--agent.alpha", "1"], "--agent.cql-weight or --agent.temperature"),
     (["train", "--agent", "td3", "--data", "x", "--agent.lr", "1"], "--agent.actor-lr or --agent.critic-lr"),

@@ -92,6 +92,7 @@ def test_rows_without_successor_are_never_drawn():
     assert columns(BatchSpec(("observation", "action")), log)[0].count == 6  # cloning needs no successors
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stream", [False, True])
 def test_windows_are_masked_beyond_their_episode(stream):
     class Probe(Collector):
@@ -132,6 +133,7 @@ def test_standardised_observations_and_unit_actions():
     np.testing.assert_allclose(rows.view.from_unit(rows.view.to_unit(np.array([[15.0]]))), [[15.0]], rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stream", [False, True])
 def test_phases_run_first_and_at_every_refresh_however_chunks_fall(stream):
     learner = Phased(refresh=10)
@@ -272,6 +274,7 @@ def test_lanes_of_several_logs_see_the_rows_of_their_own(more):
     assert len(set(np.asarray(job.states["seen"]).tolist())) == 3
 
 
+@pytest.mark.slow
 def test_lanes_of_several_logs_are_prepared_on_their_own():
     class Counted(Phased):
         def prepare(self, state, rows, key, fit):
@@ -282,6 +285,7 @@ def test_lanes_of_several_logs_are_prepared_on_their_own():
     assert done.states["prepared"].tolist() == [source.count for source in sources]
 
 
+@pytest.mark.slow
 def test_several_logs_that_cannot_share_a_program_are_refused():
     asks = BatchSpec(batch_size=5)
     columns = {name: np.zeros(20) for name in ("rewards", "terminals")}
