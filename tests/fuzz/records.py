@@ -110,6 +110,14 @@ def looks() -> list[Files]:
     return [{"look.json": json.dumps({"episodes": [1, 2**63], "looks": {"abc": [2, 1]}}).encode()}]
 
 
+def roads() -> list[Files]:
+    """A map of roads in OpenDRIVE."""
+    from deadreckon.tasks.opendrive_text import to_xodr
+    from deadreckon.tasks.road_maps import figure_eight
+
+    return [{"map.xodr": to_xodr(figure_eight()).encode()}]
+
+
 def cells() -> list[Files]:
     """A cell of a ledger."""
     cell = {

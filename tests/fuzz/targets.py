@@ -162,6 +162,14 @@ def _design(folder: Path) -> None:
     DesignSchema.load(folder / "design.toml").options()
 
 
+def _roads(folder: Path) -> None:
+    from deadreckon.tasks.opendrive import read_xodr, write_xodr
+
+    network = read_xodr(folder / "map.xodr")
+    write_xodr(network, folder / "again.xodr")
+    assert read_xodr(folder / "again.xodr") == network
+
+
 _ARCHIVE = mutate.archive(mutate.of_member)
 _XML = mutate.archive(lambda name: mutate.havoc)
 _RUN = {"run.json": mutate.json_text, "status.json": mutate.json_text, "0000000004.parquet": parquet,
@@ -207,6 +215,7 @@ TARGETS: dict[str, Target] = {
     "looks": Target(lambda _: records.looks(), _looks, {"": mutate.json_text}),
     "ledger": Target(lambda _: records.cells(), _ledger, {"": mutate.json_text}),
     "recommended": Target(lambda _: records.recommended(), _recommended, {"": mutate.json_text}),
+    "roads": Target(lambda _: records.roads(), _roads, {"": mutate.table_text}),
     "checkpoint": Target(_only("run/checkpoints"), _checkpoint, {"0004.npz": _ARCHIVE}, trained=True),
     "run": Target(_only("run/"), _run, _RUN, trained=True),
     "crossfit": Target(_only("cross/"), _cross, {"crossfit.json": mutate.json_text}, trained=True),

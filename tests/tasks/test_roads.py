@@ -1,0 +1,283 @@
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from deadreckon.errors import UserError
+from deadreckon.tasks.road_maps import figure_eight, town
+from deadreckon.tasks.road_network import Connection, Junction, Network
+from deadreckon.tasks.road_paths import Path, gaps, joined
+from deadreckon.tasks.road_routes import Route, random_route, routes, shortest_route
+from deadreckon.tasks.roads import Geometry, Lane, Link, Road
+
+EIGHT, TOWN = figure_eight(), town()
+MAPS = {"eight": EIGHT, "town": TOWN, "ring": town((1, 1)), "narrow": town((1, 2)), "small eight": figure_eight(10.5, 3.5)}
+
+
+def path(*rows: tuple[float, float, float, float, float], closed: bool = False) -> Path:
+    """Of x, y, heading, curvature and length of each piece."""
+    x, y, heading, curvature, length = np.array(rows, np.float64).T
+    return Path(x, y, heading, curvature, length, closed)
+
+
+def lap(network: Network, start: tuple[int, int]) -> Route:
+    """The closed route on which no lane has a choice."""
+    lanes = [start]
+    while (next_ := routes(network)[lanes[-1]][0]) != start:
+        lanes.append(next_)
+    return Route(network, tuple(lanes), closed=True)
+
+
+def beside(pose, lateral) -> np.ndarray:
+    """(n, 2) points so many m to the left of poses (n,)."""
+    return np.stack([pose.x - lateral * np.sin(pose.heading), pose.y + lateral * np.cos(pose.heading)], axis=1)
+
+
+def some_routes(generator: np.random.Generator) -> list[Route]:
+    starts = [(road.id, lane.id) for road in TOWN.roads for lane in road.lanes]
+    chosen = [random_route(TOWN, starts[generator.integers(len(starts))], 400.0, generator) for _ in range(5)]
+    return [lap(EIGHT, (1, -1)), lap(EIGHT, (1, 1)), lap(MAPS["ring"], (1, 1)), *chosen]
+
+
+def test_poses_of_lines_and_arcs_are_their_closed_forms():
+    line = path((1.0, 2.0, math.pi / 6, 0.0, 10.0)).pose(np.array([0.0, 4.0]))
+    np.testing.assert_allclose(line.x, [1, 1 + 4 * math.sqrt(3) / 2], rtol=1e-15)
+    np.testing.assert_allclose(line.y, [2, 4], rtol=1e-15)
+    s = np.linspace(0, 20 * 1.5 * math.pi, 50)
+    left = path((0.0, 0.0, 0.0, 1 / 20, 20 * 1.5 * math.pi)).pose(s)
+    np.testing.assert_allclose([left.x, left.y], [20 * np.sin(s / 20), 20 - 20 * np.cos(s / 20)], atol=1e-13)
+    np.testing.assert_allclose(left.heading, s / 20, atol=1e-15)
+    right = path((0.0, 0.0, 0.0, -1 / 20, 20 * 1.5 * math.pi)).pose(s)
+    np.testing.assert_allclose([right.x, right.y, right.heading], [left.x, -left.y, -left.heading], atol=1e-13)
+    np.testing.assert_array_equal(right.curvature, -1 / 20)
+    # An arc that hardly bends is a line, and not a division by 0.
+    np.testing.assert_allclose(path((0.0, 0.0, 0.0, 1e-300, 10.0)).pose(7.0)[:3], [7, 0, 0], atol=1e-15)
+
+
+def test_lanes_lie_to_the_right_of_who_drives_on_them():
+    road = Road(1, (Geometry(0, 0, 0, 20 * math.pi / 2, 1 / 20),), (Lane(2, 2.0), Lane(1, 3.0), Lane(-1, 4.0)))
+    assert [road.lane_offset(lane) for lane in (2, 1, -1)] == [4.0, 1.5, -2.0]
+    along, against = road.lane_path(-1), road.lane_path(1)
+    assert along.total == pytest.approx(22 * math.pi / 2, rel=1e-15)
+    assert against.total == pytest.approx(18.5 * math.pi / 2, rel=1e-15)
+    np.testing.assert_allclose(along.pose(0.0), [0, -2, 0, 1 / 22], atol=1e-14)
+    np.testing.assert_allclose(against.pose(0.0), [18.5, 20, math.pi * 1.5, -1 / 18.5], atol=1e-14)
+    np.testing.assert_allclose(against.pose(against.total), [0, 1.5, math.pi, -1 / 18.5], atol=1e-14)
+    np.testing.assert_allclose(road.lane_pose(1, 0.0, offset=0.5), [0, 1, math.pi, -1 / 18.5], atol=1e-14)
+    np.testing.assert_allclose(road.pose(0.0, 5.0)[:2], [0, 5], atol=1e-14)
+    with pytest.raises(UserError, match="road 1 has no lane 3, but 2, 1, -1"):
+        road.lane_pose(3, 0.0)
+    with pytest.raises(UserError, match="road 1, lane 2: an arc of radius 3 m has no path 4 m inside of it"):
+        Road(1, (Geometry(0, 0, 0, 1, 1 / 3),), (Lane(2, 2.0), Lane(1, 3.0)))
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_all_lanes_begin_where_those_before_end(name):
+    network = MAPS[name]
+    assert all(routes(network).values())  # no way ends
+    for lane, behind in routes(network).items():
+        end = network.lane_path(lane)
+        for next_ in behind:
+            apart, bent = gaps(end.pose(end.total), network.lane_path(next_).pose(0.0))
+            assert apart < 1e-6
+            assert bent < 1e-6
+    # Each lane is entered, too, and all can be reached from any.
+    assert {next_ for behind in routes(network).values() for next_ in behind} == set(routes(network))
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_routes_run_on_without_a_gap_through_every_junction(name):
+    network = MAPS[name]
+    through = [(road, -1) for road in (road.id for road in network.roads if road.junction != -1)]
+    assert len(through) == sum(len(junction.connections) for junction in network.junctions)
+    before = {next_: lane for lane, behind in routes(network).items() for next_ in behind}
+    for lane in through:
+        route = Route(network, (before[lane], lane, routes(network)[lane][0]))
+        at = np.array(route.starts[1:-1])
+        before_, behind_ = route.pose(at - 1e-9), route.pose(at + 1e-9)
+        assert max(map(np.max, gaps(before_, behind_))) < 1e-6
+
+
+def test_each_lane_of_a_road_has_its_own_ways_through_a_junction():
+    here, right = (Geometry(0, 0, 0, 10),), Link("junction", 9)
+    two = Road(1, here, (Lane(-1, 3.0), Lane(-2, 3.0), Lane(-3, 2.0, kind="sidewalk")), successor=right)
+    lane, before = (Lane(-1, 3.0),), Link("road", 1, "end")
+    ways = [Road(id, (Geometry(10, y, 0, 5),), lane, before, junction=9) for id, y in ((2, 0.0), (3, -3.0))]
+    junction = Junction(9, (Connection(1, 2, "start", ((-1, -1),)), Connection(1, 3, "start", ((-2, -1),))))
+    network = Network((two, *ways), (junction,))
+    assert routes(network) == {(1, -1): ((2, -1),), (1, -2): ((3, -1),), (2, -1): (), (3, -1): ()}
+
+
+def test_the_figure_eight_is_two_arcs_and_two_lines_that_cross():
+    route = lap(EIGHT, (1, -1))
+    # Lanes are 1.75 m outside on one arc and 1.75 m inside on the other; lines are 40 m long.
+    assert route.total == pytest.approx(2 * 1.5 * math.pi * 20 + 2 * 40, rel=1e-12)
+    assert len({road for road, _ in route.lanes} | {road for road, _ in lap(EIGHT, (1, 1)).lanes}) == 8
+    pose = route.pose(np.linspace(0, route.total, 2000))
+    assert set(np.round(1 / pose.curvature[pose.curvature != 0], 9)) == {21.75, -18.25}
+    end, begin = route.pose(route.total - 1e-9), route.pose(0.0)
+    apart, bent = gaps(end, begin)
+    assert apart < 1e-6
+    assert bent < 1e-6
+    assert EIGHT.roads[0].pose(EIGHT.roads[0].length).y == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_town_has_streets_junctions_corners_and_lights():
+    assert town() == TOWN
+    assert len(TOWN.junctions) == 8  # 12 crossings, 4 of them corners
+    assert sorted(len(junction.connections) for junction in TOWN.junctions) == [6] * 6 + [12] * 2
+    turns = [network.geometry[0].curvature for network in TOWN.roads if network.junction != -1]
+    assert {round(1 / turn) for turn in turns if turn} == {10, -10}
+    assert (len(TOWN.signals), len(TOWN.controllers)) == (8, 4)
+    for signal in TOWN.signals:
+        road = next(road for road in TOWN.roads if road.id == signal.road)
+        lane = -1 if signal.orientation == "+" else 1
+        # 1 m before the junction, on the right.
+        route = Route(TOWN, ((road.id, lane),))
+        assert [(pytest.approx(route.total - 1.0), signal)] == list(route.signals())
+        assert signal.t * lane > 3.5
+    for controller in TOWN.controllers:  # lights that show the same are opposite
+        one, other = (next(signal for signal in TOWN.signals if signal.id == id) for id in controller.signals)
+        poses = [next(road for road in TOWN.roads if road.id == each.road).pose(each.s) for each in (one, other)]
+        assert math.cos(poses[0].heading - poses[1].heading) == pytest.approx(1.0)
+        assert one.orientation != other.orientation
+    for bad in ({"blocks": (0, 1)}, {"block": 30.0}, {"junction": 3.0}, {"corner": math.nan}):
+        with pytest.raises(UserError, match="must be between"):
+            town(**bad)
+    with pytest.raises(UserError, match="radius must be between 10.5"):
+        figure_eight(radius=10.0)
+
+
+def test_projection_is_the_inverse_of_pose():
+    generator = np.random.default_rng(0)
+    for route in some_routes(generator):
+        distance = generator.uniform(0, route.total, 1000)
+        lateral = generator.uniform(-3.0, 3.0, 1000)
+        pose = route.pose(distance)
+        near = distance + generator.uniform(-4.0, 4.0, 1000)
+        found = route.project(beside(pose, lateral), near)
+        np.testing.assert_allclose(found.distance, distance, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(found.lateral, lateral, rtol=0, atol=1e-9)
+        apart, bent = gaps(pose, route.pose(found.distance))
+        assert max(apart.max(), bent.max()) < 1e-9
+        assert np.abs(np.sin(found.heading - pose.heading)).max() < 1e-9
+
+
+def bends(curvature: float) -> Path:
+    """An arc, up to seven eighths of a circle, and one to the other side behind it."""
+    length = min(5.5 / abs(curvature), 50.0) if curvature else 30.0
+    first = path((3.0, -2.0, 2.0, curvature, length))
+    end = first.pose(length)
+    return joined([first, path((float(end.x), float(end.y), float(end.heading), -curvature / 2, length))])
+
+
+def test_projection_finds_what_looking_everywhere_finds():
+    generator = np.random.default_rng(1)
+    paths = [*(bends(curvature) for curvature in (0.0, 0.05, -0.05, 1e-6, -0.3)), lap(EIGHT, (1, -1)).path]
+    for both in paths:
+        points = generator.uniform(-40, 40, (100, 2))
+        dense = both.pose(np.linspace(0, both.total * (1 - 1e-12), 5001))
+        away = np.hypot(points[:, :1] - dense.x, points[:, 1:] - dense.y).min(axis=1)
+        found = both.project(points)
+        foot = both.pose(found.distance)
+        nearest = np.hypot(points[:, 0] - foot.x, points[:, 1] - foot.y)
+        assert (nearest <= away + 1e-9).all()
+        assert (nearest >= away - 0.06).all()
+        # Within a window nothing outside of it is found, and the nearest in it is.
+        near = generator.uniform(5, both.total - 5, 100)
+        found = both.project(points, near, window=5.0)
+        assert (np.abs(found.distance - near) <= 5.0 + 1e-9).all()
+        along = near[:, None] + np.linspace(-5, 5, 1001)
+        dense, foot = both.pose(along), both.pose(found.distance)
+        away = np.hypot(points[:, :1] - dense.x, points[:, 1:] - dense.y).min(axis=1)
+        nearest = np.hypot(points[:, 0] - foot.x, points[:, 1] - foot.y)
+        assert (nearest <= away + 1e-9).all()
+
+
+def test_progress_does_not_jump_where_the_figure_eight_crosses_itself():
+    route = lap(EIGHT, (1, -1))
+    way = np.arange(0.0, 2 * route.total, 0.5)
+    lateral = 1.2 * np.sin(way / 7.0)
+    points = beside(route.pose(way), lateral)
+    naive = route.project(points).distance
+    assert np.abs(np.diff(naive)[np.abs(np.diff(naive)) < route.total - 5]).max() > 50.0  # the nearest point jumps
+    distance, progress = np.zeros(1), []
+    for point in points:
+        found = route.project(point[None], distance)
+        progress.append(found.distance[0] - distance[0])
+        distance = found.distance
+    np.testing.assert_allclose(progress[1:], 0.5, atol=1e-9)
+    assert distance[0] == pytest.approx(way[-1], abs=1e-9)
+
+
+def test_windows_of_closed_routes_wrap_around_and_those_of_open_ones_end():
+    route = lap(EIGHT, (1, -1))
+    total = route.total
+    true = np.array([2.0, total - 1.0, 3.0, -4.0])
+    near = np.array([total - 1.0, 3 * total + 0.5, -2 * total - 1.0, 2.0])
+    found = route.project(beside(route.pose(true), 0.5), near).distance
+    np.testing.assert_allclose(found, [total + 2, 3 * total - 1, -2 * total + 3, -4], atol=1e-9)
+    np.testing.assert_allclose(route.pose(true + 5 * total), route.pose(true), atol=1e-9)
+    # A window longer than the route is the whole route, once.
+    found = route.project(beside(route.pose(true), 0.5), near, window=1e9).distance
+    assert (np.abs(found - near) <= total / 2 + 1e-9).all()
+    open_ = Route(EIGHT, route.lanes)
+    found = open_.project(beside(route.pose(true), 0.5), np.array([-3.0, total + 7, 0.0, total]))
+    np.testing.assert_allclose(found.distance, [2, total - 1, 3, total - 4], atol=1e-9)
+    behind = open_.project(beside(open_.pose([0.0]), 0.5) - [[3, -3]], np.zeros(1))  # heads south-east
+    assert behind.distance[0] == 0.0
+    assert behind.lateral[0] == pytest.approx(0.5, abs=1e-9)
+    assert open_.project(np.zeros((0, 2)), np.zeros(0)).distance.shape == (0,)
+
+
+def test_a_route_knows_its_roads_and_what_lies_ahead():
+    generator = np.random.default_rng(2)
+    for route in some_routes(generator):
+        distance = generator.uniform(0, route.total, 200)
+        which, s = route.locate(distance)
+        pose = route.pose(distance)
+        for i, along, x, y, heading, curvature in zip(which, s, *pose):
+            road, lane = route.lanes[i]
+            mine = route.network.road(road).lane_pose(lane, along)
+            np.testing.assert_allclose([mine.x, mine.y, mine.curvature], [x, y, curvature], atol=1e-9)
+            assert math.cos(mine.heading - heading) == pytest.approx(1.0)
+        assert (route.starts[which] <= distance).all()
+        ahead = np.array([0.0, 5.0, 20.0])
+        seen = route.curvature_ahead(distance, ahead)
+        np.testing.assert_array_equal(seen, np.stack([route.pose(distance + each).curvature for each in ahead], axis=1))
+    one = Route(TOWN, ((1, -1),))
+    assert [int(one.locate(0.0)[0]), float(one.locate(0.0)[1])] == [0, 0.0]
+
+
+def test_the_shortest_route_is_the_shortest():
+    network = MAPS["narrow"]
+    lanes = list(routes(network))
+    length = np.array([network.lane_path(lane).total for lane in lanes])
+    way = np.full((len(lanes), len(lanes)), np.inf)
+    np.fill_diagonal(way, length)
+    for i, lane in enumerate(lanes):
+        for next_ in routes(network)[lane]:
+            way[i, lanes.index(next_)] = length[i] + length[lanes.index(next_)]
+    for k in range(len(lanes)):  # Floyd and Warshall; the lane in the middle counts once
+        way = np.minimum(way, way[:, k : k + 1] + way[k : k + 1] - length[k])
+    for i, j in itertools.product(range(len(lanes)), repeat=2):
+        route = shortest_route(network, lanes[i], lanes[j])
+        assert (route.lanes[0], route.lanes[-1]) == (lanes[i], lanes[j])
+        assert route.total == pytest.approx(way[i, j])
+    with pytest.raises(UserError, match="no way leads from road 1, lane 1 to road 1, lane -1"):
+        shortest_route(MAPS["ring"], (1, 1), (1, -1))
+    with pytest.raises(UserError, match="the network: no road 999"):
+        shortest_route(network, (1, 1), (999, 1))
+    with pytest.raises(UserError, match="does not follow"):
+        Route(network, ((1, 1), (1, -1)))
+    with pytest.raises(UserError, match="does not follow"):
+        Route(network, ((1, 1),), closed=True)
+
+
+def test_random_routes_depend_on_the_generator_alone_and_take_every_way():
+    draw = lambda seed: random_route(TOWN, (1, -1), 5000.0, np.random.default_rng(seed))  # noqa: E731
+    assert draw(0).lanes == draw(0).lanes != draw(1).lanes
+    assert 5000.0 <= draw(0).total < 5100.0
+    taken = {lane for seed in range(20) for lane in draw(seed).lanes}
+    assert taken >= {(road.id, -1) for road in TOWN.roads if road.junction != -1}
