@@ -192,18 +192,18 @@ def claimed(name: str, files: dict[str, bytes]) -> str:
 def pending(name: str, files: dict[str, bytes]) -> str:
     """Suites with cells that are missing, and the time of a core that they would take where jobs like them are done."""
     rows = ["| suite | size | cells missing | hours of one core | command |", "|---|---|---:|---:|---|"]
-    for full in (False, True):
-        for suite in queue(HERE / "queue.toml", full):
-            store = store_of([suite], HERE)
-            jobs = plan(suite, 1)
-            missing = programs(store.undone(jobs))
-            if not missing:
-                continue
-            known = [seconds for seconds in forecast(missing, store).values() if seconds is not None]
-            hours = f"{'' if len(known) == len(missing) else '> '}{sum(known) / 3600:,.1f}" if known else "not measured"
-            command = f"deadreckon bench evidence/{suite.name}.toml{' --full' if full else ''}"
-            size, count = "full" if full else "CPU", f"{len(missing):,} of {len(jobs):,}"
-            rows.append(f"| {suite.about} | {size} | {count} | {hours} | `{command}` |")
+    sized = [(suite, full) for full in (False, True) for suite in queue(HERE / "queue.toml", full)]
+    store = store_of([suite for suite, _ in sized], HERE)
+    planned = [(suite, full, jobs, programs(store.undone(jobs))) for suite, full in sized for jobs in [plan(suite, 1)]]
+    times = forecast([program for *_, missing in planned for program in missing], store)
+    for suite, full, jobs, missing in planned:
+        if not missing:
+            continue
+        known = [seconds for program in missing if (seconds := times[program.name]) is not None]
+        hours = f"{'' if len(known) == len(missing) else '> '}{sum(known) / 3600:,.1f}" if known else "not measured"
+        command = f"deadreckon bench evidence/{suite.name}.toml{' --full' if full else ''}"
+        size, count = "full" if full else "CPU", f"{len(missing):,} of {len(jobs):,}"
+        rows.append(f"| {suite.about} | {size} | {count} | {hours} | `{command}` |")
     return "\n".join([*rows, ""]) if len(rows) > 2 else "Nothing.\n"
 
 

@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from glob import glob
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
@@ -97,8 +98,9 @@ class Ledger(Store):
         points = [(cell["cell"], *point) for cell in map(_read, self._files()) for point in cell["curve"]]
         return pa.Table.from_pylist([dict(zip(CURVE.names, point)) for point in points], schema=CURVE)
 
-    def _files(self) -> tuple[Path, ...]:
-        return tuple(sorted(self.cells.absolute().glob("*/*/*.json")))
+    def _files(self) -> tuple[str, ...]:
+        root = self.cells.absolute()  # whose own name is no pattern
+        return tuple(sorted(str(root / name) for name in glob("*/*/*.json", root_dir=root)))
 
 
 def store_of(suites: Sequence[Suite], path: Path) -> Store:
@@ -119,15 +121,15 @@ def store_of(suites: Sequence[Suite], path: Path) -> Store:
 
 
 @cache
-def _read(path: Path) -> dict[str, Any]:
-    cell = read_json(path, _Cell)
+def _read(file: str) -> dict[str, Any]:
+    cell = read_json(path := Path(file), _Cell)
     if any(len(point) != len(CURVE.names) - 1 for point in cell["curve"]):
         raise wrong(path, "curve", f"points of {len(CURVE.names) - 1} numbers", cell["curve"])
     return cell
 
 
 @lru_cache(maxsize=1)
-def _results(files: tuple[Path, ...]) -> pa.Table:
+def _results(files: tuple[str, ...]) -> pa.Table:
     """The rows of these files, which never change: made again only where there is another file."""
     cells = sorted(map(_read, files), key=lambda cell: (cell["finished"], cell["cell"]))
     return pa.Table.from_pylist([{name: _flat(cell, name) for name in RESULT.names} for cell in cells], schema=RESULT)
