@@ -24,6 +24,7 @@ def study(monkeypatch):
     return decision_study
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*DISCRETE, *CONTINUOUS])
 def test_the_value_of_the_logs_own_policy_is_what_the_log_got(study, name):
     problem = study.FAMILIES[name].log(3, 20_000)
@@ -76,6 +77,7 @@ def played(problem, policy, count: int, rng) -> np.ndarray:
     return world.world.log(table, count, steps, rng).returns(discount)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["null-sequential", "tabular-short", "tabular-long", "tabular-cut", "inventory"])
 def test_values_of_finite_worlds_are_those_of_episodes_that_are_played(study, name):
     problem = study.FAMILIES[name].log(2, 200)

@@ -122,7 +122,7 @@ def test_sac_draws_of_targets_and_actor_have_keys_of_their_own(batch):
     assert abs(of_actor[0] - of_actor[1]) > 1e-3
 
 
-@pytest.mark.parametrize(("target", "rises"), [(-50.0, False), (50.0, True)])
+@pytest.mark.parametrize(("target", "rises"), [(-50.0, False), pytest.param(50.0, True, marks=pytest.mark.slow)])
 def test_sac_temperature_falls_when_the_policy_is_more_random_than_asked(batch, target, rises):
     agent = SAC(hidden=(16, 16), target_entropy=target).resolve(SPEC, 10)
     state = agent.init(SPEC, jax.random.key(0))

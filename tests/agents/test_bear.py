@@ -270,6 +270,7 @@ def test_mmd_after_the_tanh_and_against_the_logged_action():
     np.testing.assert_allclose(got, expected, rtol=5e-3)
 
 
+@pytest.mark.slow
 def test_an_unbiased_constraint_is_the_root_of_the_mean_square_over_states():
     agent, state, batch = setup(mmd_estimate="unbiased", actor_samples=1)
     loss, (divergence, _, value) = agent.actor_loss(state.actor, state, batch, jnp.int32(10**6), KEY)

@@ -131,6 +131,7 @@ def test_rem_is_q_learning_on_mixtures_of_heads(batch):
     np.testing.assert_array_equal(policy.probs(batch.observation), np.eye(3)[best])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layer_norm", [False, True])
 def test_rems_policy_survives_its_file(batch, layer_norm, tmp_path):
     """The mean of the heads is one network, which the file and the NumPy player have too."""

@@ -65,6 +65,7 @@ def test_where_no_return_is_known_cal_ql_is_cql_to_the_bit(batch):
     assert updated(calibrated.agent, state, high)[1]["gap"] > 10.0 > metrics["gap"]
 
 
+@pytest.mark.slow
 def test_critics_of_cal_ql_may_be_deeper_than_its_actor():
     _, state = made(CalQL(hidden=(8,), critic_hidden=(8, 8, 8)))
     assert (len(state.actor.weights), len(state.critics.weights), len(state.target_critics.weights)) == (2, 4, 4)

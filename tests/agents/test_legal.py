@@ -115,7 +115,9 @@ def test_the_target_entropy_can_be_reached():
 
 
 @pytest.mark.parametrize("standardise", [False, True])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=() if name in ("bc", "iql", "bcq") else pytest.mark.slow) for name in NAMES
+])  # fmt: skip
 def test_no_draw_of_any_agent_is_illegal(name, standardise, tmp_path):
     """A million draws of networks that have learned nothing, to which illegal actions look as good as any; and their files."""
     log = world()[2]

@@ -83,6 +83,7 @@ def test_bcq_target_is_the_best_of_perturbed_actions_by_a_mixture(batch):
     np.testing.assert_allclose(agent.target(state, batch, KEY), expected, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_bcq_moves_towards_the_first_critic_and_leaves_the_vae_alone(batch):
     agent, state = made(BCQ(max_perturbation=0.4, behavior_hidden=(8,), **SMALL))
     seen = np.asarray(batch.observation)
@@ -336,6 +337,7 @@ def test_cql_penalty(batch):
     np.testing.assert_allclose(twice - once, 2 * metrics["gap"], rtol=1e-3)  # a difference for each critic
 
 
+@pytest.mark.slow
 def test_cql_rho_holds_down_what_the_policy_likes(batch):
     agent, state = made(CQL(form="rho", cql_weight=3.0, samples=3, **SMALL))
     plain, _ = CQL(form="rho", cql_weight=0.0, samples=3, **SMALL).critic_loss(state.critics, state, batch, jnp.zeros(6), KEY)

@@ -160,6 +160,7 @@ def test_a_lane_whose_model_goes_bad_fails_alone():
     assert np.isfinite(fitted.lane(0).critics.weights[0]).all()
 
 
+@pytest.mark.slow
 def test_targets_without_the_entropy_bonus():
     agent, rows, state = prepared(COMBO)
     batch, key = batch_of(rows), jax.random.key(5)
@@ -172,6 +173,7 @@ def test_targets_without_the_entropy_bonus():
     np.testing.assert_allclose(agent.replace(entropy_backup=True).target(state, batch, key), plain - bonus, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_morel_ends_rollouts_that_the_model_does_not_know():
     agent, rows, state = prepared(MOReL, threshold=1.01, penalty=4.0)
     usual = rows.take(np.arange(rows.count))

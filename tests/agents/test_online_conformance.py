@@ -61,6 +61,7 @@ def test_all_are_looked_at():
     assert set(FINE_TUNED) == {"sac", "td3", "td3_bc", "iql", "xql", "awac", "crr", "cql", "cal_ql", "rlpd", "sac_n", "edac"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [pytest.param(n, marks=() if n == "td3_bc" else pytest.mark.slow) for n in FINE_TUNED])
 def test_beside_a_log_a_run_that_was_stopped_goes_on_to_the_same_bits(name, tmp_path):
     whole, experience = done(name, [3, 4], log=LOG)

@@ -79,6 +79,7 @@ def test_a_plan_is_gone_on_with_and_forgotten_when_an_episode_begins():
         assert (jnp.abs(actions) <= 1.0).all()
 
 
+@pytest.mark.slow
 def test_a_planner_survives_its_file(tmp_path):
     policy = EnvPolicy(planner(horizon=4), None, None, -2.0 * jnp.ones(1), 2.0 * jnp.ones(1))
     store.save(tmp_path / "p.npz", policy)

@@ -158,6 +158,7 @@ def test_kl_control_has_no_entropy_to_hold():
         KLControl(target_entropy=-3.0, **SMALL).resolve(SPEC, 10)
 
 
+@pytest.mark.slow
 @both_likelihoods
 def test_kl_control_begins_as_the_model_of_the_log_that_it_is_held_to(likelihood):
     agent, state = made(KLControl(behavior_steps=30, behavior_lr=0.01, likelihood=likelihood, **SMALL))
@@ -310,6 +311,7 @@ def test_fql_follows_a_constant_field_to_its_end():
     np.testing.assert_allclose(end[:, 0], [0.2, 0.5, 1.0], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_fql_actor_and_targets(batch):
     agent, state = made(FQL(discount=0.9, alpha=3.0, flow_steps=5, scale_q=True, **SMALL))
     noise = np.asarray(jax.random.normal(KEY, (6, 1)))
@@ -338,6 +340,7 @@ def test_fqls_targets_take_the_mean_of_the_critics_or_the_smaller(batch):
         np.testing.assert_allclose(agent.target(state, batch, KEY), future(batch, of(values, 0)), atol=1e-4)
 
 
+@pytest.mark.slow
 def test_fql_acts_from_the_middle_of_the_noise_when_it_is_greedy():
     _, state = made(FQL(**SMALL))
     policy = OneStep(state.actor)

@@ -58,6 +58,7 @@ def test_steps_follow_each_other_as_the_model_says(made):
     np.testing.assert_allclose(found[~over], wanted[~over], rtol=1e-4, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_real_observations_are_standardised_with_and_probabilities_told(made):
     experience, agent, state, rows = made
     assert float(state.observations.number) == experience.environment_steps == 100

@@ -169,6 +169,7 @@ def test_the_full_size_is_planned_where_it_fits_and_programs_do_not_depend_on_th
     assert short[0].updates == 40 * 8
 
 
+@pytest.mark.slow
 def test_forty_minutes_of_an_h100_are_filled_with_evidence(monkeypatch, tmp_path):
     monkeypatch.chdir(EVIDENCE.parent)
     names = ("gym", "medium", "extremes", "gym-more", "bear-constraint")

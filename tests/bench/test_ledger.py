@@ -103,6 +103,7 @@ def test_seconds_before_a_lost_result_count(folder):
     assert again.rows[0]["seconds"] > first.rows[0]["seconds"] > 0.0
 
 
+@pytest.mark.slow
 def test_a_file_that_is_added_is_read(folder):
     store = filled(folder)
     rows = store.results().to_pylist()
@@ -186,6 +187,7 @@ def test_results_of_earlier_revisions_are_shown_from_a_ledger_too(folder, monkey
     assert [job.cells for job in plan(read("swapped.toml"))] == [job.cells for job in plan(suite)]
 
 
+@pytest.mark.slow
 def test_a_case_that_no_file_can_be_called_is_done_once(folder):
     (folder / "study.toml").write_text(STUDY.replace('cases = ["a", "b"]', f'cases = ["..", "{"é" * 150}"]'))  # two bytes each
     store = filled(folder)

@@ -106,6 +106,7 @@ def test_list(capsys):
     assert "Zhang et al. 2021" in out
 
 
+@pytest.mark.slow
 def test_bad_input_in_one_line(made, capsys):
     data, policies = ["--data", str(made / "log.hdf5")], ["--policies", str(made / "bc")]
     for args, words in [

@@ -28,6 +28,7 @@ def demonstrate(elements, copies=1, steps=150):
     return done.mean(0)
 
 
+@pytest.mark.slow
 def test_the_demonstrator_opens_the_microwave():
     assert demonstrate(["microwave"]).tolist() == [1.0]
 
@@ -103,6 +104,7 @@ def test_logs_of_the_earlier_recipe_are_read_and_not_made(tmp_path, monkeypatch)
     assert recipe("kitchen-mixed-v0@dr2") is recipe("kitchen-mixed-v0")
 
 
+@pytest.mark.slow
 def test_a_killed_collection_is_gone_on_with(short, monkeypatch, tmp_path):
     monkeypatch.setattr(kitchen, "_errand", lambda task, number, generator: ["kettle"])
     make = recipe("kitchen-mixed-v0").make

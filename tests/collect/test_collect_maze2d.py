@@ -139,6 +139,7 @@ def test_any_number_of_rows(steps):
     assert np.abs(log.next_observations[:, :2] - log.observations[:, :2]).max() < 0.06
 
 
+@pytest.mark.slow
 def test_files(tmp_path, home):
     path = collect.collect("maze2d-umaze-v1", steps=3_000, out=tmp_path / "log.hdf5")
     log, memory = read_hdf5(path), collect.generate("maze2d-umaze-v1", steps=3_000)

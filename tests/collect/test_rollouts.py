@@ -117,6 +117,7 @@ def test_uniform_actions_equal_a_rollout_by_hand(task, rows, tmp_path):
     assert made.action_space == task.action_space
 
 
+@pytest.mark.slow
 def test_two_acts_have_their_rows_and_share_no_episode(both):
     made, told = both
     assert len(made) == 2201
@@ -192,6 +193,7 @@ def test_episodes_start_apart(both, tmp_path):
     assert not (other.actions[:100] == made.actions[:100]).any(1).any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 3])
 def test_threads_change_nothing(both, threads, tmp_path):
     assert log(tmp_path, threads=threads).fingerprint == both[0].fingerprint
@@ -246,6 +248,7 @@ def test_a_log_does_not_depend_on_how_many_run_side_by_side(both, tmp_path, monk
     assert log(tmp_path).fingerprint == both[0].fingerprint
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hopper", "halfcheetah"])
 def test_a_rows_bits_do_not_depend_on_its_place(name):
     """What makes a log the same after a kill; full-size networks take other paths through a matrix product than small ones."""

@@ -222,6 +222,7 @@ def test_ants_twin_is_laid_out_as_the_original(server, tmp_path, monkeypatch):
     assert found.provenance.extra["observations"] == "columns 0-26 of 105, then 84 constants"
 
 
+@pytest.mark.slow
 def test_the_kitchens_twin_is_laid_out_as_the_original(server, tmp_path, monkeypatch):
     """The environment whose steps Minari has shows dicts and 59 numbers; our tasks show what D4RL's did."""
     gymnasium.register_envs(gymnasium_robotics)

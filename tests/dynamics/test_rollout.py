@@ -33,6 +33,7 @@ def ensemble(members, elites):
     return Ensemble(jnp.asarray(members, jnp.float32), None, jnp.zeros(3), jnp.ones(3), jnp.asarray(elites))
 
 
+@pytest.mark.slow
 def test_every_step_is_an_elites_and_all_have_equal_shares():
     starts = jnp.zeros((60, 2))
     found = branches(Counting(members=4), ensemble([1, 10, 100, 1000], [0, 2, 3]), Half(), starts, 3, jax.random.key(0),
@@ -70,6 +71,7 @@ class Drawing(Counting):
         return jax.random.normal(key, (*inputs.shape[:2], 3)), jnp.full(inputs.shape[:2], -jnp.inf)
 
 
+@pytest.mark.slow
 def test_blocks_draw_on_their_own(monkeypatch):
     monkeypatch.setattr(rollout, "BLOCK", 6)
     found = branches(Drawing(members=2), ensemble([1, 2], [0, 1]), Half(), jnp.zeros((12, 2)), 1, jax.random.key(0))

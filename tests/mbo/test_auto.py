@@ -35,6 +35,7 @@ def test_the_best_order_is_taken_unless_the_process_is_as_good():
     assert reason.endswith("so that GP is taken")
 
 
+@pytest.mark.slow
 def test_the_standard_error_is_that_of_independent_correlations():
     """Of predictions that tell nothing each correlation has a variance of 1 / (rows - 1), their difference twice that."""
     a, b = np.random.default_rng(1).normal(size=(2, len(Y)))

@@ -56,9 +56,8 @@ def test_the_small_budget_changes_fields_that_exist():
     assert made["bins"] == 40  # NEMO keeps the problem's published settings
 
 
-# Slow are those whose code fast ones share: AutoFocus is CbAS and more, the mean of an ensemble is its least with another
-# reduction, NEMO, DDOM's sampler and Gaussian processes have tests of their own. All of them have golden numbers.
-SELDOM = ("auto", "cbas", "ddom", "ensemble", "gp", "nemo", "nemo-adversarial", "mins")
+# Slow are those that have tests of their own beside golden numbers.
+SELDOM = {*DESIGNERS} - {"forward", "best", "jitter", "random"}
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SELDOM else ()) for n in DESIGNERS])

@@ -88,6 +88,7 @@ def test_averages_of_the_process_have_the_covariance_of_its_posterior():
     np.testing.assert_allclose(covariance, whole, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_of_noise_no_effect_is_told_from_none():
     """With calibrated deviations at 5 % a table or so (`benchmarks/effects.py`); of two, none or one are here."""
     wrong = 0
@@ -169,6 +170,7 @@ def test_blocks_have_one_shape_and_lose_nothing(rows):
     np.testing.assert_array_equal(np.concatenate(parts)[:rows], z)
 
 
+@pytest.mark.slow
 def test_averages_of_an_ensemble_go_together_as_its_members_do():
     data = TABLES["mixed"](40).designs()
     nets = ensemble(lambda key: MLP.create(data.coordinates.size, (4,), 2, key), 3, jax.random.key(0))

@@ -57,6 +57,7 @@ def test_the_default_body_moves(name):
     assert moving > resting + 30
 
 
+@pytest.mark.slow
 def test_one_gait_each_and_designs_of_whole_steps():
     low, high = KITTY.bounds
     x = designs_of(KITTY, np.array([[0] * 56, [255] * 56]))

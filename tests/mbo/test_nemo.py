@@ -28,6 +28,7 @@ def numpy_probs(mu, s, bins):
     return o[:-1] - o[1:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("s", [0.02, 0.1, 1.0])
 def test_discretised_logistic_equals_numpy(s):
     mus = np.linspace(-0.3, 1.4, 9)

@@ -147,6 +147,7 @@ def test_statistics_by_hand():
     np.testing.assert_allclose(fusion, [0.117, 0.117, 0.117, 0.117, 0, 0, 0, 0, 0, 0], atol=1e-9)
 
 
+@pytest.mark.slow
 @needs_sklearn
 def test_superconductors(real_data, tmp_path, monkeypatch):
     """Every tenth material, so that the forest grows fast; asked again, the oracle is not trained again."""
@@ -169,6 +170,7 @@ def test_superconductors(real_data, tmp_path, monkeypatch):
         problem("superconductor", path=small, oracle="boost")
 
 
+@pytest.mark.slow
 @needs_sklearn
 def test_ucis_files_are_read_too(tmp_path):
     rng = np.random.default_rng(0)

@@ -35,6 +35,7 @@ def test_softplus_and_its_slope():
     np.testing.assert_allclose(curvature, 1.0 / (2.0 + 2.0 * np.cosh([0.5, -3.0])), rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_stack_split_and_joined():
     nets = ensemble(lambda k: MLP.create(3, (4,), 1, k), 5, jax.random.key(0))
     parts = split(nets, 3)

@@ -124,6 +124,7 @@ def whole():
     return fit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("killed", [15, 25])  # where a fit of the model is due, and between two
 def test_a_run_goes_on_where_it_stopped(whole, tmp_path, killed):
     paths = [tmp_path / "replay" / "seed0.bin"]

@@ -297,6 +297,7 @@ def same(a, b):
     return all(np.array_equal(x, y) for x, y in zip(jax.tree.leaves(a.states), jax.tree.leaves(b.states), strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("broken", [False, True])
 @pytest.mark.parametrize("at", [0, 1, 4, 9])
 def test_killed_and_gone_on_with_is_the_same(run, at, broken, tmp_path):

@@ -43,6 +43,7 @@ def shown(log: Dataset) -> np.ndarray:
     return counts / counts.sum(1, keepdims=True)
 
 
+@pytest.mark.slow
 def test_the_logs_are_bandits(logs):
     for log in logs:
         assert log.episodes == len(log) == 10_000

@@ -148,6 +148,7 @@ def test_what_cannot_be_done_is_said_in_a_line():
         DoublyRobust(kind="mrdr").on(case)
 
 
+@pytest.mark.slow
 def test_cut_off_episodes_count_by_their_chance_to_go_on():
     """Episodes that are cut at random: doubly robust ones with a trusted weight agree with the world that goes on."""
     true = garnet(states=4, actions=2, ending=0.15, noise=0.2)

@@ -184,6 +184,7 @@ def test_weights_that_collapse_late_are_told():
     assert any("the weights of policy 0 rest on" in line for line in found.warnings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", [ImportanceSampling(), ImportanceSampling(normalised=False)], ids=["wpdis", "pdis"])
 def test_cut_offs_do_not_favour_episodes_that_end_early(estimator):
     """Half of the log may be cut off after 5 steps; on-policy, with episodes that end with a chance of 0.1 a step."""

@@ -8,6 +8,7 @@ from deadreckon.errors import UserError
 from deadreckon.ope.pareto import diagnosed, pareto_k
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [0.0, 0.3, 0.7, 1.2])
 def test_known_shapes_are_found(k):
     """On average over 60 samples within 0.08 of the truth, and no one far off."""

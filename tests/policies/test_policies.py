@@ -126,6 +126,7 @@ def with_old_names(node):
     return {fields.get(name, name): with_old_names(part) for name, part in node.items()} | {"kind": kind}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["gaussian", "perturbed", "greedy of perturbed", "thresholded", "planner", "mixture"])
 def test_files_with_old_names_are_read(kind, tmp_path):
     net = MLP.create(3, (8,), 2, KEY)

@@ -58,6 +58,7 @@ def test_each_member_of_a_mixture_acts_in_its_rows():
         np.testing.assert_allclose(chances[which == i], member.action_probs(x[which == i]), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_history_is_what_its_policy_sees():
     spec = Spec.empty((3,), Discrete(4), "any")
     size = history_size(3, 4, 2)

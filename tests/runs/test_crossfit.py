@@ -131,6 +131,7 @@ def test_a_failed_seed_is_left_out_and_a_failed_fold_is_told(log, tmp_path):
         dr.cross_fit(bad, log, out=tmp_path / "all", **OPTIONS)
 
 
+@pytest.mark.slow
 def test_as_many_policies_of_each_fold_are_mixed(log, tmp_path, monkeypatch):
     def fails(agent, data, **options):
         run = train(agent, data, **options)

@@ -209,6 +209,7 @@ def test_one_of_several_runs_that_shared_a_program_goes_on(offline, tmp_path):
     assert other.config["agent"]["fields"]["lr"] == 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("change", "words"), [
     ({"seeds": 3}, r"the run that goes on has the seeds \[5, 6\]; leave seeds and seed out"),
     ({"agent": "sac"}, "is a run of tests.runs.test_fine_tuned:Returned, sac cannot go on from it"),

@@ -78,6 +78,7 @@ def test_one_step_teaches_no_more_than_a_memoryless_policy_is_worth(log, tmp_pat
     assert worth(alone.policy) <= MEMORYLESS + 1e-6
 
 
+@pytest.mark.slow
 def test_estimates_see_the_state_where_policies_remember(log, run):
     """A memoryless policy too is judged rightly beside one that remembers, and wrongly alone: the coin is hidden then."""
     ask = {"discount": DISCOUNT, "greedy": True}

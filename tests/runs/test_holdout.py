@@ -125,6 +125,7 @@ def test_a_run_that_is_gone_on_with_keeps_what_it_held_out(run, log, tmp_path):
     assert train(log, fold.path, resume=True, steps=6).config["data"]["holdout"]["fold"] == 1
 
 
+@pytest.mark.slow
 def test_a_run_from_before_goes_on_with_all_episodes(log, tmp_path):
     whole = train(log, tmp_path / "whole", holdout=0, steps=6)
     old = train(log, tmp_path / "old", holdout=0).path

@@ -74,6 +74,7 @@ def test_a_column_that_has_changed_is_named_and_no_other(place):
     assert column.now - column.before == pytest.approx(12, abs=2)
 
 
+@pytest.mark.slow
 def test_a_value_below_the_estimate_is_an_alarm_and_stays_one(place):
     found = of_reference(place, "worse.csv")
     assert [(each.about, each.name) for each in found.findings if each.alarm] == [("value", "realised")]
@@ -87,6 +88,7 @@ def test_a_value_below_the_estimate_is_an_alarm_and_stays_one(place):
     assert at.alarm
 
 
+@pytest.mark.slow
 def test_a_log_of_the_policy_in_use_needs_no_propensities_and_estimates_lie_beside(tmp_path):
     table(300, 0).assign(p=0.5, cost=1.0).to_csv(tmp_path / "log.csv", index=False)
     table(250, 1).to_csv(tmp_path / "same.csv", index=False)

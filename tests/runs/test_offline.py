@@ -61,6 +61,7 @@ def test_the_check_in_words():
     assert checked(told | {"truth": None}).startswith("not checked")
 
 
+@pytest.mark.slow
 def test_the_page_shows_it(made):
     folder, *_ = made
     page = write([folder / "bc"], folder / "page.html", estimates=folder / "ope").read_text()
@@ -73,6 +74,7 @@ def test_the_page_shows_it(made):
         write([folder / "bc"], folder / "page.html", estimates=folder)
 
 
+@pytest.mark.slow
 def test_estimates_from_before_episodes_were_held_out_are_refused(made, tmp_path):
     _, _, (_, _, told) = made
     write_json(tmp_path / "estimates.json", {name: value for name, value in told.items() if name != "estimand"})
@@ -80,6 +82,7 @@ def test_estimates_from_before_episodes_were_held_out_are_refused(made, tmp_path
         read_estimates(tmp_path)
 
 
+@pytest.mark.slow
 def test_where_policies_come_from(made):
     folder, *_ = made
     found = gather([folder / "bc", folder / "bc" / "policies" / "seed0.npz", "hopper"])
@@ -222,6 +225,7 @@ def test_what_is_refused_is_no_look(noise, tmp_path, monkeypatch, change, words)
     assert not (tmp_path / "looks").exists()
 
 
+@pytest.mark.slow
 def test_estimates_outlive_a_simulator_that_fails(made, tmp_path, monkeypatch):
     folder, log, _ = made
 

@@ -226,6 +226,7 @@ def everything(folder):
     return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("change", "words"), [
     ({"agent": Little(lr=0.5)}, "agent.fields.lr was 0.01, now 0.5"),
     ({"settings": replace(SETTINGS, copies=8)}, "online.copies was 4, now 8"),
@@ -244,6 +245,7 @@ def test_another_run_is_refused_and_what_is_there_stays(run, change, words, more
     assert everything(tmp_path / "r") == before
 
 
+@pytest.mark.slow
 def test_when_all_lanes_fail_the_run_ends_and_says_so(tmp_path):
     seen = []
     failed = train(tmp_path / "r", Little(lr=1e30), watch=lambda progress, steps: seen.append(progress.step))

@@ -54,6 +54,7 @@ def test_what_is_measured_is_what_is_shipped(shipped, monkeypatch):
         library.about.cache_clear()
 
 
+@pytest.mark.slow
 def test_weights_are_half_and_act_alike(run, shipped):
     small = np.load(shipped / "hopper" / "snapshot-04.npz")
     weights = [small[name] for name in small.files if name.startswith("policy.inner.")]
@@ -64,6 +65,7 @@ def test_weights_are_half_and_act_alike(run, shipped):
     np.testing.assert_allclose(store.load(shipped / "hopper" / "snapshot-04.npz")(seen), original(seen), atol=3e-3)
 
 
+@pytest.mark.slow
 def test_measuring_goes_on_where_it_was_stopped(run, shipped, tmp_path):
     class Killed(Exception):
         pass
@@ -113,6 +115,7 @@ def test_more_episodes_are_measured_when_asked_for(run, tmp_path):
     assert {each["greedy"]["episodes"] for each in about["policies"].values()} == {6}
 
 
+@pytest.mark.slow
 def test_a_library_stays_whole_while_another_is_measured(run, shipped, tmp_path):
     shutil.copytree(shipped, tmp_path, dirs_exist_ok=True)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}

@@ -365,6 +365,7 @@ def test_what_diverges_or_runs_out_of_time_is_told(small, tmp_path, monkeypatch)
     assert (out / "estimates.json").exists()
 
 
+@pytest.mark.slow
 def test_candidates_that_hardly_began_to_learn_are_not_judged(small, tmp_path, monkeypatch):
     """That they are no better would say nothing of what the log has to teach; nor is a look spent on them."""
     monkeypatch.setattr(work, "FEWEST", 200)
@@ -507,6 +508,7 @@ def test_a_run_may_be_ended_early(tmp_path):
 # ---- both ---------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_command_gives_a_card_where_there_is_no_time_to_speak_of(tmp_path, capsys):
     table = tmp_path / "log.csv"
     log = a_log()

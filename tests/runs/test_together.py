@@ -43,6 +43,7 @@ def assert_alike(run, alone):
         np.testing.assert_allclose(a(X), b(X), atol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["near", pytest.param("plain", marks=pytest.mark.slow)])
 def test_each_is_the_run_that_it_would_be_alone(runs, log, tmp_path, name):
     assert list(runs) == ["plain", "near", "bad"]

@@ -247,6 +247,7 @@ def test_wandb_itself_offline(log, tmp_path, monkeypatch):
     assert all(list(folder.glob("run-*.wandb")) for folder in found)
 
 
+@pytest.mark.slow
 def test_a_tracker_that_fails_is_dropped_and_the_run_goes_on(log, whole, tmp_path):
     class Broken(Kept):
         def log(self, step, seed, metrics):

@@ -59,6 +59,7 @@ def test_the_last_evaluation_is_that_of_the_last_policies(run):
     np.testing.assert_allclose(np.ravel(again.returns), last["return"][-6:])
 
 
+@pytest.mark.slow
 def test_interrupted_and_resumed_is_the_same_as_unbroken(run, log, tmp_path):
     class Stop(Exception):
         pass
@@ -260,6 +261,7 @@ def test_a_policy_of_another_size_is_refused(run):
         evaluate(narrow, "maze2d-umaze", episodes=1, seed=-1)
 
 
+@pytest.mark.slow
 def test_evaluation_of_a_policy_does_not_depend_on_its_neighbours(run):
     together = evaluate([run.policies[0], run.policies[1]], "maze2d-umaze", episodes=4)
     alone = evaluate(run.policies[1], "maze2d-umaze", episodes=4)

@@ -61,6 +61,7 @@ def test_stacks_are_reduced_one_by_one(statistic):
     np.testing.assert_allclose(statistic(stack), [statistic([x[i] for x in stack]) for i in range(7)])
 
 
+@pytest.mark.slow
 @given(tables, st.randoms(use_true_random=False))
 @settings(max_examples=50, deadline=None)
 def test_order_of_runs_and_tasks_does_not_matter(table, random):

@@ -52,6 +52,7 @@ def walk(task, scale, steps, seed=7):
     return ends
 
 
+@pytest.mark.slow
 @ours
 def test_equal_to_the_simulator_over_falls(task):
     assert walk(task, 1.5, 200).count("fall") >= 2  # with actions beyond the bounds too
@@ -79,6 +80,7 @@ def test_pickled_it_keeps_its_options(task):
     np.testing.assert_array_equal(again.reset(seed=0)[0], env.reset(seed=0)[0])
 
 
+@pytest.mark.slow
 def test_gymnasium_finds_the_ids_through_the_module_that_registers_them():
     code = "import gymnasium; gymnasium.make('deadreckon.tasks.envs:deadreckon/Ant-v5')"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

@@ -110,6 +110,7 @@ def test_the_environment_equals_the_simulator_to_the_time_limit():
     env.close()
 
 
+@pytest.mark.slow
 @sumo
 def test_ring_by_hand():
     """Observation and reward from the places and speeds of all cars, and where they stand at first."""
@@ -324,6 +325,7 @@ def test_a_dead_process_is_told_in_one_line():
         simulator.step(np.zeros((1, 1)))
 
 
+@pytest.mark.slow
 @sumo
 def test_bad_actions():
     simulator = RING.simulate([0, 1])

@@ -79,6 +79,7 @@ def test_resetting_some_copies_leaves_the_others_alone(task):
         assert (ours[0][[0, 2]] != theirs[0][[0, 2]]).any(1).all()
 
 
+@pytest.mark.slow
 @every
 def test_new_seeds_begin_as_a_fresh_simulator_does(task):
     actions = forces(task, copies=3)
@@ -96,6 +97,7 @@ def test_new_seeds_begin_as_a_fresh_simulator_does(task):
     assert_same(walk(other, actions), expected)
 
 
+@pytest.mark.slow
 @every
 @pytest.mark.parametrize("steps", [4, 17])
 def test_restored_elsewhere_it_goes_on_to_the_bit(task, steps):

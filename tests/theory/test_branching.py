@@ -288,6 +288,7 @@ def test_occupancies_of_branched_rollouts():
     np.testing.assert_allclose(lengths[1], wanted, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bound", [*BOUNDS, *SHARP])
 def test_bounds_grow_with_errors_and_scale_with_rewards(bound):
     rng = np.random.default_rng(0)

@@ -88,6 +88,7 @@ def test_stitching():
 # ---- Algorithm 2 ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_best_policy_within_a_distance():
     q, old = np.array([[1.0, 3.0, 2.0]]), np.array([[0.5, 0.2, 0.3]])
     within = solve.exactly(monotonic.within)

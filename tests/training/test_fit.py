@@ -141,6 +141,7 @@ def test_phases_run_first_and_at_every_refresh_however_chunks_fall(stream):
     np.testing.assert_array_equal(result.states["prepared"], [3.0, 3.0])  # before updates 0, 10 and 20
 
 
+@pytest.mark.slow
 def test_a_kill_while_preparing_loses_one_lane_alone(tmp_path, monkeypatch):
     rows, asked = TransitionSource(LOG, BatchSpec()), []
 

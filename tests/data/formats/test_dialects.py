@@ -111,6 +111,7 @@ def test_a_file_is_refused_in_one_line(tmp_path, name):
     assert str(caught.value).startswith((f"{path}: ", "--"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_a_file_that_is_broken_at_random_is_read_or_refused_in_one_line(tmp_path, seed):
     rng = random.Random(seed)

@@ -228,6 +228,7 @@ HEADERS = ["", "[1]", "3", "null", '{"deadreckon": "a"}', '{"deadreckon": true}'
            '{"deadreckon": 1, "name": "x", "action_space": null, "provenance": {"extra": 3}}']  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("header", HEADERS)
 def test_damaged_headers_are_told_in_one_line_by_every_format(log, tmp_path, header):
     for name in ("log.hdf5", "log.npz", "log.parquet", "log"):

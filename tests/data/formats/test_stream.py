@@ -147,6 +147,7 @@ convert(sys.argv[1], sys.argv[2], action="a", reward="r", observations=("x", "y"
 """
 
 
+@pytest.mark.slow
 def test_goes_on_after_a_kill(tmp_path, monkeypatch):
     source = tmp_path / "log.parquet"
     parquet.write_table(the_table(), source, row_group_size=25)
