@@ -6,6 +6,8 @@ from typing import Any
 
 from deadreckon.collect.adroit import collect_adroit
 from deadreckon.collect.antmaze import collect_antmaze
+from deadreckon.collect.driving import KINDS as DRIVERS
+from deadreckon.collect.driving import collect_driving
 from deadreckon.collect.flow import collect_flow
 from deadreckon.collect.gym import collect_gym, collect_replay
 from deadreckon.collect.kitchen import collect_kitchen
@@ -14,7 +16,7 @@ from deadreckon.collect.recipes import Maker, Recipe, register
 from deadreckon.data.catalogue import ENTRIES, entry
 from deadreckon.data.dataset import Dataset
 from deadreckon.policies.library import about, library_tasks
-from deadreckon.tasks import adroit, antmaze, flow, gym_mujoco, kitchen, maze2d, registry
+from deadreckon.tasks import adroit, antmaze, driving, flow, gym_mujoco, kitchen, maze2d, registry
 from deadreckon.tasks.maze2d import Maze2D
 from deadreckon.tasks.task import Task
 
@@ -104,3 +106,12 @@ _ANTMAZE = {
 
 for _task in antmaze.TASKS:
     _register(f"{_task.name}-v2", _task, partial(collect_antmaze, _task), _ANTMAZE[_task.name.rsplit("-", 1)[1]])
+
+
+# ---- CARLA ------------------------------------------------------------------------------------------------------------
+
+_DRIVING = ("pure pursuit along the lane at 20 km/h", "the same with noise on its actions", "uniform actions")
+
+for _kind, _summary in zip(DRIVERS, _DRIVING, strict=True):
+    _middle = "" if _kind == "controller" else f"-{_kind}"
+    _register(f"{driving.TASK.name}{_middle}-v0", driving.TASK, partial(collect_driving, driving.TASK, _kind), _summary)

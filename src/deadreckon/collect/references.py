@@ -1,7 +1,7 @@
 """Measures the returns that mean 0 and 100 on the normalised scale (thesis 7.3).
 
-`python -m deadreckon.collect.references` prints the tables that `tasks/maze2d.py` and, where SUMO is installed, `tasks/flow.py`
-hold, and what uniform actions earn in the Gym-MuJoCo tasks, of which Humanoid's is used.
+`python -m deadreckon.collect.references` prints the numbers that `tasks/maze2d.py`, `tasks/driving.py` and, where SUMO is
+installed, `tasks/flow.py` hold, and what uniform actions earn in the Gym-MuJoCo tasks, of which Humanoid's is used.
 """
 
 import importlib.util
@@ -9,10 +9,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from deadreckon.collect.driving import pursue
 from deadreckon.collect.flow import Controller, FollowerStopper, PISaturation
 from deadreckon.collect.maze2d import to_the_goal
 from deadreckon.data.spec import Box
-from deadreckon.tasks import flow, gym_mujoco
+from deadreckon.tasks import driving, flow, gym_mujoco
+from deadreckon.tasks.driving import LaneDriving
 from deadreckon.tasks.flow import Flow
 from deadreckon.tasks.flow_merge import Merge
 from deadreckon.tasks.maze2d import TASKS, Maze2D
@@ -58,7 +60,22 @@ def measure_flow(task: Flow, *, episodes: int = 100, seed: int = 0) -> Reference
     return Reference(random, expert, f"on this simulator: {episodes} episodes of uniform actions, {episodes} of a controller")
 
 
-def controlled_returns(task: Flow, controller: Controller, seeds: Sequence[int]) -> np.ndarray:
+def measure_driving(task: LaneDriving, *, episodes: int = 100, seed: int = 0) -> Reference:
+    """Mean returns of uniform random actions, and of the controller of the logs without noise.
+
+    Args:
+        task: a driving task.
+        episodes: of each.
+        seed: of the starts and actions.
+    """
+    starts, actions = np.random.SeedSequence(seed).spawn(2)
+    seeds = [int(s) for s in starts.generate_state(episodes, np.uint64)]
+    random = uniform_return(task, seeds, np.random.default_rng(actions))
+    expert = float(controlled_returns(task, pursue, seeds).mean())
+    return Reference(random, expert, f"on this simulator: {episodes} episodes of uniform actions, {episodes} of a controller")
+
+
+def controlled_returns(task: Task, controller: Controller, seeds: Sequence[int]) -> np.ndarray:
     """(episodes,) returns of one episode of a controller from each seed."""
     simulator = task.simulate(seeds)
     seen, returns = simulator.reset(), np.zeros(len(seeds))
@@ -87,6 +104,8 @@ def main() -> None:
     for task in TASKS:
         found = measure(task)
         print(f'    "{task.name}": ({found.random:.4f}, {found.expert:.4f}),')
+    found = measure_driving(driving.TASK)
+    print(f'    "{driving.TASK.name}": ({found.random:.4f}, {found.expert:.4f}),')
     if importlib.util.find_spec("libsumo") is not None:
         for task in flow.TASKS:
             found = measure_flow(task)

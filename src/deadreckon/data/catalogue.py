@@ -150,6 +150,11 @@ _ANTS = tuple(
     for kind in kinds
 )
 
+def _lane(kind: str) -> Entry:
+    name = f"carla-lane-state{kind}-v0"
+    return Entry(name, "carla", "carla-lane-state", name, 100_000, None, None, controller="planner")
+
+
 ENTRIES: dict[str, Entry] = {
     entry.name: entry
     for entry in (
@@ -160,6 +165,7 @@ ENTRIES: dict[str, Entry] = {
         *(_adroit(task, kind) for task in _HUMAN for kind in ("human", "cloned", "expert")),
         *map(_kitchen, _KITCHEN),
         *(_antmaze(maze, kind) for maze, kind in _ANTS),
+        *map(_lane, ("", "-noisy", "-uniform")),
     )
 }
 

@@ -22,7 +22,7 @@ IDS = {
     "inverted-pendulum": "InvertedPendulum-v5", "hopper": "Hopper-v5", "halfcheetah": "HalfCheetah-v5",
     "walker2d": "Walker2d-v5", "ant": f"{_MODULE}Ant-v5", "humanoid": f"{_MODULE}Humanoid-v5",
     "ant-reach": f"{_MODULE}AntReach-v0", "flow-ring": f"{_MODULE}Flow-Ring-v0", "flow-merge": f"{_MODULE}Flow-Merge-v0",
-    "battery": f"{_MODULE}Battery-v1",
+    "battery": f"{_MODULE}Battery-v1", "carla-lane-state": f"{_MODULE}CarlaLaneState-v0",
     **{name: f"{_MODULE}Adroit{name.title()}-v1" for name in ("pen", "hammer", "door", "relocate")},
     **{f"kitchen-{name}": f"{_MODULE}Kitchen{name.title()}-v0" for name in ("complete", "partial", "mixed")},
     **{f"maze2d-{e.lower()}{'-' * bool(e)}{maze.lower()}{'-dense' * dense}": f"{_MODULE}Maze2D-{e}{maze}{'Dense' * dense}-v1"
@@ -33,7 +33,7 @@ IDS = {
 
 
 _LOG = re.compile(r"(?P<whole>[a-z\d-]+)-v\d")
-_KIND = re.compile(r"-(random|uniform|medium|expert|medium-replay|medium-expert|uniform-expert|controller|human|cloned)$")
+_KIND = re.compile(r"-(random|uniform|noisy|medium|expert|medium-replay|medium-expert|uniform-expert|controller|human|cloned)$")
 
 
 class Environment(NamedTuple):

@@ -1,0 +1,98 @@
+"""How logs of driving are made: pure pursuit along the lane at a steady speed, clean as those of `carla-lane`, or with noise."""
+
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from deadreckon._version import __version__
+from deadreckon.collect.rollouts import COPIES, Segment, StatefulController, collect_rollouts
+from deadreckon.data.catalogue import VERSION
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.provenance import Provenance
+from deadreckon.devices import acting_platform
+from deadreckon.progress import Progress
+from deadreckon.tasks.driving import AHEAD, AXLE, BRAKE, DRIVE, HEADING, OFFSET, SPEED, STEER, LaneDriving
+
+CRUISE = 20.0 / 3.6  # m/s, the speed of CARLA's local planner
+LOOK = 6.0  # m, how far before the car it steers for
+EAGER = 4.0  # m/s² for each m/s by which it is too slow or too fast
+NOISE = 0.3  # standard deviation of what is added to actions in the noisy log
+KINDS = ("controller", "noisy", "uniform")
+
+
+def pursue(observations: np.ndarray) -> np.ndarray:
+    """(n, 2) float32 actions of pure pursuit (Coulter 1992), a function of observations (n, 8) of `LaneDriving`.
+
+    It steers the circle that leads from the car to the middle of the lane `LOOK` m ahead, where the lane is taken for a
+    parabola of the curvature that is seen near there.
+    """
+    seen = observations.astype(np.float64)
+    bend = seen[:, 4 + int(np.argmin(np.abs(AHEAD - LOOK)))]
+    heading = seen[:, HEADING]
+    left = np.cos(heading) * (bend * LOOK**2 / 2 - seen[:, OFFSET]) - np.sin(heading) * LOOK
+    circle = 2 * left / LOOK**2  # 1/m
+    wheels = np.arctan(2 * np.tan(np.arcsin(np.clip(circle * AXLE, -1.0, 1.0))))
+    wanted = EAGER * (CRUISE - seen[:, SPEED])
+    pedal = np.where(wanted >= 0.0, wanted / DRIVE, wanted / BRAKE)
+    return np.clip(np.stack([pedal, -wheels / STEER], 1), -1.0, 1.0).astype(np.float32)
+
+
+class Shaken(StatefulController):
+    """`pursue`, with Gaussian noise of each copy's own on its actions, cut to the bounds.
+
+    Args:
+        copies: side by side.
+        noise: its standard deviation.
+    """
+
+    columns: dict[str, tuple[int, ...]] = {}  # noqa: RUF012 (one of the class's own, which nothing changes)
+
+    def __init__(self, copies: int, noise: float = NOISE):
+        self._noise = noise
+        self._generators = [np.random.default_rng(0)] * copies
+
+    def begin(self, simulator: Any, copy: int, observation: np.ndarray, generator: np.random.Generator) -> None:
+        """See `StatefulController`."""
+        self._generators[copy] = generator
+
+    def act(self, observations: np.ndarray, running: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """See `StatefulController`."""
+        actions = pursue(observations)
+        for copy in running.tolist():
+            actions[copy] += self._noise * self._generators[copy].standard_normal(2)
+        return np.clip(actions, -1.0, 1.0), {}
+
+
+def collect_driving(
+    task: LaneDriving,
+    kind: str,
+    *,
+    name: str,
+    steps: int,
+    scratch: Path,
+    seed: int = 0,
+    threads: int | None = None,
+    progress: Progress | None = None,
+) -> Dataset:
+    """Collects one of `KINDS`: `pursue`, the same with noise, or uniform actions; see `collect.rollouts.collect_rollouts`.
+
+    Args:
+        task: where.
+        kind: among `KINDS`.
+        name: of the recipe, such as `carla-lane-state-noisy-v0`.
+        steps: rows.
+        scratch: folder of a collection under way.
+        seed: random seed.
+        threads: without effect: cars need none.
+        progress: called with rows done and rows in all.
+    """
+    who = {"controller": pursue, "noisy": Shaken(COPIES), "uniform": None}[kind]
+    extra = {"task": task.name, "actions": kind, "device": acting_platform()}
+    versions = {each: metadata.version(each) for each in ("numpy", "jax")} | {"deadreckon": __version__}
+    return collect_rollouts(
+        task, [Segment(who, steps)], name=f"{name}@{VERSION}", seed=seed,
+        provenance=Provenance("collected", name, seed, versions, extra=extra), threads=threads, scratch=scratch,
+        progress=progress,
+    )  # fmt: skip
