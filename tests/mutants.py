@@ -1789,6 +1789,40 @@ MUTANTS = (
         'column = column.cast(column.type.value_type)', 'return column',
         "levels may be formulas", ("data/formats/test_csv_out.py",),
     ),
+    # ---- roads and driving, demonstrations
+    Mutant(
+        "lane-across", "tasks/driving.py", "along - 5.0 * across", "along - across", "driving across the lane costs a fifth",
+        ("tasks/test_driving.py",),
+    ),
+    Mutant(
+        "lane-left-edge", "tasks/driving.py", "(offset > 1.5 * self.width)", "(offset > 0.5 * self.width)",
+        "the lane of oncoming cars is off the road", ("tasks/test_driving.py",),
+    ),
+    Mutant(
+        "lane-near", "tasks/driving.py", "route.project(self.cars[:, [X, Y]], near=self.distance)",
+        "route.project(self.cars[:, [X, Y]])", "progress along the lane jumps where the road crosses itself",
+        ("tasks/test_driving.py",),
+    ),
+    Mutant(
+        "steering-left", "tasks/driving.py", "-STEER * wheel - angle", "STEER * wheel - angle", "cars steer to the other side",
+        ("tasks/test_driving.py",),
+    ),
+    Mutant(
+        "arc-turns", "tasks/road_paths.py", "turned -= np.round(", "turned -= 0.0 * np.round(",
+        "the nearest place on an arc of more than half a circle is on its other side", ("tasks/test_roads.py",),
+    ),
+    Mutant(
+        "kitchen-demonstration-end", "collect/kitchen.py", "terminals = np.isin(np.arange(steps), ends)",
+        "terminals = np.zeros(steps, bool)", "demonstrations in the kitchen do not end", ("collect/test_collect_kitchen.py",),
+    ),
+    Mutant(
+        "kitchen-row-reward", "collect/kitchen.py", ".astype(np.float64)).sum(1)", ".astype(np.float64)).any(1)",
+        "a row of a demonstration pays for one sub-task at most", ("collect/test_collect_kitchen.py",),
+    ),
+    Mutant(
+        "devices-collect", "collect/rollouts.py", "with on_processor():", "if True:", "logs are collected on the accelerator",
+        ("collect/test_rollouts.py",),
+    ),
     # ---- faults
     Mutant(
         "fault-wait", "interrupts.py",

@@ -87,11 +87,14 @@ def test_a_short_log(kind, short, monkeypatch):
 
 def test_rows_earn_what_is_done_in_what_they_observe(short, monkeypatch):
     monkeypatch.setattr(kitchen, "_errand", lambda task, number, generator: ["kettle"])
-    monkeypatch.setattr("deadreckon.tasks.kitchen.NEAR", 0.4)  # within which the slide cabinet is from the beginning
+    # The slide cabinet is near enough from the beginning, and the light is on.
+    monkeypatch.setattr("deadreckon.tasks.kitchen.NEAR", 0.4)
+    monkeypatch.setattr("deadreckon.tasks.kitchen._FIRST", np.r_[_FIRST[:17], -0.69, -0.05, _FIRST[19:]])
     log = generate("kitchen-partial-v0", steps=30)
     done = task("kitchen-partial").done(log.observations[:, :30].astype(float)).sum(1)
     np.testing.assert_array_equal(log.rewards, done)
     assert (log.rewards >= 1.0).all()
+    assert log.rewards[0] >= 2.0
     assert (log.lengths[:-1] > 5).all()  # a reward of every row, not of the first one alone
 
 

@@ -1,4 +1,4 @@
-"""How logs of driving are made: pure pursuit along the lane at a steady speed, clean as those of `carla-lane`, or with noise."""
+"""How logs of driving are made: pure pursuit along the lane at a steady speed, as for `carla-lane`, clean or with noise."""
 
 from importlib import metadata
 from pathlib import Path
