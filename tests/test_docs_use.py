@@ -34,7 +34,6 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("docs")
 
 
-@pytest.mark.slow
 def test_predict(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     monkeypatch.setattr(sys, "path", [*sys.path])

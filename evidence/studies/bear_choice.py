@@ -34,7 +34,7 @@ def main(options: Options) -> None:
         if not all(isinstance(inner, GreedyQ) for inner in inners):
             raise dr.UserError(f"{path}: its policies do not choose among draws")
         forms = [[inner.actor for inner in inners]]
-        forms += [[dataclasses.replace(inner, samples=n) for inner in inners] for n in options.samples]
+        forms += [[GreedyQ.of(inner.actor, inner.critic, n) for inner in inners] for n in options.samples]
         cells = []
         for form in forms:
             policies = [dataclasses.replace(policy, inner=inner) for policy, inner in zip(run.policies, form)]

@@ -20,7 +20,8 @@ def on_processor() -> contextlib.AbstractContextManager[Any]:
     For policies that act in a simulator: on an accelerator each action would wait for its turn among the programs there, and
     the last bits of what is logged would depend on whether there is one.
     """
-    found = processor()
+    # To name the processor where it is used anyway would have what is compiled already compiled again.
+    found = None if jax.default_backend() == "cpu" else processor()
     return contextlib.nullcontext() if found is None else jax.default_device(found)
 
 

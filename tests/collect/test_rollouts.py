@@ -91,7 +91,8 @@ def by_hand(task, rows, seed):
     return [np.array([x for x in column if x is not None]) for column in zip(*out)]
 
 
-def test_actions_are_computed_on_the_processor(tmp_path):
+def test_actions_are_computed_on_the_processor(tmp_path, monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     held = []
 
     def acts(observations):

@@ -29,7 +29,6 @@ def test_fit_is_train_in_a_new_folder_every_time(log, tmp_path, monkeypatch):
         agent.fit(log, step=20)
 
 
-@pytest.mark.slow
 def test_a_saved_run_is_loaded_and_resumed_elsewhere(log, tmp_path):
     agent = dr.agents.BC(hidden=(16, 16), batch_size=32)
     run = agent.fit(log, steps=20, out=tmp_path / "r")

@@ -183,15 +183,14 @@ def test_the_scene_is_of_all_roads_and_its_camera_where_the_driver_is():
     np.testing.assert_allclose(data.cam_xmat[0].reshape(3, 3)[:, 1], [0.0, 0.0, 1.0], atol=1e-9)
     # The asphalt has the area of its roads, the crossing counted once for each way.
     area = sum(road.length * sum(lane.width for lane in road.lanes) for road in network.roads)
-    corners = np.concatenate([road_scene._strip(r, *road_scene._sides(r), 0.0).reshape(-1, 3) for r in network.roads])
-    drawn, first = 0.0, 0
-    for road in network.roads:
-        strip = road_scene._strip(road, *road_scene._sides(road), 0.0)
-        a, b, c, d = strip[:-1, 0], strip[:-1, 1], strip[1:, 0], strip[1:, 1]
-        drawn += (np.abs(np.cross(b - a, c - a)[:, 2]) + np.abs(np.cross(c - b, d - b)[:, 2])).sum() / 2
-        first += strip[..., 0].size
-    assert first == len(corners)
-    assert drawn == pytest.approx(area, rel=0.02)  # inside of bends less, outside more
+    mesh, geom = model.mesh("road"), next(i for i in range(model.ngeom) if model.geom_dataid[i] == model.mesh("road").id)
+    vertices = model.mesh_vert[mesh.vertadr[0] : mesh.vertadr[0] + mesh.vertnum[0]]
+    corners = data.geom_xpos[geom] + vertices @ data.geom_xmat[geom].reshape(3, 3).T
+    a, b, c = (corners[model.mesh_face[mesh.faceadr[0] : mesh.faceadr[0] + mesh.facenum[0], k]] for k in range(3))
+    up = np.cross(b - a, c - a)[:, 2] / 2
+    assert (up > 0.0).all()
+    assert up.sum() == pytest.approx(area, rel=0.02)  # inside of bends less, outside more
+    np.testing.assert_allclose(corners[:, 2], road_scene.ROAD_HIGH, atol=1e-4)
 
 
 class Drawn:

@@ -10,6 +10,8 @@ from gymnasium.utils.env_checker import check_env
 
 import deadreckon.tasks.envs  # noqa: F401  (gives Gymnasium the ids)
 from deadreckon import tasks
+from deadreckon.data.dataset import Dataset
+from deadreckon.runs.diagnostics import logged_value
 from deadreckon.tasks.kitchen import _FIRST, ELEMENTS, TASKS
 
 COMPLETE = tasks.task("kitchen-complete")
@@ -111,3 +113,22 @@ def test_pictures_are_seen_from_inside_the_kitchen():
     assert drawn.camera.lookat.tolist() == [-0.2, 0.5, 2.0]
     simulator.picture(0, (4, 4), drawn, camera=-1)
     assert drawn.camera == -1
+
+
+def test_a_logs_episodes_are_worth_the_subtasks_that_are_done_in_them():
+    """Whatever the log pays: here nothing, 7, and 1 for each of two rows."""
+    postures = np.zeros((6, 60), np.float32)
+    where, wanted = ELEMENTS["slide cabinet"]
+    postures[:, 19] = 9.0  # far from done
+    postures[[3, 4], where] = wanted
+    postures[4, ELEMENTS["microwave"][0]] = ELEMENTS["microwave"][1]
+    final = postures[[1, 2, 5]].copy()
+    final[0, where] = wanted  # done with the last step
+    log = Dataset.from_arrays(
+        observations=postures, actions=np.zeros((6, 9)), rewards=[0, 0, 7, 1, 1, 1], terminals=[0, 1, 1, 0, 0, 1],
+        final_observations=final, action_space=COMPLETE.action_space,
+    )  # fmt: skip
+    assert COMPLETE.logged_returns(log).tolist() == [1.0, 0.0, 2.0]
+    assert logged_value(log, COMPLETE)["mean"] == pytest.approx(1.0)
+    assert not COMPLETE.logs_pay_alike
+    assert tasks.task("hopper").logs_pay_alike

@@ -43,6 +43,7 @@ def test_what_a_file_says_beside_the_subset_is_passed_over():
     other = TEXT.replace("<objects/>", '<userData><vector a="1"/></userData>').replace("<lateralProfile/>", "")
     other = re.sub(r"<roadMark[^>]*>", "", other.replace('max="13.0" unit="m/s"', 'max="46.8" unit="km/h"'))
     assert parse_xodr("\ufeff" + other, "x") == EIGHT
+    assert parse_xodr(TEXT.replace(' unit="m/s"', ""), "x") == EIGHT
 
 
 ROAD = re.search(r'<road .*?id="1".*?</road>\n', TEXT, re.DOTALL)[0]
@@ -88,6 +89,9 @@ HOSTILE = {
     "a road and a junction": (TEXT.replace('junction id="5"', 'junction id="1"'), "1 is the id of a road and of a junction"),
     "a link to nowhere": (TEXT.replace('elementId="2"', 'elementId="99"', 1), "road 1: no road 99"),
     "no such lane": (TEXT.replace('<laneLink from="1" to="-1"/>', '<laneLink from="1" to="-7"/>', 1), "has no lane -7"),
+    "a lane that comes from none": (
+        TEXT.replace('<laneLink from="1" to="-1"/>', '<laneLink from="9" to="-1"/>', 1), "has no lane 9",
+    ),
     "a lane against another": (TEXT.replace('"2" contactPoint="end"', '"2" contactPoint="start"', 1), "leads against"),
     "a road that follows itself": (
         TEXT.replace('<successor elementType="road" elementId="2" contactPoint="end"/>',
@@ -98,6 +102,7 @@ HOSTILE = {
     "an id of many digits": (TEXT.replace(' id="1"', f' id="{"9" * 5000}"', 1), "id must be a whole number"),
     "another signal": (TEXT.replace("<signals>", SIGNAL.format(0, 205), 1), "type must be 1000001"),
     "a light off the road": (TEXT.replace("<signals>", SIGNAL.format(1e9, 1000001), 1), "signal 1: s must be between"),
+    "a control character in an id": (TEXT.replace(' id="1"', ' id="1\x7f\u202e"', 1), "id must be a whole number"),
     "deep": ("<OpenDRIVE>" + "<userData>" * 5000, "deep in each other"),
     "a line break in a word": (TEXT.replace('type="driving"', 'type="dri&#10;ving\x7f&#9;"', 1), "type must be driving or"),
 }  # fmt: skip

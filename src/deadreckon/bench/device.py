@@ -27,7 +27,8 @@ def required() -> contextlib.AbstractContextManager[None]:
     """While it is held, processes that this one starts use the accelerator that it uses, or fail.
 
     Without it a process that finds no room on the device, say, fails in its first job and does the next ones on the processor:
-    JAX falls back without a word once its backends have been looked for. What `JAX_PLATFORMS` says already stays.
+    JAX falls back without a word once its backends have been looked for. What `JAX_PLATFORMS` says already
+    stays, and for an accelerator of unknown make (see `platforms_of`) nothing is said.
     """
     import jax
 

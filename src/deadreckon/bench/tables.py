@@ -13,6 +13,7 @@ from deadreckon.bench import published
 from deadreckon.bench.jobs import Job
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Metric, Suite
+from deadreckon.data.catalogue import ENTRIES
 from deadreckon.mbo.protocol import published as designs_published
 from deadreckon.ope.dope import METRICS as OPE_METRICS
 from deadreckon.ope.dope import printed as ope_printed
@@ -187,7 +188,11 @@ def _notes(jobs: Sequence[Job], missing: Sequence[tuple[Job, int]], store: Store
     notes = []
     again = sorted({job.on for job in jobs if "@dr" in job.data})
     if again:
-        notes.append(f"collected again by this package, not the original files: {', '.join(again)}")
+        own = [on for on in again if (entry := ENTRIES.get(on)) is not None and not entry.sources]
+        if remade := [on for on in again if on not in own]:
+            notes.append(f"collected again by this package, not the original files: {', '.join(remade)}")
+        if own:
+            notes.append(f"collected by this package; there are no others: {', '.join(own)}")
     copies = {on: len({row["log"] for row in found if row["on"] == on and row["log"]}) for on in again}
     if several := [f"{on} ({count} logs)" for on, count in copies.items() if count > 1]:
         told = "collected on machines that round differently, so methods have learned from copies that differ"

@@ -8,7 +8,7 @@ import numpy as np
 
 from deadreckon._version import __version__
 from deadreckon.collect.rollouts import COPIES, Segment, StatefulController, collect_rollouts
-from deadreckon.data.catalogue import VERSION
+from deadreckon.data.catalogue import version_of
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.provenance import Provenance
 from deadreckon.devices import acting_platform
@@ -25,7 +25,7 @@ KINDS = ("controller", "noisy", "uniform")
 def pursue(observations: np.ndarray) -> np.ndarray:
     """(n, 2) float32 actions of pure pursuit (Coulter 1992), a function of observations (n, 8) of `LaneDriving`.
 
-    It steers the circle that leads from the car to the middle of the lane `LOOK` m ahead, where the lane is taken for a
+    It steers about the circle that leads from the car to the middle of the lane `LOOK` m ahead, where the lane is taken for a
     parabola of the curvature that is seen near there.
     """
     seen = observations.astype(np.float64)
@@ -92,7 +92,7 @@ def collect_driving(
     extra = {"task": task.name, "actions": kind, "device": acting_platform()}
     versions = {each: metadata.version(each) for each in ("numpy", "jax")} | {"deadreckon": __version__}
     return collect_rollouts(
-        task, [Segment(who, steps)], name=f"{name}@{VERSION}", seed=seed,
+        task, [Segment(who, steps)], name=f"{name}@{version_of(name)}", seed=seed,
         provenance=Provenance("collected", name, seed, versions, extra=extra), threads=threads, scratch=scratch,
         progress=progress,
     )  # fmt: skip

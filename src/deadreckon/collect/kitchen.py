@@ -131,7 +131,7 @@ def _batch(task: Kitchen, batch: int, seed: int, threads: int | None) -> dict[st
         following[:, JOINTS:] = goal
         for copy in np.flatnonzero(running).tolist():
             rows[copy].append((seen[copy], actions[copy], rewards[copy]))
-            # The last row is one in which the demonstrator has seen that all is done.
+            # The last row is one in which the demonstrator is through with its list, with success or without.
             if leader.finished(copy) or timeouts[copy]:
                 running[copy], final[copy] = False, following[copy]
         seen = following

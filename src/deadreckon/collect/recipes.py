@@ -9,7 +9,6 @@ from typing import Protocol
 
 from deadreckon.data.catalogue import cached_path, version_of
 from deadreckon.data.dataset import Dataset
-from deadreckon.devices import on_processor
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import alone
 from deadreckon.interrupts import resumable
@@ -149,9 +148,7 @@ def collect(
     scratch = path.parent / f".{path.name}.part"
     with alone(path, wait=f"collects {name} already" if wait else ""), resumable(scratch):
         if force or not path.exists():  # whoever was waited for has made it
-            with on_processor():
-                log = _make(found, steps, seed, threads, scratch, progress)
-            write_hdf5(log, path)
+            write_hdf5(_make(found, steps, seed, threads, scratch, progress), path)
         shutil.rmtree(scratch, ignore_errors=True)
     return path
 

@@ -152,7 +152,7 @@ _ANTS = tuple(
 
 def _lane(kind: str) -> Entry:
     name = f"carla-lane-state{kind}-v0"
-    return Entry(name, "carla", "carla-lane-state", name, 100_000, None, None, controller="planner")
+    return Entry(name, "carla", "carla-lane-state", name, 100_000, None, None)
 
 
 ENTRIES: dict[str, Entry] = {
@@ -196,7 +196,8 @@ def entry(name: str) -> Entry:
         raise unknown("data set", base, ENTRIES)
     found = ENTRIES[base]
     if version and version not in (found.version, *found.earlier, *found.sources):
-        downloads = "".join(f", {base}@{source} (downloaded)" for source in found.sources)
+        downloads = "".join(f", {base}@{each} (collected earlier)" for each in found.earlier)
+        downloads += "".join(f", {base}@{source} (downloaded)" for source in found.sources)
         raise UserError(f"unknown version {version!r} of {base}: known are {found.collected} (collected){downloads}")
     return found
 
@@ -269,6 +270,8 @@ def _how(found: Entry, version: str) -> str:
         if version in ("", source)
     ][:1]
     collect = f"`deadreckon data collect {found.recipe}` makes"
+    if version == "" and (old := [each for each in found.earlier if cached_path(f"{found.name}@{each}").exists()]):
+        return f"{found.name} is here as {found.name}@{old[0]} alone, of an earlier recipe: {collect} {found.collected} offline"
     if version in found.earlier:
         return f"{found.name}@{version} is not here, and is of an earlier recipe: {collect} {found.collected} offline"
     if version in found.sources:

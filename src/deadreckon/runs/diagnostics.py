@@ -83,7 +83,7 @@ def logged_value(log: Dataset, task: Task, seed: int = 0) -> dict[str, Any]:
     Returns:
         `mean`, `low`, `high` (bootstrap over episodes), and `how` in words.
     """
-    returns, lengths = log.returns(), log.lengths
+    returns, lengths = task.logged_returns(log), log.lengths
     whole = bool(log.terminals.any()) or lengths.mean() >= 0.9 * task.horizon
     rng, means = np.random.default_rng(seed), np.empty(1000)
     for i in range(len(means)):  # one at a time: a log may have very many short episodes

@@ -159,7 +159,8 @@ class Recorder:
     def _keep(self, step: int) -> None:
         policies = self.policies()
         values = None
-        if self.starts is not None:
+        # Where the log pays otherwise than the task, critics estimate nothing that an episode there could be held against.
+        if self.starts is not None and (self.judge is None or self.judge.logs_pay_alike):
             seen, acting = self.starts, [memoryless(policy) for policy in policies]
             if self.history > 1:
                 seen = beginning(np.asarray(seen, np.float32), self.spec.action_size, self.history)

@@ -193,5 +193,5 @@ TASK = LaneDriving(
     action_space=Box((-1.0, -1.0), (1.0, 1.0)), gym_id="deadreckon/CarlaLaneState-v0",
     # Made by `python -m deadreckon.collect.references`, 100 episodes each.
     reference=Reference(21.3110, 1130.3935, "measured on this simulator: uniform actions, the controller of its logs"),
-    summary="drive along the lane of a figure eight at 5 m/s and more", properties=("non-representable policies", "realistic"),
+    summary="drive along the lane of a figure eight at 5 m/s and more", properties=("narrow data", "realistic"),
 )  # fmt: skip

@@ -7,7 +7,7 @@ differs between the two is written down in the docs (`tasks/kitchen.md`).
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from deadreckon.data.kitchen import ELEMENTS, JOINTS, KITCHENS, kitchen_goal
 from deadreckon.data.spec import Box
 from deadreckon.tasks.copies import MujocoCopies, load_model
 from deadreckon.tasks.task import Reference, Task
+
+if TYPE_CHECKING:
+    from deadreckon.data.dataset import Dataset
 
 FRAME_SKIP = 40
 ARM = 9  # numbers of a posture that are the arm's
@@ -63,6 +66,17 @@ class Kitchen(Task):
         found = [ELEMENTS[name] for name in (self.elements if elements is None else elements)]
         away = [np.linalg.norm(postures[:, where] - np.array(wanted), axis=1) for where, wanted in found]
         return np.asarray(np.stack(away, 1) < NEAR)
+
+    @property
+    def logs_pay_alike(self) -> bool:
+        """See `Task.logs_pay_alike`: they pay in each row for all that is done, as D4RL's."""
+        return False
+
+    def logged_returns(self, log: "Dataset") -> np.ndarray:
+        """See `Task.logged_returns`: how many of the sub-tasks are done somewhere in each episode, whatever the log pays."""
+        done = self.done(np.asarray(log.observations[:, :JOINTS], np.float64))
+        last = self.done(np.asarray(log.final_observations[:, :JOINTS], np.float64)) & log.final_known[:, None]
+        return (np.logical_or.reduceat(done, log.starts) | last).sum(1).astype(np.float64)
 
     def simulate(self, seeds: Sequence[int], threads: int | None = None) -> "KitchenSimulator":
         """One copy of the environment for each seed; see `Task.simulate`."""

@@ -1,7 +1,8 @@
 """Reading and writing networks of roads as OpenDRIVE 1.4 (`.xodr`), which CARLA reads, too.
 
 What the subset has is in `tasks/roads.py` and `tasks/road_network.py`. Of a file, names, road marks, priorities and user data
-are passed over; whatever else a network cannot hold is refused, so that no road is another one than the file says.
+are passed over, and so are the place where a road's one speed begins, heights of signals, and further links of a road. Most
+else that a network cannot hold is refused. A speed without a unit is in m/s, and a road without one has that of `Road`.
 """
 
 import math
@@ -103,8 +104,10 @@ class _Element:
             raise UserError(f"{self.where} needs one {name}, and has {len(found) or 'none'}")
         return found[0]
 
-    def word(self, name: str, known: Any = None) -> str:
-        """An attribute, which must be there and one of `known`."""
+    def word(self, name: str, known: Any = None, usual: str | None = None) -> str:
+        """An attribute, which must be there, unless there is a `usual` one, and be one of `known`."""
+        if name not in self.attributes and usual is not None:
+            return usual
         if name not in self.attributes:
             raise UserError(f"{self.where}: no attribute {name}")
         word = self.attributes[name]
@@ -203,7 +206,7 @@ def _road(road: _Element) -> Road:
     speeds = [each for kind in road.all("type") for each in kind.all("speed")]
     if len(speeds) > 1:
         raise UserError(f"{road.where} has {len(speeds)} speeds, and one is read")
-    speed = {"speed": speeds[0].number("max") * SPEEDS[speeds[0].word("unit", SPEEDS)]} if speeds else {}
+    speed = {"speed": speeds[0].number("max") * SPEEDS[speeds[0].word("unit", SPEEDS, "m/s")]} if speeds else {}
     geometry, along = [], 0.0
     for each in road.one("planView").all("geometry"):
         if abs(each.number("s") - along) > TOLERANCE:

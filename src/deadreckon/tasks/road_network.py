@@ -88,8 +88,8 @@ class Network:
         controllers: of these.
 
     Raises:
-        UserError: an id stands twice or for nothing, or a lane does not begin where one begins that it follows. One line says
-            which.
+        UserError: an id stands twice, one that is needed stands for nothing, or a lane does not begin where one ends that it
+            follows. One line says which. Lanes that are named as neighbours against the way they are driven are not looked at.
     """
 
     roads: tuple[Road, ...]
@@ -115,8 +115,10 @@ class Network:
                 _known(f"road {road.id}", "junction", road.junction, junctions)
         for junction in self.junctions:
             for each in junction.connections:
-                for road in (each.incoming, each.connecting):
+                for road, lanes in zip((each.incoming, each.connecting), zip(*each.lanes) if each.lanes else ((), ())):
                     _known(f"junction {junction.id}", "road", road, roads)
+                    for lane in lanes:
+                        roads[road].lane(lane)
                 if roads[each.connecting].junction != junction.id:
                     raise UserError(f"junction {junction.id}: road {each.connecting} connects in it, but does not belong to it")
             for controller in junction.controllers:

@@ -151,7 +151,7 @@ class Path:
         cos, sin, curvature = self._cos[piece], self._sin[piece], self.curvature[piece]
         right, up = points[:, :1] - self.x[piece], points[:, 1:] - self.y[piece]
         ahead, left = cos * right + sin * up, cos * up - sin * right
-        straight = curvature == 0.0
+        straight = np.abs(curvature) < 1e-12  # over any length that a road can have
         bend = np.where(straight, 1.0, curvature)
         turned = np.arctan2(bend * ahead, 1.0 - bend * left) / bend
         # Of all turns of a circle the one nearest to the middle: if it lies outside, the end beside it is nearest.

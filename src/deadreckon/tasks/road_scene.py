@@ -87,7 +87,7 @@ def mjcf(network: Network) -> str:
 
 
 def _sides(road: Road) -> tuple[float, float]:
-    """m to the left of the reference line where the road begins, and where it ends on the right."""
+    """The left and the right edge of a road, in m to the left of its reference line."""
     return sum(lane.width for lane in road.lanes if lane.id > 0), -sum(lane.width for lane in road.lanes if lane.id < 0)
 
 

@@ -3,12 +3,15 @@
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 import numpy as np
 
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
+
+if TYPE_CHECKING:
+    from deadreckon.data.dataset import Dataset
 
 
 @dataclass(frozen=True)
@@ -203,6 +206,15 @@ class Task:
             which: copies.
         """
         return observations[which]
+
+    @property
+    def logs_pay_alike(self) -> bool:
+        """Whether its logs have the rewards of the task, so that values estimated from them compare with returns in it."""
+        return True
+
+    def logged_returns(self, log: "Dataset") -> np.ndarray:
+        """(episodes,) what the task pays for the episodes of one of its logs, undiscounted: here what the log says."""
+        return log.returns()
 
     @property
     def ends(self) -> Callable[[Any], Any] | None:
