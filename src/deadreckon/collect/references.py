@@ -52,12 +52,8 @@ def measure_flow(task: Flow, *, episodes: int = 100, seed: int = 0) -> Reference
         episodes: of each.
         seed: of the starts and actions.
     """
-    starts, actions = np.random.SeedSequence(seed).spawn(2)
-    seeds = [int(s) for s in starts.generate_state(episodes, np.uint64)]
-    random = uniform_return(task, seeds, np.random.default_rng(actions))
     calm = PISaturation(task) if task.road == "ring" else FollowerStopper(task, Merge.TARGET)
-    expert = float(controlled_returns(task, calm, seeds).mean())
-    return Reference(random, expert, f"on this simulator: {episodes} episodes of uniform actions, {episodes} of a controller")
+    return _between(task, calm, episodes, seed)
 
 
 def measure_driving(task: LaneDriving, *, episodes: int = 100, seed: int = 0) -> Reference:
@@ -68,10 +64,15 @@ def measure_driving(task: LaneDriving, *, episodes: int = 100, seed: int = 0) ->
         episodes: of each.
         seed: of the starts and actions.
     """
+    return _between(task, pursue, episodes, seed)
+
+
+def _between(task: Task, controller: Controller, episodes: int, seed: int) -> Reference:
+    """Uniform actions as 0 and a controller as 100, in the same episodes."""
     starts, actions = np.random.SeedSequence(seed).spawn(2)
     seeds = [int(s) for s in starts.generate_state(episodes, np.uint64)]
     random = uniform_return(task, seeds, np.random.default_rng(actions))
-    expert = float(controlled_returns(task, pursue, seeds).mean())
+    expert = float(controlled_returns(task, controller, seeds).mean())
     return Reference(random, expert, f"on this simulator: {episodes} episodes of uniform actions, {episodes} of a controller")
 
 
