@@ -64,6 +64,14 @@ def test_tyres_bear_no_more_than_their_grip():
     assert turned == pytest.approx(-GRIP / 20.0 * STEP, rel=5e-3)
 
 
+def test_a_sliding_car_moves_along_its_course():
+    speed = 12.0
+    fast = car(speed=speed, wheel=-STEER)
+    end = moved(fast, np.array([[(ROLL + DRAG * speed**2) / DRIVE, 1.0]]))
+    along = np.arctan2(end[0, 1] - fast[0, 1], end[0, 0] - fast[0, 0])
+    assert along == pytest.approx(course(fast)[0] + (end[0, 2] - fast[0, 2]) / 2, rel=1e-3)
+
+
 def placed(offset=0.0, heading=0.0, speed=0.0, distance=30.0, task=TASK):
     """A simulator of one car in a given place beside the middle of its lane."""
     simulator = task.simulate([0])

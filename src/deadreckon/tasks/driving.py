@@ -53,16 +53,21 @@ def moved(cars: np.ndarray, actions: np.ndarray) -> np.ndarray:
         force = np.where(pedal >= 0.0, DRIVE * pedal, BRAKE * pedal) - ROLL - DRAG * speed**2
         before, speed = speed, np.maximum(speed + force * part, 0.0)  # neither brakes nor resistance drive it backwards
         mean = (before + speed) / 2.0
-        tightest = GRIP / np.maximum(mean, 1e-3) ** 2
-        bend = np.clip(np.sin(np.arctan(np.tan(angle) / 2.0)) / AXLE, -tightest, tightest)
+        bend = curvature(angle, mean)
         towards = yaw + np.arcsin(bend * AXLE) + bend * mean * part / 2.0
         x, y, yaw = x + mean * np.cos(towards) * part, y + mean * np.sin(towards) * part, yaw + bend * mean * part
     return np.stack([x, y, yaw, speed, angle], 1)
 
 
+def curvature(wheels: np.ndarray, speed: np.ndarray) -> np.ndarray:
+    """(n,) 1/m, the curvature of the ways of the middles of cars, by (n,) rad and m/s: no more than `GRIP` allows."""
+    tightest = GRIP / np.maximum(speed, 1e-3) ** 2
+    return np.clip(np.sin(np.arctan(np.tan(wheels) / 2.0)) / AXLE, -tightest, tightest)
+
+
 def course(cars: np.ndarray) -> np.ndarray:
     """(n,) rad, the direction in which the middles of cars (n, 5) move."""
-    return cars[:, YAW] + np.arctan(np.tan(cars[:, WHEEL]) / 2.0)
+    return cars[:, YAW] + np.arcsin(curvature(cars[:, WHEEL], cars[:, VELOCITY]) * AXLE)
 
 
 @dataclass(frozen=True)
@@ -75,7 +80,7 @@ class LaneDriving(Task):
         width: m, of each of its two lanes.
     """
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
 
     radius: float = 20.0
     width: float = 3.5
