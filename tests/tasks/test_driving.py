@@ -181,7 +181,7 @@ def test_the_scene_is_of_all_roads_and_its_camera_where_the_driver_is():
     import mujoco
 
     network = replace(TASK, radius=30.0).route.network
-    model = mujoco.MjModel.from_xml_string(road_scene.mjcf(network))
+    model = mujoco.MjModel.from_xml_string(road_scene.mjcf(network, (48, 48)))
     data = mujoco.MjData(model)
     data.mocap_pos[0], data.mocap_quat[0] = (1.0, 2.0, 3.0), (np.cos(0.5), 0.0, 0.0, np.sin(0.5))
     mujoco.mj_forward(model, data)

@@ -17,6 +17,7 @@ from deadreckon.policies.policy import NormalizedPolicy
 from deadreckon.provided import provided
 from deadreckon.training.hyperparameters import check_fields
 from deadreckon.training.learner import Metrics
+from deadreckon.training.pictures import of_pictures
 
 if TYPE_CHECKING:
     from deadreckon.runs.run import Run
@@ -31,7 +32,8 @@ class Agent(eqx.Module):
         revision: raised in the class whose code has changed what is learned or how it acts; here for what all agents share
             (class attribute). Results of suites are told apart by it (see bench/identity.py).
         supports_discrete: whether it takes `Discrete` actions too, and not continuous ones alone (class attribute).
-        supports_images: whether it takes observations of any shape instead of flat ones (class attribute).
+        supports_images: whether it learns from pictures too, by an encoder (`training.pictures`; an attribute of the class
+            itself, which subclasses do not inherit: they may learn by other losses).
         supports_history: whether observations may be histories of several steps (`data.history`; class attribute).
         own_history: why it takes none, where it does not (class attribute).
         online: whether its policy explores by itself, so that it can learn from what it does (class attribute).
@@ -63,6 +65,18 @@ class Agent(eqx.Module):
         """One pure update."""
         raise NotImplementedError
 
+    def representation_loss(self, state: Any, batch: Batch, *, step: Array, key: PRNGKeyArray) -> Array:
+        """What an encoder of pictures learns by, of features in the batch; `key` is that of `update`.
+
+        Where there are critics it is their loss: an actor takes features as they are (Yarats et al. 2022, section 3.1).
+        """
+        raise NotImplementedError
+
+    @property
+    def representation_lr(self) -> Any:
+        """Learning rate of an encoder of pictures: that of what it learns by."""
+        return vars(self).get("critic_lr", vars(self).get("lr"))
+
     def policy(self, state: Any) -> NormalizedPolicy:
         """What acts, in the coordinates of the batches; `runs` puts it between raw observations and actions."""
         raise NotImplementedError
@@ -91,7 +105,7 @@ class Agent(eqx.Module):
             raise UserError(f"{type(self).__name__} learns by acting in a simulator, not from a log; say --online --task TASK")
         if spec.discrete and not self.supports_discrete:
             raise UserError(f"{type(self).__name__} needs continuous actions, {spec.name} has {spec.action}")
-        if len(spec.observation_shape) != 1 and not self.supports_images:
+        if len(spec.observation_shape) != 1 and not (vars(type(self)).get("supports_images") and of_pictures(spec)):
             raise UserError(f"{type(self).__name__} needs flat observations, {spec.name} has shape {spec.observation_shape}")
         return self
 

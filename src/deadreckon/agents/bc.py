@@ -30,6 +30,7 @@ class BC(Agent):
 
     revision: ClassVar[int] = 1
     supports_discrete: ClassVar[bool] = True
+    supports_images: ClassVar[bool] = True
 
     lr: NonNegative = 3e-4  # learning rate of the policy
     model: Literal["gaussian", "vae", "clipped", "normal"] = static("gaussian")
@@ -63,6 +64,10 @@ class BC(Agent):
         grads, metrics = grad(state.model, batch.observation, batch.action, key)
         model, opt = apply_gradients(state.model, grads, state.opt, self.lr)
         return State(model, opt), metrics
+
+    def representation_loss(self, state, batch, *, step, key):
+        """That of the model."""
+        return behavior.loss(state.model, batch.observation, batch.action, key)[0]
 
     def policy(self, state):
         """The model itself."""

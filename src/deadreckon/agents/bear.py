@@ -47,6 +47,7 @@ class BEAR(Agent):
     """Bootstrapping error accumulation reduction, with every option that the thesis describes."""
 
     revision: ClassVar[int] = 2
+    supports_images: ClassVar[bool] = True
     other_names: ClassVar[dict[str, str]] = {"epsilon": "threshold", "lambda": "min_weight"}
 
     base: Literal["td3", "sac"] = static("td3")  # base algorithm: "td3" has no entropy (Algorithm 1), "sac" a bonus for it
@@ -237,6 +238,13 @@ class BEAR(Agent):
             target_critics=targets[1], opts=opts,
         )  # fmt: skip
         return state, metrics
+
+    def representation_loss(self, state, batch, *, step, key):
+        """Those of the critics and of the model of the log."""
+        k_model, k_future, _ = keys(key, "behavior", "target", "actor_loss")
+        target = backup(batch, self.discount, self.future(state, batch, k_future))
+        loss = bellman_loss(state.critics, batch, target, self.bellman_weight(state, batch))[0]
+        return loss + models.loss(state.behavior, batch.observation, batch.action, k_model)[0]
 
     def policy(self, state):
         """The best of `test_samples` draws by Q_1, or the actor itself."""

@@ -42,6 +42,7 @@ class CQL(ScaledRewards, SAC):
     revision: ClassVar[int] = 1
     online: ClassVar[bool] = False
     supports_discrete: ClassVar[bool] = True
+    supports_images: ClassVar[bool] = True
     other_names: ClassVar[dict[str, str]] = {
         "conservatism": "cql_weight", "min_q_weight": "cql_weight", "draws": "samples", "weight_lr": "cql_weight_lr",
     }  # fmt: skip
@@ -137,7 +138,7 @@ def soft_maximum(
     uniform = jax.random.uniform(k_uniform, (draws, rows, size), minval=-1.0, maxval=1.0)
     parts = [q_values(critics, batch.observation, uniform) + size * jnp.log(2.0)]
     for k, seen in ((k_now, batch.observation), (k_next, batch.next_observation)):
-        d = dist.gaussian_head(actor(seen))
+        d = dist.gaussian_head(jax.lax.stop_gradient(actor(seen)))  # an encoder of pictures learns by values alone
         pre = dist.sample(d, k, (draws,))
         q = q_values(critics, batch.observation, jnp.tanh(pre))
         parts.append((q if floor is None else jnp.maximum(q, floor)) - dist.log_prob(d, pre))
@@ -150,6 +151,7 @@ def weighted_mean(critics: MLP, actor: MLP | Categorical, batch: Batch, draws: i
         q = all_q_values(critics, batch.observation)
         weight = jax.nn.softmax(jax.lax.stop_gradient(q + actor.log_probs(batch.observation)))
         return (weight * q).sum(-1)
-    drawn = jnp.tanh(dist.sample(dist.gaussian_head(actor(batch.observation)), key, (draws,)))
+    head = dist.gaussian_head(jax.lax.stop_gradient(actor(batch.observation)))
+    drawn = jnp.tanh(dist.sample(head, key, (draws,)))
     q = q_values(critics, batch.observation, drawn)
     return (jax.lax.stop_gradient(jax.nn.softmax(q, 1)) * q).sum(1)

@@ -39,6 +39,7 @@ class IQL(ScaledRewards):
     revision: ClassVar[int] = 3
     supports_discrete: ClassVar[bool] = True
     fine_tunes: ClassVar[bool] = True
+    supports_images: ClassVar[bool] = True
     other_names: ClassVar[dict[str, str]] = {"sharpness": "beta"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor
@@ -104,6 +105,11 @@ class IQL(ScaledRewards):
         targets = polyak_update(state.target_critics, critics, self.tau)
         state = State(actor, value, critics, targets, actor_opt, value_opt, critics_opt)
         return state, metrics | {"actor_loss": actor_loss, "value_loss": value_loss, "advantage": advantage.mean()}
+
+    def representation_loss(self, state, batch, *, step, key):
+        """That of the critics."""
+        target = backup(batch, self.discount, state.value(batch.next_observation)[..., 0])
+        return bellman_loss(state.critics, batch, target)[0]
 
     def policy(self, state):
         """The actor; greedy is its mean, or its likeliest action."""

@@ -38,6 +38,7 @@ class SAC(Agent):
     supports_discrete: ClassVar[bool] = True
     online: ClassVar[bool] = True
     fine_tunes: ClassVar[bool] = True
+    supports_images: ClassVar[bool] = True
     actor_init: ClassVar[Init] = UNIFORM  # how its networks begin
     critic_init: ClassVar[Init] = UNIFORM
     other_names: ClassVar[dict[str, str]] = {"backup_entropy": "entropy_backup", "init_temperature": "temperature"}
@@ -181,6 +182,11 @@ class SAC(Agent):
         slope = -(log_prob + self.entropy_target)
         value, opt = apply_gradients(state.log_temperature, slope, state.temperature_opt, self.temperature_lr)
         return state._replace(log_temperature=value, temperature_opt=opt)
+
+    def representation_loss(self, state, batch, *, step, key):
+        """That of the critics."""
+        k_target, k_critics, _ = keys(key, "target", "critic_loss", "actor_loss")
+        return self.critic_loss(state.critics, state, batch, self.target(state, batch, k_target), k_critics)[0]
 
     def policy(self, state):
         """The actor; greedy actions are its mean, or the most probable action."""

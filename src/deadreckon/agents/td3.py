@@ -32,6 +32,7 @@ class TD3(Agent):
 
     revision: ClassVar[int] = 1
     fine_tunes: ClassVar[bool] = True
+    supports_images: ClassVar[bool] = True
     exploration_noise: ClassVar[float] = 0.1  # published for TD3 and for TD3+BC online
     actor_init: ClassVar[Init] = UNIFORM  # how its networks begin
     critic_init: ClassVar[Init] = UNIFORM
@@ -98,6 +99,11 @@ class TD3(Agent):
         # `step` is shared by all lanes: a batched predicate would compute both branches always.
         state, loss = jax.lax.cond(step % self.policy_freq == 0, improve, lambda s: (s, jnp.zeros(())), state)
         return state, metrics | {"actor_loss": loss}
+
+    def representation_loss(self, state, batch, *, step, key):
+        """That of the critics."""
+        k_target, k_critics = keys(key, "target", "critic_loss")
+        return self.critic_loss(state.critics, state, batch, self.target(state, batch, k_target), k_critics)[0]
 
     def policy(self, state) -> NormalizedPolicy:
         """The actor."""

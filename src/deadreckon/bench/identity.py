@@ -12,6 +12,7 @@ from typing import Any
 from deadreckon.bench.jobs import Job, agent_of, designer_of, estimator_of, study_of
 from deadreckon.errors import UserError
 from deadreckon.files import home
+from deadreckon.training import pictures
 from deadreckon.training.revisions import of_learning, revisions
 
 
@@ -32,7 +33,10 @@ def _learn(job: Job) -> dict[str, Any]:
     from deadreckon.tasks.registry import of_log
 
     task = of_log(job.on)
-    return {"method": revisions(agent_class(job.agent))} | ({} if task is None else of_evaluation(task))
+    found = {"method": revisions(agent_class(job.agent))} | ({} if task is None else of_evaluation(task))
+    if task is not None and task.observation_dtype == "uint8":
+        found["pictures"] = pictures.REVISION
+    return found
 
 
 def _online(job: Job) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """The methods of a suite: what a line of `[methods]` may say."""
 
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, get_args
 
 from deadreckon.errors import UserError, unknown
 
@@ -21,6 +21,7 @@ class Method:
         preset: whether it begins from the settings published for what it is run on, where there are any.
         acting: online, what differs from how the agent's own acting and learning take turns: fields of `online.Online`.
         history: of a suite of kind `learn`: last observations that policies act on.
+        encoder: likewise, of logs of pictures: the network before the agent's own; "" for the default.
         log: online, what the task's log is for: `first` to learn from before it acts and then in the replay, `beside` in the
             replay alone; "" for nothing.
     """
@@ -31,6 +32,7 @@ class Method:
     preset: bool = False
     acting: dict[str, Any] = field(default_factory=dict)
     history: int = 1
+    encoder: str = ""
     log: str = ""
 
 
@@ -57,7 +59,7 @@ def method(where: str, kind: str, name: str, table: Any) -> Method:
         UserError: it says something that cannot be.
     """
     kinds = {"agent": str, "fields": dict, "preset": bool}
-    kinds |= {"acting": dict, "log": str} if kind == "online" else {"history": int} if kind == "learn" else {}
+    kinds |= {"acting": dict, "log": str} if kind == "online" else {"history": int, "encoder": str} if kind == "learn" else {}
     if not isinstance(table, dict) or "agent" not in table:
         raise UserError(f"{where}: method {name!r} must say its agent, such as {name} = {{ agent = 'bc' }}")
     for key in table:
@@ -73,6 +75,8 @@ def method(where: str, kind: str, name: str, table: Any) -> Method:
     if table.get("preset") and kind not in ("learn", "online"):
         has = "only agents have published settings, in suites of kind learn or online"
         raise UserError(f"{where}: preset of method {name!r}: {has}")
+    if "encoder" in table:
+        _check_encoder(where, f"encoder of method {name!r}", table["encoder"])
     if table.get("log", LOG[0]) not in LOG:
         raise UserError(f"{where}: log of method {name!r} must be one of {', '.join(LOG)}, got {table['log']!r}")
     if acting := table.get("acting"):
@@ -80,6 +84,14 @@ def method(where: str, kind: str, name: str, table: Any) -> Method:
     # A cell is the same in whatever order its settings are written.
     given: dict[str, Any] = {key: dict(sorted(v.items())) if isinstance(v, dict) else v for key, v in table.items()}
     return Method(name, **given)
+
+
+def _check_encoder(where: str, whose: str, name: str) -> None:
+    """Refuses what no network of pictures is."""
+    from deadreckon.nets.encoder import Kind  # which loads JAX
+
+    if name not in get_args(Kind):
+        raise UserError(f"{where}: {whose} must be one of {', '.join(get_args(Kind))}, got {name!r}")
 
 
 def _check_acting(where: str, whose: str, acting: dict[str, Any]) -> None:

@@ -160,6 +160,8 @@ def _learn(suite: Suite, method: Method, on: str) -> Job:
     data, options = log_identity(on, suite.rows), _run(suite, on)
     if method.history > 1:  # cells without histories keep their names
         options["history"] = method.history
+    if method.encoder:
+        options["encoder"] = method.encoder
     return Job("learn", method.name, method.agent, settings, published, on, data, options, (0,), suite.rows)
 
 

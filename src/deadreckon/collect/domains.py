@@ -112,6 +112,7 @@ for _task in antmaze.TASKS:
 
 _DRIVING = ("pure pursuit along the lane at 20 km/h", "the same with noise on its actions", "uniform actions")
 
-for _kind, _summary in zip(DRIVERS, _DRIVING, strict=True):
-    _middle = "" if _kind == "controller" else f"-{_kind}"
-    _register(f"{driving.TASK.name}{_middle}-v0", driving.TASK, partial(collect_driving, driving.TASK, _kind), _summary)
+for _task in driving.TASKS:
+    for _kind, _summary in zip(DRIVERS, _DRIVING, strict=True):
+        _middle = "" if _kind == "controller" else f"-{_kind}"
+        _register(f"{_task.name}{_middle}-v0", _task, partial(collect_driving, _task, _kind), _summary)

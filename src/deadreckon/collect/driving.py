@@ -14,6 +14,7 @@ from deadreckon.data.provenance import Provenance
 from deadreckon.devices import acting_platform
 from deadreckon.progress import Progress
 from deadreckon.tasks.driving import AHEAD, AXLE, BRAKE, DRIVE, HEADING, OFFSET, SPEED, STEER, LaneDriving
+from deadreckon.tasks.pixels import Pixels, PixelSimulator
 
 CRUISE = 20.0 / 3.6  # m/s, the speed of CARLA's local planner
 LOOK = 6.0  # m, how far before the car it steers for
@@ -42,6 +43,8 @@ def pursue(observations: np.ndarray) -> np.ndarray:
 class Shaken(StatefulController):
     """`pursue`, with Gaussian noise of each copy's own on its actions, cut to the bounds.
 
+    In a task that shows pictures it goes by what these are drawn from.
+
     Args:
         copies: side by side.
         noise: its standard deviation.
@@ -52,21 +55,22 @@ class Shaken(StatefulController):
     def __init__(self, copies: int, noise: float = NOISE):
         self._noise = noise
         self._generators = [np.random.default_rng(0)] * copies
+        self._simulator: Any = None
 
     def begin(self, simulator: Any, copy: int, observation: np.ndarray, generator: np.random.Generator) -> None:
         """See `StatefulController`."""
-        self._generators[copy] = generator
+        self._generators[copy], self._simulator = generator, simulator
 
     def act(self, observations: np.ndarray, running: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """See `StatefulController`."""
-        actions = pursue(observations)
+        actions = pursue(self._simulator.seen if isinstance(self._simulator, PixelSimulator) else observations)
         for copy in running.tolist():
             actions[copy] += self._noise * self._generators[copy].standard_normal(2)
         return np.clip(actions, -1.0, 1.0), {}
 
 
 def collect_driving(
-    task: LaneDriving,
+    task: LaneDriving | Pixels,
     kind: str,
     *,
     name: str,
@@ -88,9 +92,11 @@ def collect_driving(
         threads: without effect: cars need none.
         progress: called with rows done and rows in all.
     """
-    who = {"controller": pursue, "noisy": Shaken(COPIES), "uniform": None}[kind]
+    clean = Shaken(COPIES, 0.0) if isinstance(task, Pixels) else pursue
+    who = {"controller": clean, "noisy": Shaken(COPIES), "uniform": None}[kind]
     extra = {"task": task.name, "actions": kind, "device": acting_platform()}
-    versions = {each: metadata.version(each) for each in ("numpy", "jax")} | {"deadreckon": __version__}
+    drawn = ("mujoco",) if isinstance(task, Pixels) else ()
+    versions = {each: metadata.version(each) for each in ("numpy", "jax", *drawn)} | {"deadreckon": __version__}
     return collect_rollouts(
         task, [Segment(who, steps)], name=f"{name}@{version_of(name)}", seed=seed,
         provenance=Provenance("collected", name, seed, versions, extra=extra), threads=threads, scratch=scratch,

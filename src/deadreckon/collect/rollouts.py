@@ -188,7 +188,7 @@ class _Scene:
         bounds = (space.low, space.high) if isinstance(space, Box) else (0, space.n - 1)
         self.low, self.high = (np.asarray(side, action_kind(task)[1]) for side in bounds)
         self.episode, self.age = np.full(COPIES, -1), np.zeros(COPIES, int)
-        self.seen = np.zeros((COPIES, *task.observation_shape), np.float32)
+        self.seen = np.zeros((COPIES, *task.observation_shape), task.observation_dtype)
         kinds = column_kinds(task, policy)
         self.columns = {key: np.zeros((COPIES, task.horizon, *shape), dtype) for key, (shape, dtype) in kinds.items()}
 
@@ -273,7 +273,7 @@ def action_kind(task: Task) -> tuple[tuple[int, ...], Any]:
 
 def column_kinds(task: Task, policy: Any) -> dict[str, tuple[tuple[int, ...], Any]]:
     """Shape and dtype of a row of each of `COLUMNS`, and of what the policy tells if it is a guide."""
-    kinds = (task.observation_shape, np.float32), action_kind(task), ((), np.float32), ((), bool)
+    kinds = (task.observation_shape, np.dtype(task.observation_dtype)), action_kind(task), ((), np.float32), ((), bool)
     known = dict(zip(COLUMNS, (*kinds, ((), bool), ((), np.float32))))
     told = policy.columns if isinstance(policy, StatefulController) else {}
     return known | {key: (shape, np.float32) for key, shape in told.items()}

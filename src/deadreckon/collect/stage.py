@@ -63,7 +63,7 @@ class Stage:
         self.folder, self.task = folder, task
         self.rows, self.finals = 0, 0
         self.episodes: list[int] = []
-        self.kinds = {**kinds, "final_observations": (task.observation_shape, np.float32)}
+        self.kinds = {**kinds, "final_observations": (task.observation_shape, np.dtype(task.observation_dtype))}
         same_collection(folder, asked)
         if self._state.exists():
             found = read_json(self._state, _State)

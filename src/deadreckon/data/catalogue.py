@@ -150,9 +150,9 @@ _ANTS = tuple(
     for kind in kinds
 )
 
-def _lane(kind: str) -> Entry:
-    name = f"carla-lane-state{kind}-v0"
-    return Entry(name, "carla", "carla-lane-state", name, 100_000, None, None)
+def _lane(task: str, kind: str) -> Entry:
+    name = f"{task}{kind}-v0"
+    return Entry(name, "carla", task, name, 100_000, None, None)
 
 
 ENTRIES: dict[str, Entry] = {
@@ -165,7 +165,7 @@ ENTRIES: dict[str, Entry] = {
         *(_adroit(task, kind) for task in _HUMAN for kind in ("human", "cloned", "expert")),
         *map(_kitchen, _KITCHEN),
         *(_antmaze(maze, kind) for maze, kind in _ANTS),
-        *map(_lane, ("", "-noisy", "-uniform")),
+        *(_lane(task, kind) for task in ("carla-lane-state", "carla-lane") for kind in ("", "-noisy", "-uniform")),
     )
 }
 

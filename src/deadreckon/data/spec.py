@@ -53,6 +53,9 @@ class Discrete:
         return self.n
 
 
+PICTURED = 2**24  # numbers of pictures that are in memory as float64 at once
+
+
 @dataclass(frozen=True, eq=False)
 class Statistics:
     """Per-dimension mean, standard deviation and range of a column, float64 arrays of the column's shape."""
@@ -67,6 +70,8 @@ class Statistics:
         """One pass over `column` (rows first) in blocks, so that a memory-mapped column is never loaded whole."""
         rows = len(column)
         shape = column.shape[1:]
+        if column.dtype == np.uint8:  # pictures
+            block = max(1, PICTURED // max(1, int(np.prod(shape))))
         total, square = np.zeros(shape), np.zeros(shape)
         low, high = np.full(shape, np.inf), np.full(shape, -np.inf)
         # Shifted by the first row, so that squares of large offsets do not swallow the variance.

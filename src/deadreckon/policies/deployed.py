@@ -14,12 +14,14 @@ from deadreckon.data.normalizer import EDGE, Normalizer
 from deadreckon.data.spec import Spec
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
+from deadreckon.nets.encoder import Encoder
 from deadreckon.nets.mlp import MLP
 from deadreckon.policies.candidates import GreedyActions
 from deadreckon.policies.kinds import Categorical, ClippedGaussian, Gaussian, TanhGaussian
 from deadreckon.policies.policy import NormalizedPolicy
 from deadreckon.policies.portable import check_size
 from deadreckon.randomness import keys
+from deadreckon.training.pictures import Seen
 
 
 class EnvPolicy(eqx.Module):
@@ -65,6 +67,8 @@ class EnvPolicy(eqx.Module):
 
     def log_prob(self, observation: Any, action: Any) -> Array:
         """Log-density of environment actions (n, size) at raw observations (n, *shape); see also `ClippedGaussian`."""
+        if isinstance(self.inner, Seeing):
+            return self.inner.member.log_prob(self.inner.encoder(jnp.asarray(observation)), action)
         if not isinstance(self.inner, TanhGaussian | Gaussian | Categorical):
             raise UserError(f"a {type(self.inner).__name__} policy has no log-probabilities")
         view = self.view
@@ -89,6 +93,9 @@ class EnvPolicy(eqx.Module):
             if len(told) < len(found):
                 return None
             return lambda observations: np.mean([tells(observations) for tells in told], 0)
+        if isinstance(self.inner, Seeing):
+            encoder, tells = self.inner.encoder, self.inner.member.action_probs
+            return None if tells is None else lambda observations: tells(encoder(jnp.asarray(observations)))
         if not isinstance(self.inner, Categorical | GreedyActions):
             return None
         return lambda observations: np.asarray(_probs(self, jnp.asarray(observations)))
@@ -97,7 +104,7 @@ class EnvPolicy(eqx.Module):
         """Greedy first actions for one observation or a batch of them, as numpy; draws nothing that is not seeded.
 
         Args:
-            observations: (size,) or (n, size), raw.
+            observations: (size,) or (n, size), raw; of pictures (height, width, channels) or (n, ...), uint8.
             legal: (actions,) or (n, actions) truth values, which are legal: the end of the observations, where these lack it.
 
         Raises:
@@ -108,6 +115,10 @@ class EnvPolicy(eqx.Module):
             raise UserError(
                 f"this policy acts on the last {steps} steps of an episode, not on one observation: use its start and act"
             )
+        if isinstance(self.inner, Seeing):
+            x = checked_pictures(observations, self.inner.encoder.shape)
+            actions = first_actions(self, jnp.asarray(x if x.ndim == 4 else x[None]), jax.random.key(0), True)
+            return np.asarray(actions if x.ndim == 4 else actions[0])
         x = np.asarray(observations, np.float32)
         x = x if legal is None else np.concatenate([x, np.asarray(legal, np.float32)], -1)
         single = x.ndim == 1
@@ -195,6 +206,59 @@ class History(NormalizedPolicy):
         action, _ = self.member.act(step._replace(observation=history), (), key, greedy=greedy)
         done = jax.nn.one_hot(action, self.action_size) if self.member.low is None else self.member.view.to_unit(action)
         return action, (history, done)
+
+
+class Seeing(NormalizedPolicy):
+    """Acts on the features that an encoder makes of pictures.
+
+    As in a mixture the member is a whole policy: this one sees raw pictures and gives the environment's actions.
+
+    Attributes:
+        encoder: from pictures to features.
+        member: from features to actions.
+    """
+
+    encoder: Encoder
+    member: EnvPolicy
+
+    @property
+    def has_log_prob(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Whether `log_prob` is defined."""
+        return self.member.has_log_prob
+
+    def start(self, n):
+        """See `NormalizedPolicy`."""
+        return self.member.start(n)
+
+    def act(self, step, carry, key, *, greedy):
+        """See `NormalizedPolicy`; in the environment's bounds."""
+        return self.member.act(step._replace(observation=self.encoder(step.observation)), carry, key, greedy=greedy)
+
+    def actions(self, observation, key, *, greedy, count=()):
+        """See `NormalizedPolicy`; in the environment's bounds."""
+        drawn = self.member.inner.actions(self.encoder(observation), key, greedy=greedy, count=count)
+        return self.member.view.from_unit(drawn)
+
+
+def deployed(agent: Any, state: Any, view: Normalizer) -> EnvPolicy:
+    """An agent's policy in a state as what is saved and judged; `view` is what its batches came through."""
+    if not isinstance(state, Seen):
+        return EnvPolicy.of(agent.policy(state), view)
+    seeing = Seeing(state.encoder, EnvPolicy.of(agent.policy(state.inner), view))
+    return EnvPolicy(seeing, None, None, None, None)
+
+
+def checked_pictures(given: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """One picture or a batch of them.
+
+    Raises:
+        UserError: they are not of uint8, or of another shape.
+    """
+    pictures = np.asarray(given)
+    if pictures.dtype != np.uint8 or pictures.shape[-3:] != shape or pictures.ndim > 4:
+        seen = f"{pictures.dtype} of shape {pictures.shape}"
+        raise UserError(f"this policy sees pictures, uint8 of shape {shape} or (n, {str(shape)[1:]}, got {seen}")
+    return pictures
 
 
 def history_of(policy: Any) -> int:

@@ -10,6 +10,7 @@ import numpy as np
 
 from deadreckon.errors import UserError, reading
 from deadreckon.files import replacing
+from deadreckon.nets.encoder import Encoder
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.transformer import Block, Transformer
 from deadreckon.nets.vae import VAE
@@ -24,7 +25,7 @@ _TAUGHT, _HELD = "taught", "held"  # arrays beside those of the policy, which al
 _EXACT = ("mean", "std", "low", "high")  # the coordinates of a `EnvPolicy`
 # Beside the policies that register themselves (`policy.KINDS`) the only classes that a file can name: reading one runs no code
 # of the file's choosing.
-_PARTS: dict[str, Any] = {part.__name__: part for part in (EnvPolicy, MLP, VAE, Transformer, Block, Sequence)}
+_PARTS: dict[str, Any] = {part.__name__: part for part in (EnvPolicy, MLP, VAE, Encoder, Transformer, Block, Sequence)}
 
 
 def save(

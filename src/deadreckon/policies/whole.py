@@ -16,7 +16,7 @@ from deadreckon.data.step import Step
 from deadreckon.errors import UserError, as_one_line
 from deadreckon.foreign.shapes import words
 from deadreckon.nets.mlp import MLP
-from deadreckon.policies.deployed import History, Mixture
+from deadreckon.policies.deployed import History, Mixture, Seeing
 from deadreckon.policies.file import observation_sizes
 from deadreckon.policies.portable import KINDS
 
@@ -38,6 +38,10 @@ def check_whole(path: Path | str, policy: Any) -> None:
         for member in policy.inner.members if isinstance(policy.inner, Mixture) else (policy.inner.member,):
             check_whole(path, member)
         return
+    if isinstance(policy.inner, Seeing):
+        check_whole(path, policy.inner.member)
+        _check_encoder(path, policy)
+        return
     ends = ((net.weights[0].shape[-2], net.weights[-1].shape[-1]) for net in _networks(policy))
     shapes = [policy.mean.shape] if policy.mean is not None else [(size,) for size in observation_sizes(ends)]
     error = None
@@ -50,6 +54,14 @@ def check_whole(path: Path | str, policy: Any) -> None:
             return
     if error is not None:
         raise UserError(f"{path}: the parts of its policy do not fit together ({as_one_line(error)})") from error
+
+
+def _check_encoder(path: Path | str, policy: Any) -> None:
+    """Refuses a policy on pictures that cannot act on those of its encoder's shape."""
+    try:
+        jax.eval_shape(functools.partial(_act, policy), jax.ShapeDtypeStruct((1, *policy.inner.encoder.shape), jnp.uint8))
+    except Exception as found:  # noqa: BLE001 - whatever arrays of wrong shapes make JAX raise
+        raise UserError(f"{path}: the parts of its policy do not fit together ({as_one_line(found)})") from found
 
 
 def _act(policy: Any, observation: Any) -> Any:

@@ -16,6 +16,7 @@ from deadreckon.policies.deployed import EnvPolicy, first_actions
 from deadreckon.runs.evaluate import action_key
 from deadreckon.stats.interval import ALPHA
 from deadreckon.tasks.task import Task
+from deadreckon.training.pictures import Seen
 
 SAMPLE = 1024  # logged rows that policies are compared on
 
@@ -105,9 +106,15 @@ def log_segments(log: Dataset, count: int = 16, length: int = 300) -> np.ndarray
     return np.stack([np.asarray(log.observations[s : s + length]) for s in starts])
 
 
+def _own(agent: Agent, state: Any, observation: Array, action: Array) -> Array | None:
+    if isinstance(state, Seen):
+        return agent.q_value(state.inner, state.encoder(observation), action)
+    return agent.q_value(state, observation, action)
+
+
 @eqx.filter_jit
 def _q(agents: Agent, states: Any, observations: Array, actions: Array) -> Array | None:
-    return eqx.filter_vmap(lambda agent, state, o, a: agent.q_value(state, o, a))(agents, states, observations, actions)
+    return eqx.filter_vmap(_own)(agents, states, observations, actions)
 
 
 def estimated_values(

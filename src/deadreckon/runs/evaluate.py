@@ -207,6 +207,6 @@ def _check_fit(policy: Any, task: Task, name: str) -> None:
     if not isinstance(policy, EnvPolicy):
         return
     try:
-        jax.eval_shape(lambda: first_actions(policy, jnp.zeros((1, *task.observation_shape)), jax.random.key(0), True))
+        jax.eval_shape(lambda: first_actions(policy, jnp.zeros((1, *task.observation_shape), task.observation_dtype), jax.random.key(0), True))
     except (TypeError, ValueError) as error:
         raise UserError(f"{name} does not take {task.name}'s observations of shape {task.observation_shape}") from error

@@ -15,7 +15,7 @@ from deadreckon.data.history import beginning, stacked
 from deadreckon.devices import on_processor
 from deadreckon.files import replacing, write_json
 from deadreckon.policies import store
-from deadreckon.policies.deployed import EnvPolicy, History, memoryless
+from deadreckon.policies.deployed import EnvPolicy, History, deployed, memoryless
 from deadreckon.runs.callback import StopTraining, TrainingProgress, ends
 from deadreckon.runs.diagnostics import LogProbe, estimated_values, log_segments
 from deadreckon.runs.evaluate import episode_seeds, evaluate
@@ -75,7 +75,7 @@ class Recorder:
         view = self.job.each[0].view
         states = unstack(self.job.states, len(self.job.seeds))
         return [
-            History.of(EnvPolicy.of(agent.policy(state), view), self.history, self.spec)
+            History.of(deployed(agent, state, view), self.history, self.spec)
             for agent, state in zip(self.job.learners, states)
         ]
 

@@ -96,6 +96,7 @@ class RunConfig(TypedDict):
     log: NotRequired[Log | None]
     demonstrations: NotRequired[dict[str, Any] | None]
     history: NotRequired[Any]
+    encoder: NotRequired[Any]
     together: NotRequired[Any]
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.split import Fold, Holdout
 from deadreckon.errors import UserError
+from deadreckon.nets.encoder import Kind
 from deadreckon.online import Online
 from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.settings import DecisionOptions, DecisionSettings, EstimateOptions, EstimateSettings, EvidenceSettings
@@ -81,6 +82,9 @@ class TrainSettings(RunSettings):
     random of a log that no simulator judges, none of others; of a memory-mapped log the latest fifth, so that the rest is not
     copied. Of fewer than 10 episodes (or clusters) none, with a warning. A run that is continued keeps its own."""
     history: int = 1  # number of last observations, with the actions between them, that the agent and its policy act on
+
+    encoder: Kind = "patches"
+    """network between pictures and the agent's own: patches (fast on CPUs), drq or impala (convolutions, for GPUs)"""
 
     def check(self, seed: int, **counts: int) -> None:
         """See `RunSettings`."""
@@ -187,6 +191,7 @@ class TrainOptions(_Options, total=False):
     strict: bool
     holdout: Holdout | Fold | float | None
     history: int
+    encoder: Kind
 
 
 class OnlineOptions(_Options, total=False):

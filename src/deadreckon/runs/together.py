@@ -26,6 +26,7 @@ from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Fit
 from deadreckon.training.part import Part
+from deadreckon.training.pictures import of_pictures
 from deadreckon.training.revisions import of_learning, revisions
 from deadreckon.versions import versions
 
@@ -97,6 +98,8 @@ def train_lanes(
     }
     if settings.history > 1:
         common["history"] = settings.history
+    if any(of_pictures(one.log.spec) for one in learned):
+        common["encoder"] = settings.encoder
     if out != folders[0].path:
         common["together"] = [folder.path.name for folder in folders]
     configs = [config | common for one in learned for config in _configs(one, seeds, len(lanes))]
@@ -106,7 +109,7 @@ def train_lanes(
         raise UserError(f"{kept} is of other runs; give {', '.join(folder.path.name for folder in folders)} another folder")
     # Built before anything is written: whatever does not fit is told while the disk is untouched.
     own = learned[0].rows if len(learned) == 1 else [one.rows for one in learned for _ in one.lanes]
-    job = Fit(lanes, own, numbers * len(folders), steps, settings.chunk, kept, stream=settings.stream, stops=every)
+    job = Fit(lanes, own, numbers * len(folders), steps, settings.chunk, kept, stream=settings.stream, stops=every, encoder=settings.encoder)
     told = [text for folder, config in zip(folders, configs) for text in folder.check(config, resume=resume)]
     for text in dict.fromkeys(told):
         warnings.warn(text, stacklevel=3)

@@ -40,8 +40,8 @@ def train(
         task: the simulator to evaluate in, a task, its name, or a Gymnasium environment (see `tasks.registry.task`); None takes
             that of a known log, and none for others; False: none.
         out: run folder; None is `runs/AGENT-LOG`, with dashes for what cannot be in a folder's name.
-        **settings: `evaluate_every`, `episodes`, `chunk`, `resume`, `stream`, `strict`, `holdout`, `history`, `callback`,
-            `track` and `watch`; see `runs.settings.TrainSettings`.
+        **settings: `evaluate_every`, `episodes`, `chunk`, `resume`, `stream`, `strict`, `holdout`, `history`, `encoder`,
+            `callback`, `track` and `watch`; see `runs.settings.TrainSettings`.
 
     Raises:
         UserError: input that does not fit, in one line; nothing is written then.

@@ -111,14 +111,32 @@ class MujocoCopies:
         self._mujoco.mj_setState(model, data, self._state[copy], self._parts)
         self._settle(model, copy)
         self._mujoco.mj_forward(model, data)
-        if renderer is None:
-            renderer = self._mujoco.Renderer(model, *size)
+        renderer = renderer or self.renderer(size)
         renderer.update_scene(data, self._camera() if camera is None else camera)
         return renderer, renderer.render()
 
+    def renderer(self, size: tuple[int, int], plain: bool = False) -> Any:
+        """What draws pictures of copies.
+
+        Args:
+            size: height and width in pixels.
+            plain: without smoothed edges, shadows and reflections, which take a CPU a hundred times as long.
+        """
+        model, flags = self._models[0], self._mujoco.mjtRndFlag
+        samples = model.vis.quality.offsamples
+        model.vis.quality.offsamples = 0 if plain else samples
+        try:
+            found = self._mujoco.Renderer(model, *size)
+        finally:
+            model.vis.quality.offsamples = samples  # the model is shared
+        for flag in (flags.mjRND_SHADOW, flags.mjRND_REFLECTION) if plain else ():
+            found.scene.flags[flag] = 0
+        return found
+
     def _camera(self) -> Any:
-        """What sees the task: here the free camera, where MuJoCo puts it."""
-        return -1
+        """What sees the task: the model's camera that goes with the robot, or the free one, where MuJoCo puts it."""
+        followed = self._mujoco.mj_name2id(self._models[0], self._mujoco.mjtObj.mjOBJ_CAMERA, "track")
+        return followed if followed >= 0 else -1
 
     def _start(self, which: Any, starts: Any) -> np.ndarray:
         """Starts an episode of each of the copies `which` with what was drawn for it; gives their observations."""

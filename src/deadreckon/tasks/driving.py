@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from deadreckon.data.spec import Box
+from deadreckon.tasks.pixels import Pixels
 from deadreckon.tasks.road_maps import figure_eight
 from deadreckon.tasks.road_routes import Route
 from deadreckon.tasks.roads import LaneKey
@@ -177,10 +178,14 @@ class LaneSimulator:
         Returns:
             The renderer, and (height, width, 3) uint8.
         """
+        renderer = renderer or self.renderer(size)
+        return renderer, renderer.picture(*self.cars[copy, [X, Y, YAW]])
+
+    def renderer(self, size: tuple[int, int], plain: bool = False) -> Any:
+        """What draws pictures of copies; see `road_scene.Camera`. They are plain, with smoothed edges."""
         from deadreckon.tasks.road_scene import Camera
 
-        renderer = renderer or Camera(self.task.route.network, size)
-        return renderer, renderer.picture(*self.cars[copy, [X, Y, YAW]])
+        return Camera(self.task.route.network, size)
 
     def _observe(self) -> np.ndarray:
         """(copies, 8) float32; notes how far each copy is, and the direction of its lane there."""
@@ -200,3 +205,10 @@ TASK = LaneDriving(
     reference=Reference(21.3110, 1130.3935, "measured on this simulator: uniform actions, the controller of its logs"),
     summary="drive along the lane of a figure eight at 5 m/s and more", properties=("narrow data", "realistic"),
 )  # fmt: skip
+
+# What the original shows: pictures of 48 x 48 alone, with which a policy does not know how fast it drives.
+SEEN = Pixels.of(
+    TASK, (48, 48), 1, "carla-lane", gym_id="deadreckon/CarlaLane-v0",
+    summary="the same from pictures of 48 x 48 pixels", published=Reference(-0.85, 1023.58, "D4RL: another car and road"),
+)  # fmt: skip
+TASKS = TASK, SEEN

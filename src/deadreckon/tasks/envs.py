@@ -23,6 +23,6 @@ for _name, _env in (("ant", "PaddedAntEnv"), ("humanoid", "PaddedHumanoidEnv")):
     if _task.gym_id not in registered:
         register(_task.gym_id, f"deadreckon.tasks.gym_env:{_env}", max_episode_steps=_task.horizon)
 
-for _task in (*adroit.TASKS, *kitchen.TASKS, *antmaze.TASKS, antmaze.REACH_TASK, driving.TASK, battery.TASK):
+for _task in (*adroit.TASKS, *kitchen.TASKS, *antmaze.TASKS, antmaze.REACH_TASK, *driving.TASKS, battery.TASK):
     if _task.gym_id not in registered:
         register(_task.gym_id, "deadreckon.tasks.simulator_env:SimulatorEnv", kwargs={"task": _task.name})

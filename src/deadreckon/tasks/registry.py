@@ -8,6 +8,7 @@ from deadreckon.data import terminations
 from deadreckon.data.catalogue import ENTRIES
 from deadreckon.errors import UserError, unknown
 from deadreckon.tasks import adroit, antmaze, battery, driving, flow, gym_mujoco, kitchen, maze2d
+from deadreckon.tasks.pixels import SUFFIX, of_pixels
 from deadreckon.tasks.task import Task
 
 _TASKS: dict[str, Task] = {}
@@ -17,7 +18,7 @@ def task(given: Any, horizon: int | None = None) -> Task:
     """The task that is meant.
 
     Args:
-        given: a task or its name, such as `maze2d-umaze`; a Gymnasium environment, its id, such as `Pendulum-v1` or
+        given: a task or its name, such as `maze2d-umaze`, with `:pixels` behind it where pictures are to be seen; a Gymnasium environment, its id, such as `Pendulum-v1` or
             `gymnasium:Pendulum-v1`, or what makes one: a function, or the name `module:Class` of one. See
             `tasks.gymnasium_task`.
         horizon: of an environment, steps after which an episode times out; None: its own limit.
@@ -26,6 +27,8 @@ def task(given: Any, horizon: int | None = None) -> Task:
         UserError: there is none of this name, in which case the message names the nearest; or it is no environment that can be
             a task.
     """
+    if isinstance(given, str) and given not in _TASKS and given.endswith(SUFFIX):
+        return of_pixels(task(given.removesuffix(SUFFIX), horizon))
     known = given if isinstance(given, Task) else _TASKS.get(given) if isinstance(given, str) else None
     if known is not None and horizon is not None:
         raise UserError(f"{known.name} has a horizon of its own, {known.horizon} steps; leave the other out")
@@ -45,7 +48,7 @@ def of_run(name: str) -> Task:
     Raises:
         UserError: it is of a module that has not been imported: a folder from elsewhere must not name code that runs.
     """
-    path = name.partition("?")[0].removeprefix("gymnasium:")
+    path = name.partition("?")[0].removeprefix("gymnasium:").removesuffix(SUFFIX)
     module = path.partition(":")[0]
     if name not in _TASKS and ":" in path and module not in sys.modules:
         raise UserError(f"the run's task is {name}, not one of deadreckon's: name it with --task, or import {module} first")
@@ -73,5 +76,5 @@ def register(task: Task) -> None:
 
 
 _MANY = *maze2d.TASKS, *antmaze.TASKS, antmaze.REACH_TASK, *gym_mujoco.TASKS, *adroit.TASKS, *kitchen.TASKS, *flow.TASKS
-for _task in (*_MANY, driving.TASK, battery.TASK):
+for _task in (*_MANY, *driving.TASKS, battery.TASK):
     register(_task)

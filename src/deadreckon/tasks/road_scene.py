@@ -31,7 +31,7 @@ class Camera:
 
     def __init__(self, network: Network, size: tuple[int, int]):
         self._mujoco = bindings()
-        self._model = self._mujoco.MjModel.from_xml_string(mjcf(network))
+        self._model = self._mujoco.MjModel.from_xml_string(mjcf(network, size))
         self._data = self._mujoco.MjData(self._model)
         self._renderer = self._mujoco.Renderer(self._model, *size)
 
@@ -49,8 +49,13 @@ class Camera:
         self._renderer.close()
 
 
-def mjcf(network: Network) -> str:
-    """The scene as MuJoCo's XML: a mesh for the asphalt of all roads, and one for each colour of marks."""
+def mjcf(network: Network, size: tuple[int, int]) -> str:
+    """The scene as MuJoCo's XML: a mesh for the asphalt of all roads, and one for each colour of marks.
+
+    Args:
+        network: of roads.
+        size: height and width of pictures in pixels.
+    """
     meshes = {"road": [_strip(road, *_sides(road), ROAD_HIGH) for road in network.roads], "edge": [], "middle": []}
     for road in network.roads:
         if road.junction != -1:
@@ -69,6 +74,7 @@ def mjcf(network: Network) -> str:
   <visual>
     <headlight ambient="0.9 0.9 0.9" diffuse="0.1 0.1 0.1" specular="0 0 0"/>
     <map znear="0.001" zfar="2"/>
+    <global offheight="{size[0]}" offwidth="{size[1]}"/>
     <quality shadowsize="0"/>
   </visual>
   <statistic extent="150" center="0 0 0"/>
@@ -77,7 +83,7 @@ def mjcf(network: Network) -> str:
 {assets}
   </asset>
   <worldbody>
-    <geom type="plane" size="500 500 1" rgba="0.35 0.50 0.25 1" contype="0" conaffinity="0"/>
+    <geom type="plane" size="500 500 1000" rgba="0.35 0.50 0.25 1" contype="0" conaffinity="0"/>
 {geoms}
     <body name="car" mocap="true">
       <camera name="driver" mode="fixed" xyaxes="0 -1 0 0 0 1" fovy="{VIEW}"/>

@@ -24,7 +24,9 @@ class SimulatorEnv(gymnasium.Env[np.ndarray, np.ndarray], EzPickle):
         self.task = registry.task(task)
         self.render_mode = render_mode
         space = self.task.action_space
-        self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, self.task.observation_shape, np.float32)
+        low, high = (0, 255) if self.task.observation_dtype == "uint8" else (-np.inf, np.inf)
+        dtype: Any = np.dtype(self.task.observation_dtype)
+        self.observation_space = gymnasium.spaces.Box(low, high, self.task.observation_shape, dtype)
         if isinstance(space, Discrete):
             self.action_space: Any = gymnasium.spaces.Discrete(space.n)
         else:

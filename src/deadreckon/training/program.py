@@ -15,7 +15,9 @@ from jaxtyping import Array, Float, Int, Key, PRNGKeyArray
 
 from deadreckon.data.batch import Batch
 from deadreckon.data.spec import Spec
+from deadreckon.nets.encoder import Kind
 from deadreckon.randomness import key_for
+from deadreckon.training import pictures
 from deadreckon.training.learner import stack, unstack
 
 REVISION = 2  # of the loop: rows drawn, keys, order of updates; raised where numbers change (see bench/identity.py)
@@ -156,7 +158,7 @@ def advance(
         if hasattr(learner, "learned"):
             batch = learner.learned(batch)
         key = key_for(root, "update", step)
-        return learner.update(state, batch, step=step, key=key)
+        return pictures.update(learner, state, batch, step=step, key=key)
 
     def all_lanes(states: Any, step: Array) -> tuple[Any, dict[str, Array]]:
         fetched = None if plan.resident else {name: column[step - start] for name, column in data.items()}
@@ -185,18 +187,20 @@ def advance(
     return states, jax.tree.map(lambda s: s / count, sums), bad
 
 
-def begin(learner: Any, specs: Sequence[Spec], roots: Key[Array, "lanes"]) -> Any:
+def begin(learner: Any, specs: Sequence[Spec], roots: Key[Array, "lanes"], encoder: Kind = "patches") -> Any:
     """(lanes, ...) first states.
 
     Args:
         learner: see `learner.lift`.
         specs: of the log of each lane.
         roots: keys of the lanes.
+        encoder: of pictures.
     """
     # Not compiled as a whole: what draws a layer is compiled once a shape, and serves all lanes, agents and logs. One
     # program an agent and log gives the same bits and takes half a second to ten seconds to compile.
     keys = [key_for(jax.random.wrap_key_data(root), "init") for root in np.asarray(jax.random.key_data(roots))]
-    return stack([own.init(spec, key) for own, spec, key in zip(unstack(learner, len(specs)), specs, keys)])
+    made = zip(unstack(learner, len(specs)), specs, keys)
+    return stack([pictures.first_state(own, spec, key, encoder) for own, spec, key in made])
 
 
 @jax.jit

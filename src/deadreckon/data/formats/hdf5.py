@@ -1,4 +1,4 @@
-"""D4RL's hdf5 layout: one dataset a column. Ours are contiguous, so that a column can be memory-mapped."""
+"""D4RL's hdf5 layout: one dataset a column. Ours are contiguous, so that a column can be memory-mapped, but for pictures."""
 
 import contextlib
 import json
@@ -26,6 +26,7 @@ from deadreckon.foreign.child import read_apart
 from deadreckon.foreign.door import file_size
 from deadreckon.names import safe_name
 
+PICTURES = 64  # that are compressed together
 _OVERHEAD = 65_536  # bytes of a file beside its columns: names, header, alignment
 
 
@@ -127,7 +128,10 @@ class Writer:
         return found
 
     def add(self, column: str, shape: tuple[int, ...], dtype: Any) -> h5py.Dataset:
-        """Makes a contiguous column of (*shape) and gives it; shape includes the rows."""
+        """Makes a column of (*shape) and gives it; shape includes the rows. Pictures are compressed, others contiguous."""
+        if np.dtype(dtype) == np.uint8 and len(shape) == 4 and shape[0]:
+            parts = (min(shape[0], PICTURES), *shape[1:])
+            return self.file.create_dataset(_place(column), shape, dtype, chunks=parts, compression="gzip", compression_opts=1)
         # Space is taken at once and never filled with zeros first: the caller writes every row.
         return self.file.create_dataset(_place(column), shape, dtype, fill_time="never")
 

@@ -1,0 +1,71 @@
+"""How agents learn from pictures: features by an encoder before the agent's own networks, which actor and critics share.
+
+As in DrQ-v2 (Yarats et al. 2022, section 3.1) pictures are shifted at random, and the encoder learns by one loss of the agent,
+`representation_loss`, most often that of its critics; all others take features as they are.
+"""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+import optax
+from jaxtyping import Array, PRNGKeyArray
+
+from deadreckon.data.batch import Batch
+from deadreckon.data.spec import Spec, Statistics
+from deadreckon.nets.encoder import Encoder, Kind, shifted
+from deadreckon.nets.optim import apply_gradients, init_opt
+from deadreckon.randomness import keys
+
+REVISION = 1  # raised where what is learned from pictures changes (see bench/identity.py)
+FEATURES = 64  # that an agent sees instead of a picture
+SHIFT = 4  # pixels, the most that pictures are moved, for 84 of height; of others in proportion
+
+
+class Seen(NamedTuple):
+    """The state of an agent that learns from pictures: the encoder with its optimiser, and the agent's own state."""
+
+    encoder: Encoder
+    opt: optax.OptState
+    inner: Any
+
+
+def of_pictures(spec: Spec) -> bool:
+    """Whether a log's observations are pictures."""
+    return spec.observation_dtype == "uint8" and len(spec.observation_shape) == 3
+
+
+def features_of(spec: Spec) -> Spec:
+    """The spec of a log of pictures as an agent behind an encoder has it."""
+    bounds = Statistics(np.zeros(FEATURES), np.ones(FEATURES), -np.ones(FEATURES), np.ones(FEATURES))
+    return dataclasses.replace(spec, observation_shape=(FEATURES,), observation_dtype="float32", observation=bounds)
+
+
+def first_state(learner: Any, spec: Spec, key: PRNGKeyArray, kind: Kind) -> Any:
+    """The learner's first state, of pictures behind a fresh encoder of that kind."""
+    if not of_pictures(spec):
+        return learner.init(spec, key)
+    k_encoder, k_inner = keys(key, "encoder", "agent")
+    encoder = Encoder.create(kind, spec.observation_shape, FEATURES, k_encoder)
+    return Seen(encoder, init_opt(encoder), learner.init(features_of(spec), k_inner))
+
+
+def update(learner: Any, state: Any, batch: Batch, *, step: Array, key: PRNGKeyArray) -> tuple[Any, dict[str, Array]]:
+    """One update of a learner; where it learns from pictures, of its encoder too, both from the same features."""
+    if not isinstance(state, Seen):
+        return learner.update(state, batch, step=step, key=key)
+    k_now, k_next, k_inner = keys(key, "shift", "next_shift", "agent")
+    most = max(1, round(SHIFT * batch.observation.shape[1] / 84))
+    features, back = jax.vjp(lambda encoder: encoder(shifted(batch.observation, k_now, most)), state.encoder)
+    seen = batch._replace(observation=features)
+    if batch.next_observation is not None:
+        seen = seen._replace(next_observation=state.encoder(shifted(batch.next_observation, k_next, most)))
+
+    def loss(features: Array) -> Array:
+        return learner.representation_loss(state.inner, seen._replace(observation=features), step=step, key=k_inner)
+
+    grads = back(jax.grad(loss)(features))[0]
+    encoder, opt = apply_gradients(state.encoder, grads, state.opt, learner.representation_lr)
+    inner, metrics = learner.update(state.inner, seen, step=step, key=k_inner)
+    return Seen(encoder, opt, inner), metrics
