@@ -155,6 +155,7 @@ class Task:
         summary: one line on what is to be done.
         properties: what makes it hard, among `PROPERTIES`: thesis 7.3, and Table 8.1 where it has the task.
         source: where the task comes from, thesis Table D.2.
+        observation_dtype: numpy name of the dtype of observations: "float32", or "uint8" for pictures.
     """
 
     revision: ClassVar[int] = 1
@@ -171,6 +172,7 @@ class Task:
     summary: str = ""
     properties: tuple[str, ...] = ()
     source: str = ""
+    observation_dtype: str = "float32"
     # Left out of the hash, which a dict has none of, so that tasks can be keys.
     extra: dict[str, Any] = field(default_factory=dict, hash=False)
 
@@ -206,6 +208,11 @@ class Task:
             which: copies.
         """
         return observations[which]
+
+    @property
+    def most_copies(self) -> int | None:
+        """Copies that can be stepped side by side; None: any number. `simulate` refuses more; see `tasks.turns`."""
+        return None
 
     @property
     def logs_pay_alike(self) -> bool:
