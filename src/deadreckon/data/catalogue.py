@@ -8,6 +8,7 @@ from typing import Any
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats import minari_ids as minaris
 from deadreckon.data.formats.build import TABLE_ENDINGS
+from deadreckon.data.formats.flat_pictures import CARLA_FILES
 from deadreckon.data.formats.io import read
 from deadreckon.data.kitchen import KITCHENS, kitchen_goal
 from deadreckon.errors import UserError, unknown
@@ -25,10 +26,10 @@ class Entry:
     Attributes:
         name: D4RL's.
         domain: such as `maze2d`.
-        task: where policies learned from it are judged.
-        recipe: name that `deadreckon data collect` takes.
+        task: where policies learned from it are judged; None where that is a server's, which has to be named.
+        recipe: name that `deadreckon data collect` takes; None where there is no recipe.
         rows: steps in the original, as the thesis' Table D.1 has them; our recipe may take another number. Table D.1 counts the
-            v0 files where it says medium-replay, and does not have Ant's, for which this is a round number.
+            v0 files where it says medium-replay, and does not have Ant's, for which this is a round number. None: not known.
         original: path of D4RL's file below its download root; None where D4RL has no such log.
         minari: id of the Minari twin, which was collected anew and differs.
         version: of our recipe.
@@ -41,9 +42,9 @@ class Entry:
 
     name: str
     domain: str
-    task: str
-    recipe: str
-    rows: int
+    task: str | None
+    recipe: str | None
+    rows: int | None
     original: str | None
     minari: str | None
     version: str = VERSION
@@ -150,6 +151,11 @@ _ANTS = tuple(
     for kind in kinds
 )
 
+def _carla(name: str, file: str) -> Entry:  # pictures, which a CARLA server alone makes; the lane's rows are as its readers say
+    rows = 100_000 if name == "carla-lane-v0" else None
+    return Entry(name, "carla", None, None, rows, f"carla/{file}.hdf5", None, controller="planner")
+
+
 def _lane(kind: str) -> Entry:
     name = f"carla-lane-state{kind}-v0"
     return Entry(name, "carla", "carla-lane-state", name, 100_000, None, None)
@@ -166,6 +172,7 @@ ENTRIES: dict[str, Entry] = {
         *map(_kitchen, _KITCHEN),
         *(_antmaze(maze, kind) for maze, kind in _ANTS),
         *map(_lane, ("", "-noisy", "-uniform")),
+        *(_carla(name, file) for name, file in CARLA_FILES.items()),
     )
 }
 
@@ -195,10 +202,11 @@ def entry(name: str) -> Entry:
             raise UserError(f"no file {name}, and no data set is called so (`deadreckon data list` lists them)")
         raise unknown("data set", base, ENTRIES)
     found = ENTRIES[base]
-    if version and version not in (found.version, *found.earlier, *found.sources):
-        downloads = "".join(f", {base}@{each} (collected earlier)" for each in found.earlier)
-        downloads += "".join(f", {base}@{source} (downloaded)" for source in found.sources)
-        raise UserError(f"unknown version {version!r} of {base}: known are {found.collected} (collected){downloads}")
+    own = () if found.recipe is None else (found.version, *found.earlier)
+    if version and version not in (*own, *found.sources):
+        known = [f"{base}@{each} (collected{' earlier' * (i > 0)})" for i, each in enumerate(own)]
+        known += [f"{base}@{source} (downloaded)" for source in found.sources]
+        raise UserError(f"unknown version {version!r} of {base}: known are {', '.join(known)}")
     return found
 
 
@@ -269,6 +277,8 @@ def _how(found: Entry, version: str) -> str:
         for source in found.sources
         if version in ("", source)
     ][:1]
+    if found.recipe is None:
+        return f"{found.name} is not here yet: {gets[0]}; it cannot be collected here"
     collect = f"`deadreckon data collect {found.recipe}` makes"
     if version == "" and (old := [each for each in found.earlier if cached_path(f"{found.name}@{each}").exists()]):
         return f"{found.name} is here as {found.name}@{old[0]} alone, of an earlier recipe: {collect} {found.collected} offline"

@@ -62,9 +62,9 @@ def of_run(name: str) -> Task:
 
 
 def of_log(name: str) -> Task | None:
-    """The task of a log that the catalogue knows, by the log's name; None for others."""
+    """The task of a log that the catalogue knows, by the log's name; None for others, and where it is a server's."""
     known = ENTRIES.get(name.split("@")[0])
-    return None if known is None else task(known.task)
+    return None if known is None or known.task is None else task(known.task)
 
 
 def names() -> list[str]:

@@ -56,7 +56,7 @@ def reference(domain: str) -> Reference:
         UserError: D4RL has none, or the name is not known.
     """
     name = plain(domain)
-    judged = {plain(log): entry.task for log, entry in ENTRIES.items()} | {known: known for known in names()}
+    judged = {plain(log): entry.task for log, entry in ENTRIES.items() if entry.task} | {known: known for known in names()}
     if name in judged:
         found = task(judged[name]).published
         if found is None:
