@@ -700,14 +700,39 @@ MUTANTS = (
         ("runs/test_holdout.py::test_a_run_that_is_gone_on_with_keeps_what_it_held_out",),
     ),
     Mutant(
-        "discounted-return", "runs/evaluate.py", "alive * rewards * discounts[:, None] ** t",
-        "alive * rewards * discounts[:, None] ** (t + 1)", "true discounted returns are too small by one discount",
+        "discounted-return", "runs/evaluate.py", "alive * rewards * self.discounts[:, None] ** t",
+        "alive * rewards * self.discounts[:, None] ** (t + 1)", "true discounted returns are too small by one discount",
         ("runs/test_train.py::test_nothing_counts_after_an_episodes_end",),
     ),
     Mutant(
         "counts-after-end", "runs/evaluate.py", "returns += alive * rewards", "returns += rewards",
         "rewards after an episode's end count",
         ("runs/test_train.py::test_nothing_counts_after_an_episodes_end",),
+    ),
+    Mutant(
+        "turns-begin-alike", "tasks/turns.py", "[seeds[i] for i in turn]", "[seeds[i] for i in range(len(turn))]",
+        "where episodes run in turns, each turn has the starts of the first",
+        ("runs/test_evaluate.py::test_episodes_in_turns_are_those_side_by_side",),
+    ),
+    Mutant(
+        "late-picture", "tasks/carla_server.py", "if image.frame == self.frame:", "if image.frame <= self.frame:",
+        "a picture of an earlier step counts as that of this one",
+        ("tasks/test_carla.py::test_pictures_that_come_late_are_dropped",),
+    ),
+    Mutant(
+        "blue-first", "tasks/carla_server.py", "blue_first[:, :, 2::-1]", "blue_first[:, :, :3]",
+        "pictures of CARLA have blue and red the wrong way round",
+        ("tasks/test_carla.py::test_the_order_of_an_episode",),
+    ),
+    Mutant(
+        "clock-left-standing", "tasks/carla_server.py", "lambda: self.world.apply_settings(settings),", "lambda: None,",
+        "a CARLA server is left in synchronous mode",
+        ("tasks/test_carla.py::test_the_order_of_an_episode",),
+    ),
+    Mutant(
+        "dark-pictures", "data/formats/flat_pictures.py", "(255.0 / most)", "1.0",
+        "pictures that D4RL keeps as numbers from 0 to 1 become black",
+        ("data/formats/test_flat_pictures.py::test_a_file_of_a_known_name_holds_pictures",),
     ),
     # ---- designers
     Mutant(

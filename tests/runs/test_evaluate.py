@@ -1,5 +1,7 @@
 """What an evaluation in a simulator refuses before it begins."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,8 @@ from deadreckon.errors import UserError
 from deadreckon.policies import BlackBoxPolicy
 from deadreckon.runs.evaluate import Evaluation, evaluate
 from deadreckon.tasks import task
+from deadreckon.tasks.driving import LaneDriving
+from deadreckon.tasks.turns import first_observations
 
 STILL = BlackBoxPolicy(lambda seen, rng: np.zeros((len(seen), 2)))
 
@@ -34,3 +38,45 @@ def test_a_score_by_the_benchmarks_own_references_is_told_where_ours_are_others(
         assert result.published_score(1).value == pytest.approx(theirs)
         assert str(result).count("by D4RL's references 100.0") == 3
         assert result.score(1).value < 70.0
+
+
+class FewCopies(LaneDriving):
+    """Driving with no more than three cars side by side."""
+
+    most_copies = 3
+
+    def simulate(self, seeds, threads=None):
+        assert len(seeds) <= self.most_copies
+        simulator = super().simulate(seeds)
+        simulator.close = lambda: closed.append(len(seeds))
+        return simulator
+
+
+closed: list[int] = []
+DRAWN = BlackBoxPolicy(lambda seen, rng: rng.uniform(-1, 1, (len(seen), 2)) * [0.0, 0.8] + [1.0, 0.0])
+
+
+def test_episodes_in_turns_are_those_side_by_side():
+    closed.clear()
+    given = {each.name: getattr(task("carla-lane-state"), each.name) for each in dataclasses.fields(LaneDriving)}
+    given |= {"horizon": 120}
+    run = [evaluate([STILL, DRAWN], of(**given), episodes=4, seed=3, record=2) for of in (LaneDriving, FewCopies)]
+    assert closed == [3]
+    for name in ("returns", "discounted", "lengths", "trajectories"):
+        np.testing.assert_array_equal(*(getattr(each, name) for each in run))
+    assert run[0].trajectories.shape == (2, 2, 120, 8)
+    assert (run[0].lengths[0] == 120).all()
+    assert len(set(run[0].lengths[1].tolist())) > 1  # turns end at different times
+    np.testing.assert_array_equal(*(first_observations(of(**given), range(7)) for of in (LaneDriving, FewCopies)))
+
+
+def test_a_simulator_is_closed_whatever_happens():
+    closed.clear()
+    given = {each.name: getattr(task("carla-lane-state"), each.name) for each in dataclasses.fields(LaneDriving)}
+
+    def interrupted(seen, rng):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        evaluate(BlackBoxPolicy(interrupted), FewCopies(**given), episodes=4)
+    assert closed == [3]

@@ -176,7 +176,9 @@ def _list(options: List) -> None:
     rows = [["log", "steps", "task", "in the cache", "original (D4RL)", "Minari version"]]
     for e in ENTRIES.values():
         copies = ", ".join(at_hand(e)) or "-"
-        rows.append([e.name, f"{recipe(e.recipe).steps:,}", e.task, copies, e.original or "-", e.minari or "-"])
+        steps = recipe(e.recipe).steps if e.recipe else e.rows
+        place = e.task or ("a CARLA server" if e.domain == "carla" else "-")
+        rows.append([e.name, f"{steps:,}" if steps else "-", place, copies, e.original or "-", e.minari or "-"])
     print(table(rows, right=(1,)))
     print("\n`deadreckon data collect NAME` collects a log again on this machine; its name is NAME@dr1, of the kitchen @dr2.")
     print("`deadreckon data get NAME --source d4rl|minari` downloads the original (NAME@d4rl) or Minari's (NAME@minari).")

@@ -24,7 +24,7 @@ from deadreckon.tasks.task import Task
 def _register(name: str, task: Task, make: Maker, summary: str, rows: int | None = None) -> None:
     """Registers the recipe of the catalogue's log `name`, with as many rows unless `rows` says how many ours has."""
     known = entry(name)
-    register(Recipe(known.recipe, task.name, known.rows if rows is None else rows, make, summary))
+    register(Recipe(known.name, task.name, rows or known.rows or 0, make, summary))
 
 
 # ---- Maze2D -----------------------------------------------------------------------------------------------------------

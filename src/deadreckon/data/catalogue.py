@@ -8,6 +8,7 @@ from typing import Any
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats import minari_ids as minaris
 from deadreckon.data.formats.build import TABLE_ENDINGS
+from deadreckon.data.formats.flat_pictures import CARLA_FILES
 from deadreckon.data.formats.io import read
 from deadreckon.data.kitchen import KITCHENS, kitchen_goal
 from deadreckon.errors import UserError, unknown
@@ -25,10 +26,10 @@ class Entry:
     Attributes:
         name: D4RL's.
         domain: such as `maze2d`.
-        task: where policies learned from it are judged.
-        recipe: name that `deadreckon data collect` takes.
+        task: where policies learned from it are judged; None where that is a server's, which has to be named.
+        recipe: name that `deadreckon data collect` takes; None where there is no recipe.
         rows: steps in the original, as the thesis' Table D.1 has them; our recipe may take another number. Table D.1 counts the
-            v0 files where it says medium-replay, and does not have Ant's, for which this is a round number.
+            v0 files where it says medium-replay, and does not have Ant's, for which this is a round number. None: not known.
         original: path of D4RL's file below its download root; None where D4RL has no such log.
         minari: id of the Minari twin, which was collected anew and differs.
         version: of our recipe.
@@ -37,13 +38,14 @@ class Entry:
             and these numbers put behind them, so that they are laid out as the original's; None takes them as they are.
         sha256: of the original file, in hexadecimal; D4RL never published any.
         controller: who acts, thesis Table D.1: `planner`, `policy` (random ones and hand-made controllers too) or `human`.
+        elsewhere: whether the original is of another world than the task, in which its policies cannot be judged.
     """
 
     name: str
     domain: str
-    task: str
-    recipe: str
-    rows: int
+    task: str | None
+    recipe: str | None
+    rows: int | None
     original: str | None
     minari: str | None
     version: str = VERSION
@@ -51,6 +53,7 @@ class Entry:
     twin_layout: tuple[int, tuple[int, ...], tuple[float, ...]] | None = None
     sha256: str | None = None
     controller: str = "policy"
+    elsewhere: bool = False
 
     @property
     def collected(self) -> str:
@@ -150,9 +153,15 @@ _ANTS = tuple(
     for kind in kinds
 )
 
-def _lane(task: str, kind: str) -> Entry:
-    name = f"{task}{kind}-v0"
-    return Entry(name, "carla", task, name, 100_000, None, None)
+def _carla(name: str) -> Entry:  # the towns' rows nobody has said
+    rows, task, recipe = (100_000, "carla-lane", name) if name == "carla-lane-v0" else (None, None, None)
+    return Entry(
+        name, "carla", task, recipe, rows, f"carla/{CARLA_FILES[name]}.hdf5", None, controller="planner", elsewhere=True
+    )
+
+
+def _lane(name: str) -> Entry:
+    return Entry(f"{name}-v0", "carla", name.removesuffix("-noisy").removesuffix("-uniform"), f"{name}-v0", 100_000, None, None)
 
 
 ENTRIES: dict[str, Entry] = {
@@ -165,7 +174,9 @@ ENTRIES: dict[str, Entry] = {
         *(_adroit(task, kind) for task in _HUMAN for kind in ("human", "cloned", "expert")),
         *map(_kitchen, _KITCHEN),
         *(_antmaze(maze, kind) for maze, kind in _ANTS),
-        *(_lane(task, kind) for task in ("carla-lane-state", "carla-lane") for kind in ("", "-noisy", "-uniform")),
+        *map(_lane, (f"carla-lane-state{kind}" for kind in ("", "-noisy", "-uniform"))),
+        *map(_carla, CARLA_FILES),
+        *map(_lane, ("carla-lane-noisy", "carla-lane-uniform")),
     )
 }
 
@@ -195,11 +206,18 @@ def entry(name: str) -> Entry:
             raise UserError(f"no file {name}, and no data set is called so (`deadreckon data list` lists them)")
         raise unknown("data set", base, ENTRIES)
     found = ENTRIES[base]
-    if version and version not in (found.version, *found.earlier, *found.sources):
-        downloads = "".join(f", {base}@{each} (collected earlier)" for each in found.earlier)
-        downloads += "".join(f", {base}@{source} (downloaded)" for source in found.sources)
-        raise UserError(f"unknown version {version!r} of {base}: known are {found.collected} (collected){downloads}")
+    own = () if found.recipe is None else (found.version, *found.earlier)
+    if version and version not in (*own, *found.sources):
+        known = [f"{base}@{each} (collected{' earlier' * (i > 0)})" for i, each in enumerate(own)]
+        known += [f"{base}@{source} (downloaded)" for source in found.sources]
+        raise UserError(f"unknown version {version!r} of {base}: known are {', '.join(known)}")
     return found
+
+
+def is_elsewhere(name: str) -> bool:
+    """Whether originals of a log, by its name, are of another world than the task that the catalogue names."""
+    found = ENTRIES.get(name.partition("@")[0])
+    return found is not None and found.elsewhere
 
 
 def cached_path(name: str) -> Path:
@@ -269,6 +287,8 @@ def _how(found: Entry, version: str) -> str:
         for source in found.sources
         if version in ("", source)
     ][:1]
+    if found.recipe is None:
+        return f"{found.name} is not here yet: {gets[0]}; it cannot be collected here"
     collect = f"`deadreckon data collect {found.recipe}` makes"
     if version == "" and (old := [each for each in found.earlier if cached_path(f"{found.name}@{each}").exists()]):
         return f"{found.name} is here as {found.name}@{old[0]} alone, of an earlier recipe: {collect} {found.collected} offline"

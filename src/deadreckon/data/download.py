@@ -95,7 +95,7 @@ def get(
             make = _original if source == ORIGINAL else _twin
             received = make(found, path, sums, progress or (lambda done, total: None), retry or RetryPolicy())
     except TransferError as error:
-        raise UserError(f"{error}; `deadreckon data collect {found.recipe}` makes it offline") from error
+        raise UserError(f"{error}; {_offline(found)}".removesuffix("; ")) from error
     except OSError as error:  # of the disk: those of the network were told apart before
         raise UserError(f"cannot write {path}: {error.strerror or error} (what has come is kept)") from error
     return Download(f"{found.name}@{source}", path, True, received.sha256, received.vouched)
@@ -232,9 +232,14 @@ def _known(name: str, source: str) -> Entry:
         raise UserError(f"{name} and the source {source} contradict each other; leave @{version} out")
     if source not in found.sources:
         what = {ORIGINAL: "original at D4RL's", TWIN: "Minari twin"}
-        others = "".join(f"--source {other} downloads its {what[other]}, " for other in found.sources)
-        raise UserError(f"{base} has no {what[source]}: {others}`deadreckon data collect {found.recipe}` makes it offline")
+        others = [f"--source {other} downloads its {what[other]}" for other in found.sources]
+        raise UserError(f"{base} has no {what[source]}: {', '.join(filter(None, [*others, _offline(found)]))}")
     return found
+
+
+def _offline(found: Entry) -> str:
+    """How a log is had without a network; empty where there is no recipe."""
+    return "" if found.recipe is None else f"`deadreckon data collect {found.recipe}` makes it offline"
 
 
 def _checked_sum(sha256: str | None) -> str | None:

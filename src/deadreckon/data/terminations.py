@@ -74,7 +74,7 @@ def of_spec(spec: Spec) -> Termination | None:
     if not spec.rows:
         return _KNOWN.get(spec.name)
     entry = ENTRIES.get(spec.name.split("@")[0])
-    return None if entry is None else _KNOWN.get(entry.task)
+    return None if entry is None else _KNOWN.get(entry.task or "")
 
 
 def register(rule: Termination) -> None:

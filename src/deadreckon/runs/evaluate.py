@@ -19,6 +19,7 @@ from deadreckon.stats.crossed import mean_interval
 from deadreckon.stats.interval import PERCENT, Interval
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Simulator, Task
+from deadreckon.tasks.turns import begun, simulating, turns
 
 REVISION = 1  # of how policies are judged in a simulator; raised where scores change (see bench/identity.py)
 
@@ -143,6 +144,8 @@ def evaluate(
 ) -> Evaluation:
     """Runs policies in a task's simulator, all of them and all episodes side by side.
 
+    Where a task cannot have as many copies (`Task.most_copies`) they run in turns, with the same results.
+
     Args:
         policies: a `Policy`, a policy file, a Run, or a sequence of these.
         task: a task, its name, or a Gymnasium environment, its id, or what makes one; see `tasks.registry.task`.
@@ -170,36 +173,80 @@ def evaluate(
     names = tuple(names) if names else tuple(f"policy {i}" for i in range(len(found)))
     for name, policy in zip(names, found):
         _check_fit(policy, task, name)
-    count, copies = len(found), len(found) * episodes
-    simulator: Simulator = task.simulate(episode_seeds(seed, episodes) * count)
-    actors = _Actors(found, episodes, seed, settings.greedy)
-    observations = simulator.reset()
-    shape = (count, episodes)
-    rewards, first = np.zeros(shape), np.ones(shape, bool)
-    returns, discounted, lengths, alive = np.zeros(shape), np.zeros(shape), np.zeros(shape, int), np.ones(shape, bool)
-    recorded = [] if record else None
-    first_ones = (np.arange(count)[:, None] * episodes + np.arange(episodes)[:record]).ravel()
-    for t in range(task.horizon):
-        seen = observations.reshape(*shape, *observations.shape[1:])
-        if recorded is not None:
-            shown = task.shown(simulator, observations, first_ones)
-            shown = shown.reshape(count, -1, *shown.shape[1:])
-            recorded.append(np.where(alive[:, :record, *[None] * (shown.ndim - 2)], shown, np.nan))
-        actions = actors(Step(seen, rewards, first), t)
-        wanted = () if isinstance(task.action_space, Discrete) else (task.action_space.size,)
+    shape, seeds = (len(found), episodes), episode_seeds(seed, episodes) * len(found)
+    sums = _Sums(shape, settings.horizon, discounts, record)
+    with simulating(task, seeds) as simulator:
+        for turn in turns(task, len(seeds)):
+            _run(_Actors(found, episodes, seed, settings.greedy), task, simulator, turn, seeds, sums)
+    returns, discounted, lengths = sums.returns, sums.discounted, sums.lengths
+    return Evaluation(task, returns, discounted, lengths, tuple(discounts.tolist()), names, sums.trajectories())
+
+
+class _Sums:
+    """What is kept of (policies, episodes): sums of rewards, lengths, and what pictures show of the first episodes."""
+
+    def __init__(self, shape: tuple[int, int], horizon: int | None, discounts: np.ndarray, record: int):
+        self.shape, self.horizon, self.discounts, self.record = shape, horizon, discounts, min(record, shape[1])
+        self.returns, self.discounted, self.lengths = np.zeros(shape), np.zeros(shape), np.zeros(shape, int)
+        self.frames: list[np.ndarray] = []
+
+    def add(self, t: int, alive: np.ndarray, rewards: np.ndarray) -> None:
+        """A step of the episodes that are `alive`, (policies, episodes) as their rewards."""
+        self.returns += alive * rewards
+        if self.horizon is None or t < self.horizon:
+            self.discounted += alive * rewards * self.discounts[:, None] ** t
+        self.lengths += alive
+
+    def show(self, t: int, task: Task, simulator: Simulator, observations: np.ndarray, turn: np.ndarray, alive: np.ndarray):
+        """Keeps what is seen in copies of a turn whose episodes are recorded."""
+        policy, episode = np.divmod(turn, self.shape[1])
+        which = np.flatnonzero(episode < self.record)
+        if not len(which):
+            return
+        shown = task.shown(simulator, observations, which)
+        if t == len(self.frames):
+            self.frames.append(np.full((self.shape[0], self.record, *shown.shape[1:]), np.nan, np.float32))
+        lives = alive.ravel()[turn[which]]
+        self.frames[t][policy[which][lives], episode[which][lives]] = shown[lives]
+
+    def trajectories(self) -> np.ndarray | None:
+        """See `Evaluation.trajectories`."""
+        return np.stack(self.frames, 2) if self.record else None
+
+
+def _run(actors: _Actors, task: Task, simulator: Simulator, turn: np.ndarray, seeds: Sequence[int], sums: _Sums) -> None:
+    """Runs the episodes of a turn to their ends.
+
+    Policies always act for all episodes, with zeros for those of other turns: so what they draw does not depend on turns.
+    """
+    shape, t = sums.shape, 0
+    observations = begun(simulator, turn, seeds)
+    copies = min(task.most_copies or len(seeds), len(seeds))
+    rewards, first, alive = np.zeros(shape), np.ones(shape, bool), np.isin(np.arange(len(seeds)), turn).reshape(shape)
+    wanted = () if isinstance(task.action_space, Discrete) else (task.action_space.size,)
+    while t < task.horizon and alive.any():
+        if sums.record:
+            sums.show(t, task, simulator, observations, turn, alive)
+        seen = _of_all(observations, turn, len(seeds))
+        actions = actors(Step(seen.reshape(*shape, *seen.shape[1:]), rewards, first), t)
         if t == 0 and actions.shape != (*shape, *wanted):
             raise UserError(f"{task.name} takes actions of shape {wanted}, the policy gave {actions.shape[2:]}")
-        observations, reward, terminal, timeout = simulator.step(actions.reshape(copies, *wanted))
-        rewards, first = reward.reshape(shape), np.zeros(shape, bool)
-        returns += alive * rewards
-        if settings.horizon is None or t < settings.horizon:
-            discounted += alive * rewards * discounts[:, None] ** t
-        lengths += alive
-        alive &= ~(terminal | timeout).reshape(shape)
-        if not alive.any():
-            break
-    trajectories = None if recorded is None else np.stack(recorded, 2).astype(np.float32)
-    return Evaluation(task, returns, discounted, lengths, tuple(discounts.tolist()), names, trajectories)
+        acted = np.zeros((copies, *wanted), actions.dtype)
+        acted[: len(turn)] = actions.reshape(len(seeds), *wanted)[turn]
+        observations, *told = (column[: len(turn)] for column in simulator.step(acted))
+        rewards, terminal, timeout = (_of_all(column, turn, len(seeds)).reshape(shape) for column in told)
+        first = np.zeros(shape, bool)
+        sums.add(t, alive, rewards)
+        alive, t = alive & ~(terminal | timeout), t + 1
+
+
+def _of_all(values: np.ndarray, turn: np.ndarray, episodes: int) -> np.ndarray:
+    """(episodes, ...) of which those of a turn have the values (turn, ...), and others zeros."""
+    if len(turn) == episodes:
+        return values
+    out = np.zeros((episodes, *values.shape[1:]), values.dtype)
+    out[turn] = values
+    return out
 
 
 def _check_fit(policy: Any, task: Task, name: str) -> None:

@@ -24,6 +24,7 @@ from deadreckon.runs.reading import noted
 from deadreckon.runs.settings import RunSettings
 from deadreckon.runs.trackers.feed import Tracking
 from deadreckon.tasks.task import Task
+from deadreckon.tasks.turns import first_observations
 from deadreckon.training.fit import Chunk, Fit
 from deadreckon.training.learner import unstack
 from deadreckon.training.part import Part
@@ -68,7 +69,7 @@ class Recorder:
         self.pool = ThreadPoolExecutor(1)
         self.pending: list[Future] = []
         # Evaluations start where no training ever looks; the same starts every time, so that curves are paired.
-        self.starts = None if judge is None else judge.simulate(episode_seeds(0, episodes)).reset()
+        self.starts = None if judge is None else first_observations(judge, episode_seeds(0, episodes))
 
     def policies(self) -> list[EnvPolicy]:
         """The lanes' present policies."""

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from deadreckon.agents import agent_name
 from deadreckon.agents.agent import Agent
 from deadreckon.data.batch import TransitionSource
+from deadreckon.data.catalogue import is_elsewhere
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.history import stacked
 from deadreckon.errors import UserError
@@ -166,6 +167,8 @@ def judge_of(log: Dataset, task: Any) -> Task | None:
     if task is False:
         return None
     judge = of_log(log.name) if task is None else find_task(task)
+    if task is None and log.provenance.source != "collected" and is_elsewhere(log.name):
+        return None
     if judge is not None and judge.observation_shape != log.spec.observation_shape:
         raise UserError(
             f"{judge.name} shows observations of shape {judge.observation_shape}, "

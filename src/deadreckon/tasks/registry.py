@@ -5,9 +5,9 @@ import sys
 from typing import Any
 
 from deadreckon.data import terminations
-from deadreckon.data.catalogue import ENTRIES
+from deadreckon.data.catalogue import ENTRIES, ORIGINAL
 from deadreckon.errors import UserError, unknown
-from deadreckon.tasks import adroit, antmaze, battery, driving, flow, gym_mujoco, kitchen, maze2d
+from deadreckon.tasks import adroit, antmaze, battery, carla_task, driving, flow, gym_mujoco, kitchen, maze2d
 from deadreckon.tasks.pixels import SUFFIX, of_pixels
 from deadreckon.tasks.task import Task
 
@@ -18,9 +18,9 @@ def task(given: Any, horizon: int | None = None) -> Task:
     """The task that is meant.
 
     Args:
-        given: a task or its name, such as `maze2d-umaze`, with `:pixels` behind it where pictures are to be seen; a Gymnasium environment, its id, such as `Pendulum-v1` or
-            `gymnasium:Pendulum-v1`, or what makes one: a function, or the name `module:Class` of one. See
-            `tasks.gymnasium_task`.
+        given: a task or its name, such as `maze2d-umaze`, with `:pixels` behind it for pictures of it; a Gymnasium
+            environment, its id, such as `Pendulum-v1` or `gymnasium:Pendulum-v1`, or what makes one: a function, or the name
+            `module:Class` of one. See `tasks.gymnasium_task`. `carla:HOST:PORT/lane` is driven in a CARLA server; see `tasks.carla_task`.
         horizon: of an environment, steps after which an episode times out; None: its own limit.
 
     Raises:
@@ -30,10 +30,10 @@ def task(given: Any, horizon: int | None = None) -> Task:
     if isinstance(given, str) and given not in _TASKS and given.endswith(SUFFIX):
         return of_pixels(task(given.removesuffix(SUFFIX), horizon))
     known = given if isinstance(given, Task) else _TASKS.get(given) if isinstance(given, str) else None
-    if known is not None and horizon is not None:
-        raise UserError(f"{known.name} has a horizon of its own, {known.horizon} steps; leave the other out")
     if known is not None:
-        return known
+        return _without(known, horizon)
+    if isinstance(given, str) and given.startswith(carla_task.PREFIX):
+        return _without(carla_task.named(given), horizon)
     environments = importlib.import_module("deadreckon.tasks.gymnasium_task")  # which loads Gymnasium
     if not isinstance(given, str):
         return environments.of(given, horizon)
@@ -42,12 +42,21 @@ def task(given: Any, horizon: int | None = None) -> Task:
     return found
 
 
+def _without(known: Task, horizon: int | None) -> Task:
+    if horizon is not None:
+        raise UserError(f"{known.name} has a horizon of its own, {known.horizon} steps; leave the other out")
+    return known
+
+
 def of_run(name: str) -> Task:
     """The task that a run's folder names.
 
     Raises:
-        UserError: it is of a module that has not been imported: a folder from elsewhere must not name code that runs.
+        UserError: it is of a module that has not been imported, or in a CARLA server: a folder from elsewhere must not name
+            code that runs, or a machine that is talked to.
     """
+    if name.startswith(carla_task.PREFIX):
+        raise UserError(f"the run's task is in a CARLA server, {name}: name it, or another one, with --task")
     path = name.partition("?")[0].removeprefix("gymnasium:").removesuffix(SUFFIX)
     module = path.partition(":")[0]
     if name not in _TASKS and ":" in path and module not in sys.modules:
@@ -56,9 +65,12 @@ def of_run(name: str) -> Task:
 
 
 def of_log(name: str) -> Task | None:
-    """The task of a log that the catalogue knows, by the log's name; None for others."""
-    known = ENTRIES.get(name.split("@")[0])
-    return None if known is None else task(known.task)
+    """The task of a log that the catalogue knows, by the log's name; None for others, and for originals of another world."""
+    stem, _, version = name.partition("@")
+    known = ENTRIES.get(stem)
+    if known is None or known.task is None or (known.elsewhere and version == ORIGINAL):
+        return None
+    return task(known.task)
 
 
 def names() -> list[str]:

@@ -210,6 +210,11 @@ class Task:
         return observations[which]
 
     @property
+    def most_copies(self) -> int | None:
+        """Copies that can be stepped side by side; None: any number. `simulate` refuses more; see `tasks.turns`."""
+        return None
+
+    @property
     def logs_pay_alike(self) -> bool:
         """Whether its logs have the rewards of the task, so that values estimated from them compare with returns in it."""
         return True

@@ -56,17 +56,17 @@ def reference(domain: str) -> Reference:
         UserError: D4RL has none, or the name is not known.
     """
     name = plain(domain)
-    judged = {plain(log): entry.task for log, entry in ENTRIES.items()} | {known: known for known in names()}
-    if name in judged:
-        found = task(judged[name]).published
-        if found is None:
-            raise UserError(f"D4RL has no reference returns of {domain!r}")
-        return found
     others = load("references")
     for known, (random, expert) in others["returns"].items():
-        if name == known or name.startswith(known + "-"):
+        if re.fullmatch(rf"{known}(-(?!state).*)?", name):  # -state tasks are ours alone
             return Reference(random, expert, others["source"])
-    raise unknown("domain", domain, {*judged, *others["returns"]})
+    judged = {plain(log): entry.task for log, entry in ENTRIES.items() if entry.task} | {known: known for known in names()}
+    if name not in judged:
+        raise unknown("domain", domain, {*judged, *others["returns"]})
+    found = task(judged[name]).published
+    if found is None:
+        raise UserError(f"D4RL has no reference returns of {domain!r}")
+    return found
 
 
 def plain(name: str) -> str:

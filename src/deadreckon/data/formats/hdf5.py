@@ -5,6 +5,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,8 @@ import numpy as np
 from deadreckon.data.columns import COLUMNS
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.arrange import arranged
-from deadreckon.data.formats.build import build, columns_of, refuse_mmap
+from deadreckon.data.formats.build import build, columns_of, refuse_mmap, stem
+from deadreckon.data.formats.flat_pictures import PICTURES, SHAPES, as_pictures
 from deadreckon.data.formats.hdf5_inside import BLOCK, HEADER
 from deadreckon.data.formats.header import Header
 from deadreckon.data.formats.layouts import layout_of, told
@@ -43,7 +45,8 @@ def read_hdf5(
 
     `infos/*` and further columns with as many rows become extras (`infos/goal` is `goal`); `metadata/*` that is text
     or a single number goes to the provenance,
-    arrays there (such as policy weights) are left. Columns of texts are left out, and named in the provenance.
+    arrays there (such as policy weights) are left. Columns of texts are left out, and named in the provenance. Pictures that
+    D4RL keeps as rows of numbers are pictures again (`flat_pictures`), which the provenance says.
 
     Args:
         path: of the file.
@@ -71,8 +74,15 @@ def read_hdf5(
         )  # fmt: skip
     if held["obstacle"] is not None:
         raise refuse_mmap(path, held["obstacle"])
-    columns = {key: _taken(value, mmap) for key, value in held["columns"].items()}
-    notes = {"metadata": held["metadata"], "left_out": held["left_out"], "layout": layout}
+    called = name or stem(path)
+    flat = header is None and called.partition("@")[0] in SHAPES
+    # Pictures that are to be converted are mapped, so that they are not in memory twice.
+    columns = {key: _taken(value, mmap or (flat and key in PICTURES)) for key, value in held["columns"].items()}
+    drawn = None
+    if flat:
+        refuse = partial(refuse_mmap, path) if mmap and scratch is None else None
+        columns, drawn = as_pictures(path, called, columns, refuse, None if scratch is None else Path(scratch))
+    notes = {"metadata": held["metadata"], "left_out": held["left_out"], "layout": layout, "observations": drawn}
     extra = {key: value for key, value in notes.items() if value}
     known = layout_of(held["names"]) if layout else None
     lines = [told(known)] if known else []
