@@ -80,6 +80,6 @@ def collect_in_task(
             task, [Segment(found[0], steps)], name=name, seed=seed, provenance=provenance, threads=threads, scratch=scratch,
             progress=progress,
         )  # fmt: skip
-        write_hdf5(log, path)
+        write_hdf5(log, path, compress=True)
         shutil.rmtree(scratch, ignore_errors=True)
     return path

@@ -148,7 +148,7 @@ def collect(
     scratch = path.parent / f".{path.name}.part"
     with alone(path, wait=f"collects {name} already" if wait else ""), resumable(scratch):
         if force or not path.exists():  # whoever was waited for has made it
-            write_hdf5(_make(found, steps, seed, threads, scratch, progress), path)
+            write_hdf5(_make(found, steps, seed, threads, scratch, progress), path, compress=True)
         shutil.rmtree(scratch, ignore_errors=True)
     return path
 

@@ -1,4 +1,4 @@
-"""D4RL's hdf5 layout: one dataset a column. Ours are contiguous, so that a column can be memory-mapped, but for pictures."""
+"""D4RL's hdf5 layout: one dataset a column. Ours are contiguous, so that a column can be memory-mapped."""
 
 import contextlib
 import json
@@ -28,7 +28,7 @@ from deadreckon.foreign.child import read_apart
 from deadreckon.foreign.door import file_size
 from deadreckon.names import safe_name
 
-PICTURES = 64  # that are compressed together
+TOGETHER = 64  # pictures that are compressed as one
 _OVERHEAD = 65_536  # bytes of a file beside its columns: names, header, alignment
 
 
@@ -103,8 +103,13 @@ def _taken(value: Any, mmap: bool) -> Any:
     return raw != 0 if dtype == np.bool_ else raw
 
 
-def write_hdf5(log: Dataset, path: Path | str) -> None:
+def write_hdf5(log: Dataset, path: Path | str, compress: bool = False) -> None:
     """Writes `log` so that `read_hdf5` gives it back exactly, also memory-mapped. Atomic.
+
+    Args:
+        log: that is written.
+        path: of the file.
+        compress: whether pictures are compressed, to a twentieth for drawn ones; they cannot be memory-mapped then.
 
     Raises:
         UserError: a column's name would be a path in the file, or the file cannot be written.
@@ -112,7 +117,7 @@ def write_hdf5(log: Dataset, path: Path | str) -> None:
     columns = columns_of(log)
     finals = columns.pop("final_observations"), columns.pop("final_known")
     shapes = {key: (column.shape[1:], column.dtype) for key, column in columns.items()}
-    with create(path, rows=len(log), columns=shapes, header=Header.of(log), episodes=log.episodes) as writer:
+    with create(path, rows=len(log), columns=shapes, header=Header.of(log), episodes=log.episodes, compress=compress) as writer:
         for key, column in columns.items():
             copy_rows(column, writer[key])
         writer.write_finals(*finals)
@@ -125,8 +130,8 @@ class Writer:
         provenance: stored when the file is closed; may be replaced until then.
     """
 
-    def __init__(self, file: h5py.File, header: Header):
-        self.file = file
+    def __init__(self, file: h5py.File, header: Header, compress: bool = False):
+        self.file, self._compress = file, compress
         self._header = header
         self.provenance = header.provenance
 
@@ -138,9 +143,9 @@ class Writer:
         return found
 
     def add(self, column: str, shape: tuple[int, ...], dtype: Any) -> h5py.Dataset:
-        """Makes a column of (*shape) and gives it; shape includes the rows. Pictures are compressed, others contiguous."""
-        if np.dtype(dtype) == np.uint8 and len(shape) == 4 and shape[0]:
-            parts = (min(shape[0], PICTURES), *shape[1:])
+        """Makes a contiguous column of (*shape) and gives it; shape includes the rows."""
+        if self._compress and np.dtype(dtype) == np.uint8 and len(shape) == 4 and shape[0]:
+            parts = (min(shape[0], TOGETHER), *shape[1:])
             return self.file.create_dataset(_place(column), shape, dtype, chunks=parts, compression="gzip", compression_opts=1)
         # Space is taken at once and never filled with zeros first: the caller writes every row.
         return self.file.create_dataset(_place(column), shape, dtype, fill_time="never")
@@ -174,6 +179,7 @@ def create(
     provenance: Provenance | None = None,
     header: Header | None = None,
     episodes: int | None = None,
+    compress: bool = False,
 ) -> Iterator[Writer]:
     """An hdf5 log of known length to be filled in any order; it appears at `path` only if the block ends well.
 
@@ -186,6 +192,7 @@ def create(
         provenance: where the log comes from; `writer.provenance` may replace it before the end.
         header: as a whole, instead of the last three.
         episodes: how many there will be, for the space that their final observations take; `rows` at most.
+        compress: see `write_hdf5`.
 
     Raises:
         UserError: a column's name would be a path in the file, the file cannot be written, or the number of final
@@ -201,7 +208,7 @@ def create(
         reserve(temporary, rows * sum(sizes.values()) + finals + _OVERHEAD)
         # Aligned columns, so that a memory map of one is as fast as an array. The lock on the file is `replacing`'s already.
         with h5py.File(temporary, "w", locking=False, alignment_threshold=1, alignment_interval=64) as file:
-            writer = Writer(file, header)
+            writer = Writer(file, header, compress)
             for key, (shape, dtype) in columns.items():
                 writer.add(key, (rows, *shape), dtype)
             yield writer
