@@ -1804,7 +1804,7 @@ MUTANTS = (
         ("tasks/test_driving.py",),
     ),
     Mutant(
-        "steering-left", "tasks/driving.py", "-STEER * wheel - angle", "STEER * wheel - angle", "cars steer to the other side",
+        "steering-left", "tasks/car.py", "-STEER * wheel - angle", "STEER * wheel - angle", "cars steer to the other side",
         ("tasks/test_driving.py",),
     ),
     Mutant(

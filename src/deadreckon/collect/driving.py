@@ -13,7 +13,8 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.provenance import Provenance
 from deadreckon.devices import acting_platform
 from deadreckon.progress import Progress
-from deadreckon.tasks.driving import AHEAD, AXLE, BRAKE, DRIVE, HEADING, OFFSET, SPEED, STEER, LaneDriving
+from deadreckon.tasks.car import AXLE, BRAKE, DRIVE, STEER
+from deadreckon.tasks.driving import AHEAD, HEADING, OFFSET, SPEED, LaneDriving
 
 CRUISE = 20.0 / 3.6  # m/s, the speed of CARLA's local planner
 LOOK = 6.0  # m, how far before the car it steers for
