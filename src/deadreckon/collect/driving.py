@@ -1,5 +1,6 @@
-"""How logs of driving are made: pure pursuit along the lane at a steady speed, as for `carla-lane`, clean or with noise."""
+"""How logs of driving are made: a controller, clean or with noise; along a lane pure pursuit at a steady speed."""
 
+from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,8 @@ from deadreckon.data.provenance import Provenance
 from deadreckon.devices import acting_platform
 from deadreckon.progress import Progress
 from deadreckon.tasks.car import AXLE, BRAKE, DRIVE, STEER
-from deadreckon.tasks.driving import AHEAD, HEADING, OFFSET, SPEED, LaneDriving
+from deadreckon.tasks.driving import AHEAD, HEADING, OFFSET, SPEED
+from deadreckon.tasks.task import Task
 
 CRUISE = 20.0 / 3.6  # m/s, the speed of CARLA's local planner
 LOOK = 6.0  # m, how far before the car it steers for
@@ -24,7 +26,7 @@ KINDS = ("controller", "noisy", "uniform")
 
 
 def pursue(observations: np.ndarray) -> np.ndarray:
-    """(n, 2) float32 actions of pure pursuit (Coulter 1992), a function of observations (n, 8) of `LaneDriving`.
+    """(n, 2) float32 actions of pure pursuit (Coulter 1992), a function of observations (n, 8) of `tasks.driving.LaneDriving`.
 
     It steers about the circle that leads from the car to the middle of the lane `LOOK` m ahead, where the lane is taken for a
     parabola of the curvature that is seen near there.
@@ -41,17 +43,18 @@ def pursue(observations: np.ndarray) -> np.ndarray:
 
 
 class Shaken(StatefulController):
-    """`pursue`, with Gaussian noise of each copy's own on its actions, cut to the bounds.
+    """A controller, with Gaussian noise of each copy's own on its actions, cut to the bounds.
 
     Args:
         copies: side by side.
+        act: the controller, a function of observations.
         noise: its standard deviation.
     """
 
     columns: dict[str, tuple[int, ...]] = {}  # noqa: RUF012 (one of the class's own, which nothing changes)
 
-    def __init__(self, copies: int, noise: float = NOISE):
-        self._noise = noise
+    def __init__(self, copies: int, act: Callable[[np.ndarray], np.ndarray] = pursue, noise: float = NOISE):
+        self._act, self._noise = act, noise
         self._generators = [np.random.default_rng(0)] * copies
 
     def begin(self, simulator: Any, copy: int, observation: np.ndarray, generator: np.random.Generator) -> None:
@@ -60,16 +63,18 @@ class Shaken(StatefulController):
 
     def act(self, observations: np.ndarray, running: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """See `StatefulController`."""
-        actions = pursue(observations)
+        actions = self._act(observations)
         for copy in running.tolist():
             actions[copy] += self._noise * self._generators[copy].standard_normal(2)
         return np.clip(actions, -1.0, 1.0), {}
 
 
 def collect_driving(
-    task: LaneDriving,
+    task: Task,
     kind: str,
     *,
+    act: Callable[[np.ndarray], np.ndarray] = pursue,
+    noise: float = NOISE,
     name: str,
     steps: int,
     scratch: Path,
@@ -77,11 +82,13 @@ def collect_driving(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Dataset:
-    """Collects one of `KINDS`: `pursue`, the same with noise, or uniform actions; see `collect.rollouts.collect_rollouts`.
+    """Collects one of `KINDS`: a controller, the same with noise, or uniform actions; see `collect.rollouts.collect_rollouts`.
 
     Args:
         task: where.
         kind: among `KINDS`.
+        act: the controller, a function of observations.
+        noise: see `Shaken`.
         name: of the recipe, such as `carla-lane-state-noisy-v0`.
         steps: rows.
         scratch: folder of a collection under way.
@@ -89,7 +96,7 @@ def collect_driving(
         threads: without effect: cars need none.
         progress: called with rows done and rows in all.
     """
-    who = {"controller": pursue, "noisy": Shaken(COPIES), "uniform": None}[kind]
+    who = {"controller": act, "noisy": Shaken(COPIES, act, noise), "uniform": None}[kind]
     extra = {"task": task.name, "actions": kind, "device": acting_platform()}
     versions = {each: metadata.version(each) for each in ("numpy", "jax")} | {"deadreckon": __version__}
     return collect_rollouts(

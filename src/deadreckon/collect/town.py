@@ -1,19 +1,8 @@
 """How logs of driving in a town are made: pure pursuit along the route that keeps to lights and keeps clear of other cars."""
 
-from functools import partial
-from importlib import metadata
-from pathlib import Path
-
 import numpy as np
 
-from deadreckon._version import __version__
-from deadreckon.collect.driving import CRUISE, EAGER, KINDS, Shaken
-from deadreckon.collect.rollouts import COPIES, Segment, collect_rollouts
-from deadreckon.data.catalogue import version_of
-from deadreckon.data.dataset import Dataset
-from deadreckon.data.provenance import Provenance
-from deadreckon.devices import acting_platform
-from deadreckon.progress import Progress
+from deadreckon.collect.driving import CRUISE, EAGER
 from deadreckon.tasks.car import AXLE, BRAKE, DRIVE, STEER
 from deadreckon.tasks.town import (
     AHEAD, APPROACH, BEFORE, EACH, HEADING, LEFT, LIGHT, OFFSET, OTHERS, PRESENT, SPEED, TURNED, TownDriving,
@@ -25,7 +14,7 @@ FAR = 24  # m of the route that it looks at
 ACROSS, GENTLE, YELLOW_BRAKING = 2.5, 2.5, 4.0  # m/s² across in bends, along, and at most to stop before yellow
 SHORT, BEHIND = 0.8, 2.5  # m that it stops before lines and behind cars
 CLEAR = 0.2  # m between cars that pass each other
-NOISE = 0.1  # standard deviation of what is added to actions in the noisy log
+NOISE = 0.2  # standard deviation of what is added to actions in the noisy log
 
 
 def route_ahead(seen: np.ndarray) -> np.ndarray:
@@ -86,17 +75,3 @@ def _behind_others(seen: np.ndarray, way: np.ndarray) -> np.ndarray:
     along = np.maximum(seen[:, [SPEED]] + others[..., APPROACH], 0.0)
     return np.sqrt(np.where(np.isinf(first), np.inf, np.square(along) * (gap > 0.0) + 2 * GENTLE * gap)).min(1)
 
-
-def collect_town(
-    task: TownDriving,
-    kind: str,
-    *,
-    name: str,
-    steps: int,
-    scratch: Path,
-    seed: int = 0,
-    threads: int | None = None,
-    progress: Progress | None = None,
-) -> Dataset:
-    """Collects one of `KINDS`: `drive`, the same with noise, or uniform actions; see `collect_driving`."""
-    raise NotImplementedError

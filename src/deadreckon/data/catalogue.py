@@ -150,9 +150,9 @@ _ANTS = tuple(
     for kind in kinds
 )
 
-def _lane(kind: str) -> Entry:
-    name = f"carla-lane-state{kind}-v0"
-    return Entry(name, "carla", "carla-lane-state", name, 100_000, None, None)
+def _driving(place: str, kind: str) -> Entry:
+    name = f"carla-{place}-state{kind}-v0"
+    return Entry(name, "carla", f"carla-{place}-state", name, 100_000, None, None)
 
 
 ENTRIES: dict[str, Entry] = {
@@ -165,7 +165,7 @@ ENTRIES: dict[str, Entry] = {
         *(_adroit(task, kind) for task in _HUMAN for kind in ("human", "cloned", "expert")),
         *map(_kitchen, _KITCHEN),
         *(_antmaze(maze, kind) for maze, kind in _ANTS),
-        *map(_lane, ("", "-noisy", "-uniform")),
+        *(_driving(place, kind) for place in ("lane", "town") for kind in ("", "-noisy", "-uniform")),
     )
 }
 

@@ -7,7 +7,7 @@ from typing import Any
 from deadreckon.data import terminations
 from deadreckon.data.catalogue import ENTRIES
 from deadreckon.errors import UserError, unknown
-from deadreckon.tasks import adroit, antmaze, battery, driving, flow, gym_mujoco, kitchen, maze2d
+from deadreckon.tasks import adroit, antmaze, battery, driving, flow, gym_mujoco, kitchen, maze2d, town
 from deadreckon.tasks.task import Task
 
 _TASKS: dict[str, Task] = {}
@@ -73,5 +73,5 @@ def register(task: Task) -> None:
 
 
 _MANY = *maze2d.TASKS, *antmaze.TASKS, antmaze.REACH_TASK, *gym_mujoco.TASKS, *adroit.TASKS, *kitchen.TASKS, *flow.TASKS
-for _task in (*_MANY, driving.TASK, battery.TASK):
+for _task in (*_MANY, driving.TASK, town.TASK, battery.TASK):
     register(_task)

@@ -248,8 +248,8 @@ class TownSimulator:
         cos, sin = np.cos(yaw), np.sin(yaw)
         turned = (heading - yaw + np.pi) % (2.0 * np.pi) - np.pi
         there = (away <= RADIUS).astype(float)
-        columns = there, right * cos + up * sin, up * cos - right * sin, over * cos + across * sin, across * cos - over * sin, turned
-        return (np.stack(columns, 2) * there[..., None]).reshape(len(x), -1)
+        place, velocity = (right * cos + up * sin, up * cos - right * sin), (over * cos + across * sin, across * cos - over * sin)
+        return (np.stack([there, *place, *velocity, turned], 2) * there[..., None]).reshape(len(x), -1)
 
 
 TASK = TownDriving(

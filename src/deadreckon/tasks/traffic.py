@@ -148,7 +148,7 @@ class Traffic:
     def _offsets(self) -> np.ndarray:
         """(n, cars, `SEEN`) m from the middle of the car to where the lanes of its way begin."""
         length = self.table.length[self.way]
-        begins = np.cumsum(length, 2) - length - length[..., :1]
+        begins = np.concatenate([-length[..., :1], np.cumsum(length[..., 1:], 2) - length[..., 1:]], 2)
         return begins - self.along[..., None]
 
     def _wanted(self, before: np.ndarray) -> np.ndarray:
@@ -165,9 +165,10 @@ class Traffic:
         lane = self.way[..., 1]
         of = self.table.incoming + len(self.table.length) * (self.table.junction != NONE)
         ahead = np.full((*lane.shape, lane.shape[1]), np.inf)  # (n, who, whom)
+        own = np.eye(lane.shape[1], dtype=bool)
         for k in range(1, SEEN):
             apart = before[..., k, None] + self.along[:, None, :]
-            there = (of[self.way[..., k]][..., None] == of[lane][:, None, :]) & (apart > 0.0)
+            there = (of[self.way[..., k]][..., None] == of[lane][:, None, :]) & (apart > 0.0) & ~own
             ahead = np.where(there & (apart < ahead), apart, ahead)
         first = ahead.argmin(2)
         nearest = np.take_along_axis(ahead, first[..., None], 2)[..., 0]
