@@ -5,7 +5,18 @@ import numpy as np
 from deadreckon.collect.driving import CRUISE, EAGER
 from deadreckon.tasks.car import AXLE, BRAKE, DRIVE, STEER
 from deadreckon.tasks.town import (
-    AHEAD, APPROACH, BEFORE, EACH, HEADING, LEFT, LIGHT, OFFSET, OTHERS, PRESENT, SPEED, TURNED, TownDriving,
+    AHEAD,
+    APPROACH,
+    BEFORE,
+    EACH,
+    HEADING,
+    LEFT,
+    LIGHT,
+    OFFSET,
+    OTHERS,
+    PRESENT,
+    SPEED,
+    TURNED,
 )  # fmt: skip
 from deadreckon.tasks.traffic import LENGTH, WIDTH
 
@@ -34,7 +45,7 @@ def route_ahead(seen: np.ndarray) -> np.ndarray:
 
 
 def drive(observations: np.ndarray) -> np.ndarray:
-    """(n, 2) float32 actions, a function of observations (n, 46) of `TownDriving`.
+    """(n, 2) float32 actions, a function of observations (n, 46) of `tasks.town.TownDriving`.
 
     It steers about the circle that leads to the middle of the lane `LOOK` m ahead (pure pursuit, Coulter 1992), and drives at
     the least of the speeds that cruising, bends, the light and cars on its way allow.
@@ -74,4 +85,3 @@ def _behind_others(seen: np.ndarray, way: np.ndarray) -> np.ndarray:
     gap = np.maximum(first - LENGTH / 2 + WIDTH / 2 - BEHIND, 0.0)
     along = np.maximum(seen[:, [SPEED]] + others[..., APPROACH], 0.0)
     return np.sqrt(np.where(np.isinf(first), np.inf, np.square(along) * (gap > 0.0) + 2 * GENTLE * gap)).min(1)
-

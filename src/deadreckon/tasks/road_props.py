@@ -8,7 +8,7 @@ from deadreckon.tasks.traffic import LENGTH, WIDTH
 
 LAMPS = ((0.10, 0.90, 0.30), (1.00, 0.80, 0.10), (0.95, 0.10, 0.10))  # green, yellow, red
 DARK = 0.15  # of a lamp's brightness, where another is lit
-LAMP, HIGH = 0.22, 3.0  # m, radius of lamps, and height of the lowest
+LAMP, HIGH = 0.22, 3.0  # m, radius of lamps, which are flat, so that others than those meant see little; height of the lowest
 LINE = 0.4  # m, width of stop lines
 BEYOND = 3.0  # m behind the junction, where lights stand
 PAINTS = ("0.75 0.12 0.12", "0.92 0.92 0.92", "0.12 0.25 0.60", "0.60 0.62 0.65", "0.85 0.65 0.10", "0.10 0.40 0.25")
@@ -33,8 +33,8 @@ def lights(network: Network) -> str:
         x, y, heading = _place(network, signal)
         facing = f'pos="{x:.4f} {y:.4f} 0" euler="0 0 {np.degrees(heading):.4f}"'
         lamps = "\n".join(
-            f'      <geom name="{name}" type="sphere" pos="-0.2 0 {HIGH + 0.55 * i:.2f}" size="{LAMP}" '
-            f'rgba="{" ".join(map(str, shade))}" {GHOST}/>'
+            f'      <geom name="{name}" type="cylinder" pos="-0.16 0 {HIGH + 0.55 * i:.2f}" size="{LAMP} 0.02" '
+            f'zaxis="1 0 0" rgba="{" ".join(map(str, shade))}" {GHOST}/>'
             for i, (name, shade) in enumerate(zip(lamp_names(signal.id), shades(2)))
         )
         found.append(

@@ -57,7 +57,7 @@ class Camera:
         self._data.mocap_quat[0] = np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)
         if others is not None:
             self._data.mocap_pos[1:, :2] = others[:, :2]
-            self._data.mocap_quat[1:] = np.stack([np.cos(others[:, 2] / 2), *np.zeros((2, len(others))), np.sin(others[:, 2] / 2)], 1)
+            self._data.mocap_quat[1:, 0], self._data.mocap_quat[1:, 3] = np.cos(others[:, 2] / 2), np.sin(others[:, 2] / 2)
         for lamps, colour in zip(self._lamps, shown):
             self._model.geom_rgba[lamps] = shades(colour)
         self._mujoco.mj_forward(self._model, self._data)

@@ -13,12 +13,26 @@ from typing import Any, ClassVar
 import numpy as np
 
 from deadreckon.data.spec import Box
-from deadreckon.tasks.car import STEP, VELOCITY, WHEEL, YAW, X, Y, course, moved
+from deadreckon.tasks.car import VELOCITY, WHEEL, YAW, X, Y, course, moved
 from deadreckon.tasks.lane_table import LaneTable
 from deadreckon.tasks.road_maps import town
 from deadreckon.tasks.task import Reference, Starts, Task, checked_actions
 from deadreckon.tasks.traffic import (
-    BESIDE, CRUISE, GREEN, LENGTH, PHASE, RED, SHIFT, SPREAD, TURNS, WIDTH, YELLOW, Learner, Traffic, colours, slots, touching,
+    BESIDE,
+    CRUISE,
+    GREEN,
+    LENGTH,
+    PHASE,
+    RED,
+    SHIFT,
+    SPREAD,
+    TURNS,
+    YELLOW,
+    Learner,
+    Traffic,
+    colours,
+    slots,
+    touching,
 )  # fmt: skip
 
 CARS = 20  # others
@@ -248,7 +262,10 @@ class TownSimulator:
         cos, sin = np.cos(yaw), np.sin(yaw)
         turned = (heading - yaw + np.pi) % (2.0 * np.pi) - np.pi
         there = (away <= RADIUS).astype(float)
-        place, velocity = (right * cos + up * sin, up * cos - right * sin), (over * cos + across * sin, across * cos - over * sin)
+        place, velocity = (
+            (right * cos + up * sin, up * cos - right * sin),
+            (over * cos + across * sin, across * cos - over * sin),
+        )
         return (np.stack([there, *place, *velocity, turned], 2) * there[..., None]).reshape(len(x), -1)
 
 
@@ -256,6 +273,6 @@ TASK = TownDriving(
     name="carla-town-state", domain="carla", horizon=1000, observation_shape=(OTHERS + NEAREST * EACH,),
     action_space=Box((-1.0, -1.0), (1.0, 1.0)), gym_id="deadreckon/CarlaTownState-v0",
     # Made by `python -m deadreckon.collect.references`, 100 episodes each.
-    reference=Reference(0.0, 2500.0, "measured on this simulator: uniform actions, the controller of its logs"),
+    reference=Reference(147.5478, 2824.2895, "measured on this simulator: uniform actions, the controller of its logs"),
     summary="drive through a town among other cars and traffic lights", properties=("narrow data", "realistic"),
 )  # fmt: skip

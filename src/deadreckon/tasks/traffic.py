@@ -101,10 +101,9 @@ class Traffic:
     def empty(cls, table: LaneTable, towns: int, cars: int) -> "Traffic":
         """Cars that are to be put somewhere by `place`."""
         shape = towns, cars
-        numbers = [np.zeros(shape) for _ in range(3)]
-        return cls(
-            table, np.zeros((*shape, SEEN), int), *numbers, np.zeros((*shape, TURNS)), np.zeros(shape, int)
-        )  # fmt: skip
+        along, speed, cruise = np.zeros(shape), np.zeros(shape), np.ones(shape)
+        way, turns = np.zeros((*shape, SEEN), int), np.zeros((*shape, TURNS))
+        return cls(table, way, along, speed, cruise, turns, np.zeros(shape, int))
 
     def place(self, town: int, lanes: np.ndarray, along: np.ndarray, cruise: np.ndarray, turns: np.ndarray) -> None:
         """Puts the cars of a town at rest on lanes (cars,), so many m (cars,) along them; see the attributes."""
