@@ -36,7 +36,8 @@ def test_threads_change_nothing(task):
     logs = []
     for threads in (1, 2, 5):
         simulator = task.simulate(range(COPIES), threads=threads)
-        assert len(simulator._data) == (min(threads, COPIES // 16) if task.domain == "maze2d" else threads)
+        if task.domain != "carla":  # whose copies are arrays, stepped without threads
+            assert len(simulator._data) == (min(threads, COPIES // 16) if task.domain == "maze2d" else threads)
         logs.append([simulator.reset(), *walk(simulator, forces(task))])
     assert_same(logs[0], logs[1])
     assert_same(logs[0], logs[2])

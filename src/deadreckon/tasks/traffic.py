@@ -29,7 +29,9 @@ PHASE = GREEN_FOR + YELLOW_FOR + CLEAR_FOR
 GREEN, YELLOW, RED = range(3)
 
 
-def acceleration(speed: np.ndarray, wanted: np.ndarray, gap: np.ndarray, closing: np.ndarray) -> np.ndarray:
+def acceleration(
+    speed: np.ndarray, wanted: np.ndarray | float, gap: np.ndarray | float, closing: np.ndarray | float
+) -> np.ndarray:
     """(...) m/s² of the intelligent driver model (Treiber et al. 2000, eqs. 2 and 3), not below what brakes can do.
 
     Args:
