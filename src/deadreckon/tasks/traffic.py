@@ -166,10 +166,9 @@ class Traffic:
         lane = self.way[..., 1]
         of = self.table.incoming + len(self.table.length) * (self.table.junction != NONE)
         ahead = np.full((*lane.shape, lane.shape[1]), np.inf)  # (n, who, whom)
-        own = np.eye(lane.shape[1], dtype=bool)
         for k in range(1, SEEN):
-            apart = before[..., k, None] + self.along[:, None, :]
-            there = (of[self.way[..., k]][..., None] == of[lane][:, None, :]) & (apart > 0.0) & ~own
+            apart = before[..., k, None] + self.along[:, None, :]  # exactly 0 to itself
+            there = (of[self.way[..., k]][..., None] == of[lane][:, None, :]) & (apart > 0.0)
             ahead = np.where(there & (apart < ahead), apart, ahead)
         first = ahead.argmin(2)
         nearest = np.take_along_axis(ahead, first[..., None], 2)[..., 0]
