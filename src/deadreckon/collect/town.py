@@ -17,7 +17,7 @@ from deadreckon.tasks.town import (
     PRESENT,
     SPEED,
     TURNED,
-)  # fmt: skip
+)
 from deadreckon.tasks.traffic import LENGTH, WIDTH
 
 LOOK = 5  # m, how far along the route the place is that it steers for

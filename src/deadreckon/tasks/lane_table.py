@@ -48,8 +48,8 @@ class LaneTable:
     @cached_property
     def path(self) -> Path:
         """Their middles, one piece a lane; they are no way, for pieces do not begin where others end."""
-        columns = ("x", "y", "heading", "curvature", "length")
-        return Path(*(np.concatenate([getattr(path, column) for path in self._paths]) for column in columns))
+        rows = np.concatenate([[path.x, path.y, path.heading, path.curvature, path.length] for path in self._paths], axis=1)
+        return Path(rows[0], rows[1], rows[2], rows[3], rows[4])
 
     @property
     def length(self) -> np.ndarray:

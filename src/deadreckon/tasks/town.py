@@ -33,7 +33,7 @@ from deadreckon.tasks.traffic import (
     colours,
     slots,
     touching,
-)  # fmt: skip
+)
 
 CARS = 20  # others
 ROUTE = 99  # lanes of a route; as fast as the car can be, it comes to half of them
