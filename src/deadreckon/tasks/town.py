@@ -1,8 +1,8 @@
 """Driving in a town: the counterpart of D4RL's `carla-town` that runs wherever numpy does (thesis 7.3 and D).
 
 Steps and actions are those of D4RL's code, reward and ends follow it: the speed along the route counts, among 20 other cars and
-traffic lights (`tasks/traffic.py`). The town is `road_maps.town`, the car that of `carla-lane-state`. D4RL's goal is a fixed place, and
-nothing happens there, so here the route turns at random at junctions and has no end.
+traffic lights (`tasks/traffic.py`). The town is `road_maps.town`, the car that of `carla-lane-state`. D4RL's goal is a fixed
+place, and nothing happens there, so here the route turns at random at junctions and has no end.
 """
 
 from collections.abc import Sequence
