@@ -1829,8 +1829,41 @@ MUTANTS = (
         ("tasks/test_driving.py",),
     ),
     Mutant(
-        "steering-left", "tasks/driving.py", "-STEER * wheel - angle", "STEER * wheel - angle", "cars steer to the other side",
+        "steering-left", "tasks/car.py", "-STEER * wheel - angle", "STEER * wheel - angle", "cars steer to the other side",
         ("tasks/test_driving.py",),
+    ),
+    Mutant(
+        "town-red", "tasks/town.py", "light] == RED) & running", "light] == GREEN) & running",
+        "passing a green light ends the episode, and a red one does not", ("tasks/test_town.py",),
+    ),
+    Mutant(
+        "town-others", "tasks/town.py", "touching(self.cars[:, [X, Y, YAW]], others).any(1)",
+        "touching(self.cars[:, [X, Y, YAW]], others).all(1)", "who hits one car only drives on", ("tasks/test_town.py",),
+    ),
+    Mutant(
+        "town-seen", "tasks/town.py", "over = speed * np.cos(heading) - self.cars[:, [VELOCITY]] * np.cos(way)",
+        "over = speed * np.cos(heading)", "other cars' speeds are seen as they are on the ground", ("tasks/test_town.py",),
+    ),
+    Mutant(
+        "town-front", "tasks/town.py", "self._front = np.maximum(self._front, self.distance + LENGTH / 2)",
+        "self._front = np.maximum(self._front, self.distance)", "half of the car may stand over the line",
+        ("tasks/test_town.py",),
+    ),
+    Mutant(
+        "traffic-closing", "tasks/traffic.py", "closing / (2.0 * np.sqrt(", "closing / (1.0 * np.sqrt(",
+        "cars that close in on others brake twice as early", ("tasks/test_traffic.py",),
+    ),
+    Mutant(
+        "traffic-lights", "tasks/traffic.py", "(PHASE * turns) - PHASE * turn", "(PHASE * turns) - 0 * turn",
+        "all streets of a junction have green at once", ("tasks/test_traffic.py",),
+    ),
+    Mutant(
+        "traffic-clear", "tasks/traffic.py", "return taken | there", "return taken",
+        "other cars enter a junction where the learner's car is", ("tasks/test_town.py",),
+    ),
+    Mutant(
+        "traffic-yellow", "tasks/traffic.py", "(needed <= COMFORT)", "(needed <= HARDEST)",
+        "cars stop hard where yellow could still be passed", ("tasks/test_traffic.py",),
     ),
     Mutant(
         "arc-turns", "tasks/road_paths.py", "turned -= np.round(", "turned -= 0.0 * np.round(",

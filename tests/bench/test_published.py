@@ -148,7 +148,7 @@ def test_references():
     assert reference("pen") == reference("pen-human-v1")
     assert (reference("flow-ring-random").random, reference("flow-merge").expert) == (-165.22, 330.03179)
     own = load("references")["returns"]
-    rebuilt = [name for name in names() if not name.startswith("carla-")]  # which have another car and road
+    rebuilt = [name for name in names() if not name.startswith("carla-")]  # which have other cars and roads
     assert not [known for known in own for task in rebuilt if task == known or task.startswith(known + "-")]  # said once
     with pytest.raises(UserError, match="D4RL has no reference returns of 'carla-lane-state-v0'"):
         reference("carla-lane-state-v0")

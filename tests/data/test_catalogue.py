@@ -3,7 +3,8 @@ import json
 import pytest
 from small_logs import make_log
 
-from deadreckon.data.catalogue import ENTRIES, cached_path, entry, load
+from deadreckon.data.catalogue import cached_path, entry, load
+from deadreckon.data.entries import ENTRIES
 from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.data.formats.io import read
 from deadreckon.data.spec import Box

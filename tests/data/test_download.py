@@ -25,10 +25,11 @@ from small_logs import make_log, same
 
 from deadreckon.cli.data import data
 from deadreckon.data import download
-from deadreckon.data.catalogue import ENTRIES, at_hand, cached_path, entry, load, record_path
+from deadreckon.data.catalogue import at_hand, cached_path, entry, load, record_path
 from deadreckon.data.connection import Redirects
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.download import get
+from deadreckon.data.entries import ENTRIES
 from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.data.formats.minari import write_minari
 from deadreckon.data.transfer import RetryPolicy, fetch

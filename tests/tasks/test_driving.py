@@ -12,7 +12,8 @@ from deadreckon.collect import generate
 from deadreckon.collect.driving import CRUISE, pursue
 from deadreckon.collect.references import controlled_returns, measure_driving
 from deadreckon.tasks import driving, road_scene
-from deadreckon.tasks.driving import AXLE, BRAKE, DRAG, DRIVE, GRIP, ROLL, STEER, STEP, TASK, course, moved
+from deadreckon.tasks.car import AXLE, BRAKE, DRAG, DRIVE, GRIP, ROLL, STEER, STEP, course, moved
+from deadreckon.tasks.driving import TASK
 
 
 def car(speed=0.0, wheel=0.0, x=0.0, y=0.0, yaw=0.0):

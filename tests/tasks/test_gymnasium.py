@@ -7,7 +7,7 @@ from gymnasium import spaces
 
 import deadreckon as dr
 import deadreckon.tasks.envs
-from deadreckon.data.catalogue import ENTRIES as CATALOGUE
+from deadreckon.data.entries import ENTRIES as CATALOGUE
 from deadreckon.data.environments import IDS, task_of
 from deadreckon.data.formats.flatten import flatten_space, join_actions
 from deadreckon.data.spec import Box, Discrete

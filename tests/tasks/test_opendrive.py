@@ -16,7 +16,13 @@ from deadreckon.tasks.road_routes import routes
 from deadreckon.tasks.roads import Geometry, Lane, Link, Road
 
 EIGHT = figure_eight()
-MAPS = {"eight": EIGHT, "town": town(), "ring": town((1, 1)), "small eight": figure_eight(10.5, 3.5)}
+MAPS = {
+    "eight": EIGHT,
+    "town": town(),
+    "lights": town((1, 2), one_by_one=True),
+    "ring": town((1, 1)),
+    "small eight": figure_eight(10.5, 3.5),
+}
 TEXT = to_xodr(EIGHT)
 
 

@@ -10,7 +10,7 @@ from deadreckon import tasks
 
 # Horizons so short that some copies' episodes end with every task; hopper and ant fall, and pens drop, before that, too.
 HORIZONS = {"hopper": 25, "halfcheetah": 9, "ant": 12, "humanoid": 18, "maze2d-umaze-dense": 7, "pen": 22, "antmaze-umaze": 8,
-            "ant-reach": 13, "relocate": 11, "carla-lane-state": 14}  # fmt: skip
+            "ant-reach": 13, "relocate": 11, "carla-lane-state": 14, "carla-town-state": 14}  # fmt: skip
 WORLDS = {name: replace(tasks.task(name), horizon=horizon) for name, horizon in HORIZONS.items()}
 # Slow are those that differ from a fast one in nothing but the body and the reward.
 SLOW = ("humanoid", "ant-reach", "relocate")
@@ -36,7 +36,8 @@ def test_threads_change_nothing(task):
     logs = []
     for threads in (1, 2, 5):
         simulator = task.simulate(range(COPIES), threads=threads)
-        assert len(simulator._data) == (min(threads, COPIES // 16) if task.domain == "maze2d" else threads)
+        if task.domain != "carla":  # whose copies are arrays, stepped without threads
+            assert len(simulator._data) == (min(threads, COPIES // 16) if task.domain == "maze2d" else threads)
         logs.append([simulator.reset(), *walk(simulator, forces(task))])
     assert_same(logs[0], logs[1])
     assert_same(logs[0], logs[2])

@@ -19,11 +19,6 @@ class TD3BC(TD3):
     alpha: NonNegative = 2.5  # weight of the value relative to imitation (eq. 5)
     standardise: bool = static(True)  # whether observations are standardised to mean 0 and standard deviation 1 (eq. 6)
 
-    def representation_loss(self, state, batch, *, step, key):
-        """Those of the critics and of imitation; of values no slope goes through the actor."""
-        loss = super().representation_loss(state, batch, step=step, key=key)
-        return loss + jnp.square(jnp.tanh(state.actor(batch.observation)) - batch.action).mean()
-
     def actor_loss(self, actor, state, batch):
         """-lambda Q_1(s, pi(s)) + |pi(s) - a|^2 with lambda = alpha / mean |Q_1|, no gradient through lambda (eq. 3, 5)."""
         action = jnp.tanh(actor(batch.observation))

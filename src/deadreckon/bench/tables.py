@@ -13,7 +13,7 @@ from deadreckon.bench import published
 from deadreckon.bench.jobs import Job
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Metric, Suite
-from deadreckon.data.catalogue import ENTRIES
+from deadreckon.data.entries import ENTRIES
 from deadreckon.mbo.protocol import published as designs_published
 from deadreckon.ope.dope import METRICS as OPE_METRICS
 from deadreckon.ope.dope import printed as ope_printed

@@ -171,7 +171,8 @@ def data(args: Sequence[str]) -> None:
 
 def _list(options: List) -> None:
     from deadreckon.collect import recipe
-    from deadreckon.data.catalogue import ENTRIES, at_hand
+    from deadreckon.data.catalogue import at_hand
+    from deadreckon.data.entries import ENTRIES
 
     rows = [["log", "steps", "task", "in the cache", "original (D4RL)", "Minari version"]]
     for e in ENTRIES.values():

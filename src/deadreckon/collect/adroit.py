@@ -17,8 +17,9 @@ import numpy as np
 from deadreckon.agents.bc import BC
 from deadreckon.collect.rollouts import Segment, acted_in, collect_rollouts
 from deadreckon.data.batch import TransitionSource
-from deadreckon.data.catalogue import ORIGINAL, TWIN, VERSION, cached_path, load
+from deadreckon.data.catalogue import cached_path, load
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.entries import ORIGINAL, TWIN, VERSION
 from deadreckon.data.formats.pickles import read_pickle
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.transfer import RetryPolicy, download_file

@@ -15,8 +15,8 @@ import numpy as np
 
 from deadreckon.collect.planner import routes
 from deadreckon.collect.rollouts import COPIES, Segment, StatefulController, acted_in, collect_rollouts
-from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.entries import VERSION
 from deadreckon.policies import library, store
 from deadreckon.policies.deployed import EnvPolicy, first_actions
 from deadreckon.progress import Progress

@@ -13,10 +13,13 @@ from deadreckon.collect.gym import collect_gym, collect_replay
 from deadreckon.collect.kitchen import collect_kitchen
 from deadreckon.collect.maze2d import collect_maze2d
 from deadreckon.collect.recipes import Maker, Recipe, register
-from deadreckon.data.catalogue import ENTRIES, entry
+from deadreckon.collect.town import NOISE as TOWN_NOISE
+from deadreckon.collect.town import drive
+from deadreckon.data.catalogue import entry
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.entries import ENTRIES
 from deadreckon.policies.library import about, library_tasks
-from deadreckon.tasks import adroit, antmaze, driving, flow, gym_mujoco, kitchen, maze2d, registry
+from deadreckon.tasks import adroit, antmaze, driving, flow, gym_mujoco, kitchen, maze2d, registry, town
 from deadreckon.tasks.maze2d import Maze2D
 from deadreckon.tasks.task import Task
 
@@ -116,3 +119,10 @@ for _task in driving.TASKS:
     for _kind, _summary in zip(DRIVERS, _DRIVING, strict=True):
         _middle = "" if _kind == "controller" else f"-{_kind}"
         _register(f"{_task.name}{_middle}-v0", _task, partial(collect_driving, _task, _kind), _summary)
+
+_TOWN = ("pure pursuit along the route, by lights and behind other cars", *_DRIVING[1:])
+
+for _task in town.TASKS:
+    for _kind, _summary in zip(DRIVERS, _TOWN, strict=True):
+        _middle, _make = "" if _kind == "controller" else f"-{_kind}", partial(collect_driving, act=drive, noise=TOWN_NOISE)
+        _register(f"{_task.name}{_middle}-v0", _task, partial(_make, _task, _kind), _summary)

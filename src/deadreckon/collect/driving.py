@@ -1,5 +1,6 @@
-"""How logs of driving are made: pure pursuit along the lane at a steady speed, as for `carla-lane`, clean or with noise."""
+"""How logs of driving are made: a controller, clean or with noise; along a lane pure pursuit at a steady speed."""
 
+from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,10 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.provenance import Provenance
 from deadreckon.devices import acting_platform
 from deadreckon.progress import Progress
-from deadreckon.tasks.driving import AHEAD, AXLE, BRAKE, DRIVE, HEADING, OFFSET, SPEED, STEER, LaneDriving
+from deadreckon.tasks.car import AXLE, BRAKE, DRIVE, STEER
+from deadreckon.tasks.driving import AHEAD, HEADING, OFFSET, SPEED
 from deadreckon.tasks.pixels import Pixels, PixelSimulator
+from deadreckon.tasks.task import Task
 
 CRUISE = 20.0 / 3.6  # m/s, the speed of CARLA's local planner
 LOOK = 6.0  # m, how far before the car it steers for
@@ -24,7 +27,7 @@ KINDS = ("controller", "noisy", "uniform")
 
 
 def pursue(observations: np.ndarray) -> np.ndarray:
-    """(n, 2) float32 actions of pure pursuit (Coulter 1992), a function of observations (n, 8) of `LaneDriving`.
+    """(n, 2) float32 actions of pure pursuit (Coulter 1992), a function of observations (n, 8) of `tasks.driving.LaneDriving`.
 
     It steers about the circle that leads from the car to the middle of the lane `LOOK` m ahead, where the lane is taken for a
     parabola of the curvature that is seen near there.
@@ -41,19 +44,20 @@ def pursue(observations: np.ndarray) -> np.ndarray:
 
 
 class Shaken(StatefulController):
-    """`pursue`, with Gaussian noise of each copy's own on its actions, cut to the bounds.
+    """A controller, with Gaussian noise of each copy's own on its actions, cut to the bounds.
 
     In a task that shows pictures it goes by what these are drawn from.
 
     Args:
         copies: side by side.
+        act: the controller, a function of observations.
         noise: its standard deviation.
     """
 
     columns: dict[str, tuple[int, ...]] = {}  # noqa: RUF012 (one of the class's own, which nothing changes)
 
-    def __init__(self, copies: int, noise: float = NOISE):
-        self._noise = noise
+    def __init__(self, copies: int, act: Callable[[np.ndarray], np.ndarray] = pursue, noise: float = NOISE):
+        self._act, self._noise = act, noise
         self._generators = [np.random.default_rng(0)] * copies
         self._simulator: Any = None
 
@@ -63,16 +67,18 @@ class Shaken(StatefulController):
 
     def act(self, observations: np.ndarray, running: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """See `StatefulController`."""
-        actions = pursue(self._simulator.seen if isinstance(self._simulator, PixelSimulator) else observations)
+        actions = self._act(self._simulator.seen if isinstance(self._simulator, PixelSimulator) else observations)
         for copy in running.tolist():
             actions[copy] += self._noise * self._generators[copy].standard_normal(2)
         return np.clip(actions, -1.0, 1.0), {}
 
 
 def collect_driving(
-    task: LaneDriving | Pixels,
+    task: Task,
     kind: str,
     *,
+    act: Callable[[np.ndarray], np.ndarray] = pursue,
+    noise: float = NOISE,
     name: str,
     steps: int,
     scratch: Path,
@@ -80,11 +86,13 @@ def collect_driving(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Dataset:
-    """Collects one of `KINDS`: `pursue`, the same with noise, or uniform actions; see `collect.rollouts.collect_rollouts`.
+    """Collects one of `KINDS`: a controller, the same with noise, or uniform actions; see `collect.rollouts.collect_rollouts`.
 
     Args:
         task: where.
         kind: among `KINDS`.
+        act: the controller, a function of observations.
+        noise: see `Shaken`.
         name: of the recipe, such as `carla-lane-state-noisy-v0`.
         steps: rows.
         scratch: folder of a collection under way.
@@ -92,8 +100,8 @@ def collect_driving(
         threads: without effect: cars need none.
         progress: called with rows done and rows in all.
     """
-    clean = Shaken(COPIES, 0.0) if isinstance(task, Pixels) else pursue
-    who = {"controller": clean, "noisy": Shaken(COPIES), "uniform": None}[kind]
+    clean = Shaken(COPIES, act, 0.0) if isinstance(task, Pixels) else act
+    who = {"controller": clean, "noisy": Shaken(COPIES, act, noise), "uniform": None}[kind]
     extra = {"task": task.name, "actions": kind, "device": acting_platform()}
     drawn = ("mujoco",) if isinstance(task, Pixels) else ()
     versions = {each: metadata.version(each) for each in ("numpy", "jax", *drawn)} | {"deadreckon": __version__}

@@ -8,8 +8,8 @@ import numpy as np
 
 from deadreckon._version import __version__
 from deadreckon.collect.rollouts import Segment, collect_rollouts
-from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.entries import VERSION
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box
 from deadreckon.progress import Progress

@@ -7,8 +7,8 @@ from typing import Any
 from deadreckon.agents.sac import SAC
 from deadreckon.collect.rollouts import Segment, acted_in, collect_rollouts
 from deadreckon.collect.stage import asked_for, same_collection
-from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.entries import VERSION
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 from deadreckon.online import Exploration, Online, replay_log

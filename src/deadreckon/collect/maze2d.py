@@ -10,8 +10,8 @@ import numpy as np
 
 from deadreckon._version import __version__
 from deadreckon.collect.planner import routes
-from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.entries import VERSION
 from deadreckon.data.provenance import Provenance
 from deadreckon.progress import Progress
 from deadreckon.tasks.maze2d import OFFSET, START_NOISE, Maze2D

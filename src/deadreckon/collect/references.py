@@ -1,7 +1,7 @@
 """Measures the returns that mean 0 and 100 on the normalised scale (thesis 7.3).
 
-`python -m deadreckon.collect.references` prints the numbers that `tasks/maze2d.py`, `tasks/driving.py` and, where SUMO is
-installed, `tasks/flow.py` hold, and what uniform actions earn in the Gym-MuJoCo tasks, of which Humanoid's is used.
+`python -m deadreckon.collect.references` prints the numbers that `tasks/maze2d.py`, `driving.py`, `town.py` and, where SUMO is
+installed, `flow.py` hold, and what uniform actions earn in the Gym-MuJoCo tasks, of which Humanoid's is used.
 """
 
 import importlib.util
@@ -12,9 +12,9 @@ import numpy as np
 from deadreckon.collect.driving import pursue
 from deadreckon.collect.flow import Controller, FollowerStopper, PISaturation
 from deadreckon.collect.maze2d import to_the_goal
+from deadreckon.collect.town import drive
 from deadreckon.data.spec import Box
-from deadreckon.tasks import driving, flow, gym_mujoco
-from deadreckon.tasks.driving import LaneDriving
+from deadreckon.tasks import driving, flow, gym_mujoco, town
 from deadreckon.tasks.flow import Flow
 from deadreckon.tasks.flow_merge import Merge
 from deadreckon.tasks.maze2d import TASKS, Maze2D
@@ -56,15 +56,16 @@ def measure_flow(task: Flow, *, episodes: int = 100, seed: int = 0) -> Reference
     return _between(task, calm, episodes, seed)
 
 
-def measure_driving(task: LaneDriving, *, episodes: int = 100, seed: int = 0) -> Reference:
+def measure_driving(task: Task, controller: Controller = pursue, *, episodes: int = 100, seed: int = 0) -> Reference:
     """Mean returns of uniform random actions, and of the controller of the logs without noise.
 
     Args:
         task: a driving task.
+        controller: of its logs.
         episodes: of each.
         seed: of the starts and actions.
     """
-    return _between(task, pursue, episodes, seed)
+    return _between(task, controller, episodes, seed)
 
 
 def _between(task: Task, controller: Controller, episodes: int, seed: int) -> Reference:
@@ -105,8 +106,9 @@ def main() -> None:
     for task in TASKS:
         found = measure(task)
         print(f'    "{task.name}": ({found.random:.4f}, {found.expert:.4f}),')
-    found = measure_driving(driving.TASK)
-    print(f'    "{driving.TASK.name}": ({found.random:.4f}, {found.expert:.4f}),')
+    for task, controller in ((driving.TASK, pursue), (town.TASK, drive)):
+        found = measure_driving(task, controller)
+        print(f'    "{task.name}": ({found.random:.4f}, {found.expert:.4f}),')
     if importlib.util.find_spec("libsumo") is not None:
         for task in flow.TASKS:
             found = measure_flow(task)

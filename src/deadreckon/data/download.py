@@ -19,9 +19,10 @@ from urllib.parse import quote
 
 import numpy as np
 
-from deadreckon.data.catalogue import ORIGINAL, TWIN, Entry, cached_path, entry, plain_name, record_path
+from deadreckon.data.catalogue import cached_path, entry, plain_name, record_path
 from deadreckon.data.connection import TransferError
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.entries import ORIGINAL, TWIN, Entry
 from deadreckon.data.transfer import Progress, Received, RetryPolicy, Sums, fetch, file_hashes, file_size, forget
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import alone, read_json, write_json

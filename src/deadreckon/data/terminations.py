@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from deadreckon.data import stands
-from deadreckon.data.catalogue import ENTRIES
+from deadreckon.data.entries import ENTRIES
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 

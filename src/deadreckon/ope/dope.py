@@ -16,8 +16,8 @@ from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
-from deadreckon.data.catalogue import VERSION
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.entries import VERSION
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.files import digest, read_json, write_json
 from deadreckon.names import file_part

@@ -60,7 +60,7 @@ def _check_encoder(path: Path | str, policy: Any) -> None:
     """Refuses a policy on pictures that cannot act on those of its encoder's shape."""
     try:
         jax.eval_shape(functools.partial(_act, policy), jax.ShapeDtypeStruct((1, *policy.inner.encoder.shape), jnp.uint8))
-    except Exception as found:  # noqa: BLE001 - whatever arrays of wrong shapes make JAX raise
+    except Exception as found:
         raise UserError(f"{path}: the parts of its policy do not fit together ({as_one_line(found)})") from found
 
 

@@ -254,6 +254,7 @@ def _check_fit(policy: Any, task: Task, name: str) -> None:
     if not isinstance(policy, EnvPolicy):
         return
     try:
-        jax.eval_shape(lambda: first_actions(policy, jnp.zeros((1, *task.observation_shape), task.observation_dtype), jax.random.key(0), True))
+        seen = jax.ShapeDtypeStruct((1, *task.observation_shape), task.observation_dtype)
+        jax.eval_shape(lambda observation: first_actions(policy, observation, jax.random.key(0), True), seen)
     except (TypeError, ValueError) as error:
         raise UserError(f"{name} does not take {task.name}'s observations of shape {task.observation_shape}") from error

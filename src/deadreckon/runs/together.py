@@ -110,7 +110,8 @@ def train_lanes(
         raise UserError(f"{kept} is of other runs; give {', '.join(folder.path.name for folder in folders)} another folder")
     # Built before anything is written: whatever does not fit is told while the disk is untouched.
     own = learned[0].rows if len(learned) == 1 else [one.rows for one in learned for _ in one.lanes]
-    job = Fit(lanes, own, numbers * len(folders), steps, settings.chunk, kept, stream=settings.stream, stops=every, encoder=settings.encoder)
+    how: dict[str, Any] = {"stream": settings.stream, "stops": every, "encoder": settings.encoder}
+    job = Fit(lanes, own, numbers * len(folders), steps, settings.chunk, kept, **how)
     told = [text for folder, config in zip(folders, configs) for text in folder.check(config, resume=resume)]
     for text in dict.fromkeys(told):
         warnings.warn(text, stacklevel=3)

@@ -13,62 +13,18 @@ from typing import Any, ClassVar
 import numpy as np
 
 from deadreckon.data.spec import Box
+from deadreckon.tasks.car import VELOCITY, WHEEL, YAW, X, Y, course, moved
 from deadreckon.tasks.pixels import Pixels
 from deadreckon.tasks.road_maps import figure_eight
 from deadreckon.tasks.road_routes import Route
 from deadreckon.tasks.roads import LaneKey
 from deadreckon.tasks.task import Reference, Starts, Task, checked_actions
 
-# The car: two axles, each as far from its middle, which is what a position means.
-AXLE = 1.25  # m from the middle to an axle
-STEER, STEER_RATE = 0.6, 3.0  # rad of the front wheels at an action of 1, and rad/s by which they can turn
-DRIVE, BRAKE = 4.0, 8.0  # m/s² at an action of 1 and of -1
-ROLL, DRAG = 0.15, 0.004  # m/s² that a rolling car loses, and 1/m times its squared speed
-GRIP = 8.0  # m/s² across, beyond which tyres slide and a bend becomes wider
-STEP, PARTS = 0.05, 5  # s of a step, and parts in which it is integrated
-
 AHEAD = np.array([0.0, 5.0, 10.0, 20.0])  # m, where the curvature of the lane is seen
 SPEED, OFFSET, HEADING, STEERED = range(4)  # columns of an observation, before the curvatures
 MOST = 5.0  # of a step's reward, either way
 LEFT_THE_ROAD = 100.0  # what that costs
 START_OFFSET, START_HEADING = 0.2, 0.05  # m and rad, the largest at a start
-
-X, Y, YAW, VELOCITY, WHEEL = range(5)  # columns of a car's state
-
-
-def moved(cars: np.ndarray, actions: np.ndarray) -> np.ndarray:
-    """(n, 5) cars after a step: x and y in m, heading in rad, speed in m/s, angle of the front wheels in rad.
-
-    The kinematic bicycle model with the reference point in the middle (Kong et al. 2015, eq. 1). Where the tyres would have
-    to bear more than `GRIP`, the car turns as fast as they can make it.
-
-    Args:
-        cars: (n, 5) before it.
-        actions: (n, 2) throttle, or brake where negative, and steering to the right, as CARLA counts it, in ±1.
-    """
-    pedal, wheel = np.clip(actions, -1.0, 1.0).astype(np.float64).T
-    x, y, yaw, speed, angle = cars.T.copy()
-    part = STEP / PARTS
-    for _ in range(PARTS):
-        angle = angle + np.clip(-STEER * wheel - angle, -STEER_RATE * part, STEER_RATE * part)
-        force = np.where(pedal >= 0.0, DRIVE * pedal, BRAKE * pedal) - ROLL - DRAG * speed**2
-        before, speed = speed, np.maximum(speed + force * part, 0.0)  # neither brakes nor resistance drive it backwards
-        mean = (before + speed) / 2.0
-        bend = curvature(angle, mean)
-        towards = yaw + np.arcsin(bend * AXLE) + bend * mean * part / 2.0
-        x, y, yaw = x + mean * np.cos(towards) * part, y + mean * np.sin(towards) * part, yaw + bend * mean * part
-    return np.stack([x, y, yaw, speed, angle], 1)
-
-
-def curvature(wheels: np.ndarray, speed: np.ndarray) -> np.ndarray:
-    """(n,) 1/m, the curvature of the ways of the middles of cars, by (n,) rad and m/s: no more than `GRIP` allows."""
-    tightest = GRIP / np.maximum(speed, 1e-3) ** 2
-    return np.clip(np.sin(np.arctan(np.tan(wheels) / 2.0)) / AXLE, -tightest, tightest)
-
-
-def course(cars: np.ndarray) -> np.ndarray:
-    """(n,) rad, the direction in which the middles of cars (n, 5) move."""
-    return cars[:, YAW] + np.arcsin(curvature(cars[:, WHEEL], cars[:, VELOCITY]) * AXLE)
 
 
 @dataclass(frozen=True)

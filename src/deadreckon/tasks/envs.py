@@ -10,7 +10,7 @@ gymnasium-robotics' have other rewards, bodies and ends.
 from gymnasium.envs.registration import register
 from gymnasium.envs.registration import registry as registered
 
-from deadreckon.tasks import adroit, antmaze, battery, driving, flow, kitchen, maze2d, registry
+from deadreckon.tasks import adroit, antmaze, battery, driving, flow, kitchen, maze2d, registry, town
 
 for _tasks, _env in ((maze2d.TASKS, "maze2d_env:Maze2DEnv"), (flow.TASKS, "flow_env:FlowEnv")):
     for _task in _tasks:
@@ -23,6 +23,7 @@ for _name, _env in (("ant", "PaddedAntEnv"), ("humanoid", "PaddedHumanoidEnv")):
     if _task.gym_id not in registered:
         register(_task.gym_id, f"deadreckon.tasks.gym_env:{_env}", max_episode_steps=_task.horizon)
 
-for _task in (*adroit.TASKS, *kitchen.TASKS, *antmaze.TASKS, antmaze.REACH_TASK, *driving.TASKS, battery.TASK):
+_DRIVING = *driving.TASKS, *town.TASKS
+for _task in (*adroit.TASKS, *kitchen.TASKS, *antmaze.TASKS, antmaze.REACH_TASK, *_DRIVING, battery.TASK):
     if _task.gym_id not in registered:
         register(_task.gym_id, "deadreckon.tasks.simulator_env:SimulatorEnv", kwargs={"task": _task.name})

@@ -143,7 +143,7 @@ class PixelSimulator:
     def _begun(self) -> Any:
         try:
             return self.base.renderer(self._size, plain=True)
-        except Exception as error:  # noqa: BLE001 - each of GLFW, EGL and OSMesa fails in its own way
+        except Exception as error:
             raise UserError(f"{self.task.name} is drawn with OpenGL, which MuJoCo does not find; {REMEDY}") from error
 
 

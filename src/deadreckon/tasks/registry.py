@@ -5,9 +5,9 @@ import sys
 from typing import Any
 
 from deadreckon.data import terminations
-from deadreckon.data.catalogue import ENTRIES, ORIGINAL
+from deadreckon.data.entries import ENTRIES, ORIGINAL
 from deadreckon.errors import UserError, unknown
-from deadreckon.tasks import adroit, antmaze, battery, carla_task, driving, flow, gym_mujoco, kitchen, maze2d
+from deadreckon.tasks import adroit, antmaze, battery, carla_task, driving, flow, gym_mujoco, kitchen, maze2d, town
 from deadreckon.tasks.pixels import SUFFIX, of_pixels
 from deadreckon.tasks.task import Task
 
@@ -20,7 +20,8 @@ def task(given: Any, horizon: int | None = None) -> Task:
     Args:
         given: a task or its name, such as `maze2d-umaze`, with `:pixels` behind it for pictures of it; a Gymnasium
             environment, its id, such as `Pendulum-v1` or `gymnasium:Pendulum-v1`, or what makes one: a function, or the name
-            `module:Class` of one. See `tasks.gymnasium_task`. `carla:HOST:PORT/lane` is driven in a CARLA server; see `tasks.carla_task`.
+            `module:Class` of one. See `tasks.gymnasium_task`. `carla:HOST:PORT/lane` is driven in a CARLA server; see
+            `tasks.carla_task`.
         horizon: of an environment, steps after which an episode times out; None: its own limit.
 
     Raises:
@@ -88,5 +89,5 @@ def register(task: Task) -> None:
 
 
 _MANY = *maze2d.TASKS, *antmaze.TASKS, antmaze.REACH_TASK, *gym_mujoco.TASKS, *adroit.TASKS, *kitchen.TASKS, *flow.TASKS
-for _task in (*_MANY, *driving.TASKS, battery.TASK):
+for _task in (*_MANY, *driving.TASKS, *town.TASKS, battery.TASK):
     register(_task)

@@ -76,12 +76,13 @@ def town(
     junction: float = 10.0,
     corner: float = 15.0,
     speed: float = 13.0,
+    one_by_one: bool = False,
 ) -> Network:
     """Streets with one lane each way round all of the blocks of a grid, whose south-western corner is the origin.
 
     Where streets meet is a junction whose ways lead straight on and through arcs to the right and to the left, never back. The
     four outer corners are arcs. Junctions of four streets have traffic lights: those of streets that run east and west show the
-    same, and those of the others.
+    same, and those of the others; but see `one_by_one`.
 
     Args:
         blocks: how many, from west to east and from south to north.
@@ -90,6 +91,8 @@ def town(
         junction: m, from the middle of a junction to its ends, which is the radius of reference lines that turn there.
         corner: m, the radius of the outer corners.
         speed: m/s, the limit.
+        one_by_one: whether junctions of three streets have lights too, and each light a controller of its own, as in CARLA's
+            towns: then who comes in by one street need not meet who comes in by another.
 
     Raises:
         UserError: an argument is out of range, or a street between two junctions or corners is shorter than 5 m.
@@ -134,13 +137,14 @@ def town(
         ways = list(itertools.permutations(arms, 2))
         connecting = _connecting(ids, joint[node], ways, lane_width, speed)
         own: tuple[int, ...] = ()
-        if len(arms) == 4:
+        if len(arms) == 4 or one_by_one:
             lights = [_light(len(signals) + k, roads[arm.road - 1], arm, lane_width) for k, arm in enumerate(arms, 1)]
             signals += lights
-            for east in (True, False):
-                group = tuple(light.id for light, arm in zip(lights, arms) if (abs(math.cos(arm.heading)) > 0.5) == east)
+            alike = list(range(len(arms))) if one_by_one else [abs(math.cos(arm.heading)) < 0.5 for arm in arms]
+            for which in sorted(set(alike)):
+                group = tuple(light.id for light, each in zip(lights, alike) if each == which)
                 controllers.append(Controller(len(controllers) + 1, group))
-            own = tuple(each.id for each in controllers[-2:])
+            own = tuple(each.id for each in controllers[-len(set(alike)) :])
         through += connecting
         junctions.append(_junction(joint[node], ways, connecting, own))
     return Network((*roads, *bends, *through), tuple(junctions), tuple(signals), tuple(controllers))

@@ -87,11 +87,11 @@ class Path:
         """Poses (...) at distances (...) in m. Beyond the ends of a path that is not closed they are those of the ends."""
         distance = self.within(distance)
         piece = self.piece(distance)
-        return self._along(piece, distance - self.starts[piece])
+        return self.along(piece, distance - self.starts[piece])
 
     def ends(self) -> Pose:
         """(pieces,) pose at the end of each piece."""
-        return self._along(np.arange(len(self.length)), self.length)
+        return self.along(np.arange(len(self.length)), self.length)
 
     def project(self, points: np.ndarray, near: np.ndarray | float | None = None, window: float = 10.0) -> Projection:
         """The nearest places on the path, by closed forms.
@@ -127,15 +127,15 @@ class Path:
         turn = np.minimum(first[:, None] + np.arange(max(int((last - first).max(initial=0)), 0) + 1), last[:, None])
         turn = np.clip(turn, 0, len(begins) - 2)
         piece, begin = turn % len(self.length), begins[turn]
-        along = self._foot(points, piece, low[:, None] - begin, high[:, None] - begin)
-        pose = self._along(piece, along)
+        along = self.foot(points, piece, low[:, None] - begin, high[:, None] - begin)
+        pose = self.along(piece, along)
         right, up = points[:, :1] - pose.x, points[:, 1:] - pose.y
         best = np.arange(len(points)), np.argmin(right**2 + up**2, axis=1)
         heading = pose.heading[best]
         lateral = up[best] * np.cos(heading) - right[best] * np.sin(heading)
         return Projection(begin[best] + along[best] + lap, lateral, heading)
 
-    def _along(self, piece: np.ndarray, along: np.ndarray) -> Pose:
+    def along(self, piece: np.ndarray, along: np.ndarray) -> Pose:
         """Poses (...) so many m (...) behind the beginnings of pieces (...)."""
         curvature = self.curvature[piece]
         half = curvature * along / 2
@@ -145,8 +145,11 @@ class Path:
             self.x[piece] + chord * np.cos(towards), self.y[piece] + chord * np.sin(towards), towards + half, curvature
         )  # fmt: skip
 
-    def _foot(self, points: np.ndarray, piece: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """(n, candidates) m from the beginning of each piece to its place nearest to a point, between `low` and `high`."""
+    def foot(self, points: np.ndarray, piece: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """(n, candidates) m from the beginnings of pieces (n, candidates) to their places nearest to points (n, 2).
+
+        These lie between `low` and `high`, (n, candidates) m, and on the pieces.
+        """
         low, high = np.maximum(low, 0.0), np.minimum(high, self.length[piece])
         cos, sin, curvature = self._cos[piece], self._sin[piece], self.curvature[piece]
         right, up = points[:, :1] - self.x[piece], points[:, 1:] - self.y[piece]

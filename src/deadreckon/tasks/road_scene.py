@@ -1,13 +1,15 @@
-"""Roads as MuJoCo draws them: asphalt, its marks and grass, seen from a car.
+"""Roads as MuJoCo draws them: asphalt, its marks, grass, traffic lights and other cars, seen from a car.
 
-Nothing in the scene moves or touches: cars are simulated elsewhere, and a picture needs to know the camera's alone.
+Nothing in the scene moves or touches by itself: cars are simulated elsewhere, and a picture is told where they are.
 """
 
+from collections.abc import Sequence
 
 import numpy as np
 
 from deadreckon.tasks.copies import bindings
 from deadreckon.tasks.road_network import Network
+from deadreckon.tasks.road_props import LAMPS, lamp_names, lights, other_cars, shades, stop_lines
 from deadreckon.tasks.roads import Road
 
 PLACE = (1.6, 1.7)  # m before the middle of the car and above the ground, where D4RL's camera is
@@ -22,24 +24,42 @@ class Camera:
     """A camera that is put where a car is.
 
     Args:
-        network: that is seen.
+        network: that is seen, with its traffic lights.
         size: height and width of pictures in pixels.
+        others: how many other cars there are.
 
     Raises:
         ImportError: MuJoCo finds no OpenGL to draw with.
     """
 
-    def __init__(self, network: Network, size: tuple[int, int]):
+    def __init__(self, network: Network, size: tuple[int, int], others: int = 0):
         self._mujoco = bindings()
-        self._model = self._mujoco.MjModel.from_xml_string(mjcf(network, size))
+        self._model = self._mujoco.MjModel.from_xml_string(mjcf(network, size, others))
         self._data = self._mujoco.MjData(self._model)
         self._renderer = self._mujoco.Renderer(self._model, *size)
+        lamps = [[self._model.geom(name).id for name in lamp_names(signal.id)] for signal in network.signals]
+        self._lamps = np.array(lamps, int).reshape(-1, len(LAMPS))
 
-    def picture(self, x: float, y: float, heading: float) -> np.ndarray:
-        """(height, width, 3) uint8, from a car whose middle is at x and y (m), and whose front points to `heading` (rad)."""
+    def picture(
+        self, x: float, y: float, heading: float, others: np.ndarray | None = None, shown: Sequence[int] = ()
+    ) -> np.ndarray:
+        """(height, width, 3) uint8, from a car whose middle is at x and y (m), and whose front points to `heading` (rad).
+
+        Args:
+            x: m.
+            y: m.
+            heading: rad.
+            others: (others, 3) x and y (m) and heading (rad) of the other cars.
+            shown: what each of the network's lights shows: 0 for green, 1 for yellow, 2 for red.
+        """
         ahead, above = PLACE
         self._data.mocap_pos[0] = x + ahead * np.cos(heading), y + ahead * np.sin(heading), above
         self._data.mocap_quat[0] = np.cos(heading / 2), 0.0, 0.0, np.sin(heading / 2)
+        if others is not None:
+            self._data.mocap_pos[1:, :2] = others[:, :2]
+            self._data.mocap_quat[1:, 0], self._data.mocap_quat[1:, 3] = np.cos(others[:, 2] / 2), np.sin(others[:, 2] / 2)
+        for lamps, colour in zip(self._lamps, shown):
+            self._model.geom_rgba[lamps] = shades(colour)
         self._mujoco.mj_forward(self._model, self._data)
         self._renderer.update_scene(self._data, "driver")
         return self._renderer.render()
@@ -49,12 +69,13 @@ class Camera:
         self._renderer.close()
 
 
-def mjcf(network: Network, size: tuple[int, int]) -> str:
-    """The scene as MuJoCo's XML: a mesh for the asphalt of all roads, and one for each colour of marks.
+def mjcf(network: Network, size: tuple[int, int], others: int = 0) -> str:
+    """The scene as MuJoCo's XML: a mesh for the asphalt of all roads, one for each colour of marks, lights, and other cars.
 
     Args:
         network: of roads.
         size: height and width of pictures in pixels.
+        others: number of other cars.
     """
     meshes = {"road": [_strip(road, *_sides(road), ROAD_HIGH) for road in network.roads], "edge": [], "middle": []}
     for road in network.roads:
@@ -64,6 +85,7 @@ def mjcf(network: Network, size: tuple[int, int]) -> str:
         meshes["edge"] += [_strip(road, left, left - MARK, MARK_HIGH), _strip(road, right + MARK, right, MARK_HIGH)]
         dashes = np.arange(0.0, road.length - DASH, 2 * DASH)
         meshes["middle"] += [_strip(road, MARK / 2, -MARK / 2, MARK_HIGH, s, s + DASH) for s in dashes]
+        meshes["edge"] += [_strip(road, *sides, MARK_HIGH, *span) for sides, span in stop_lines(network, road)]
     assets = "\n".join(_mesh(name, strips) for name, strips in meshes.items() if strips)
     geoms = "\n".join(
         f'    <geom type="mesh" mesh="{name}" rgba="{COLOURS[name]}" contype="0" conaffinity="0"/>'
@@ -85,10 +107,10 @@ def mjcf(network: Network, size: tuple[int, int]) -> str:
   <worldbody>
     <geom type="plane" size="500 500 1000" rgba="0.35 0.50 0.25 1" contype="0" conaffinity="0"/>
 {geoms}
-    <body name="car" mocap="true">
+{lights(network)}    <body name="car" mocap="true">
       <camera name="driver" mode="fixed" xyaxes="0 -1 0 0 0 1" fovy="{VIEW}"/>
     </body>
-  </worldbody>
+{other_cars(others)}  </worldbody>
 </mujoco>"""
 
 

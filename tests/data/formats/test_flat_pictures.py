@@ -106,7 +106,7 @@ def test_the_catalogue(monkeypatch, tmp_path, capsys):
             load(name)
     with pytest.raises(UserError, match=r"'dr1' of carla-town-v0: known are carla-town-v0@d4rl \(downloaded\)$"):
         load("carla-town-v0@dr1")
-    with pytest.raises(UserError, match="carla-lane-v0 has no Minari twin: --source d4rl downloads its original at D4RL's, `deadreckon data"):
+    with pytest.raises(UserError, match="carla-lane-v0 has no Minari twin: --source d4rl downloads its original at D4RL's, "):
         get("carla-lane-v0", "minari")
     monkeypatch.setenv("DEADRECKON_D4RL_URL", "http://localhost:9")
     d4rl_file(cached_path("carla-lane-v0@d4rl"), flat(np.float32, 255))

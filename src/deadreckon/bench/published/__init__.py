@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from deadreckon.data.catalogue import ENTRIES
+from deadreckon.data.entries import ENTRIES
 from deadreckon.errors import UserError, unknown
 from deadreckon.tasks import Reference, names, task
 
