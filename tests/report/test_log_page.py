@@ -1,9 +1,12 @@
 """The page about a log: what it says, that names are escaped, and that it works in a browser."""
 
+import base64
+import io
 import re
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from deadreckon.cli.data import data
 from deadreckon.data.dataset import Dataset
@@ -102,7 +105,7 @@ def test_all_kinds_of_logs(kind, tmp_path):
         action_space=Discrete(20) if discrete else Box((-5, -5), (5, 5)),
     )  # fmt: skip
     text = page(log, tmp_path).read_text()
-    assert ("Image observations are not drawn" in text) == (kind == "images")
+    assert ("Pictures have too many numbers for that" in text) == (kind == "images")
     assert ("no time within them" in text) == (kind == "bandit")
     assert ("20,000 of 30,000 rows" in text) == (kind == "long")
     assert ("Fewer than two dimensions" in text) == (kind == "one dimension")
@@ -132,3 +135,23 @@ def test_the_command_tells_leaks(tmp_path, capsys):
         data([command, str(path), "--action", "act", "--reward", "reward"])
         out, error = capsys.readouterr()
         assert "column bill may be the reward by another name: equal to it" in out + error, command
+
+
+def test_pictures_are_shown_as_film_strips(tmp_path):
+    rows, rng = 60, np.random.default_rng(0)
+    pictures = rng.integers(0, 256, (rows, 16, 20, 6)).astype(np.uint8)
+    log = Dataset.from_arrays(
+        observations=pictures, actions=rng.uniform(size=(rows, 1)), rewards=np.repeat([1.0, 3.0, 2.0], 20),
+        timeouts=np.arange(rows) % 20 == 19,
+    )  # fmt: skip
+    text = page(log, tmp_path).read_text()
+    assert re.findall(r"<figcaption>Episode (\d), ([^<]*)</figcaption>", text) == [
+        ("2", "the highest return: 60.0 in 20 steps"), ("3", "the median return: 40.0 in 20 steps"),
+        ("1", "the lowest return: 20.0 in 20 steps"),
+    ]  # fmt: skip
+    best = re.findall(r'src="data:image/png;base64,([^"]*)"', text)[0]
+    strip = np.asarray(Image.open(io.BytesIO(base64.b64decode(best))))
+    assert strip.shape == (16, 10 * 21 - 1, 3)
+    np.testing.assert_array_equal(strip[:, :20], pictures[20, ..., 3:])  # the newest frame of the episode's first step
+    np.testing.assert_array_equal(strip[:, -20:], pictures[39, ..., 3:])
+    assert not re.search("that never change|scales differ", text)

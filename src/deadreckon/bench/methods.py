@@ -22,6 +22,7 @@ class Method:
         acting: online, what differs from how the agent's own acting and learning take turns: fields of `online.Online`.
         history: of a suite of kind `learn`: last observations that policies act on.
         encoder: likewise, of logs of pictures: the network before the agent's own; "" for the default.
+        shift: likewise, the most pixels by which pictures are moved; None for the task's.
         log: online, what the task's log is for: `first` to learn from before it acts and then in the replay, `beside` in the
             replay alone; "" for nothing.
     """
@@ -33,6 +34,7 @@ class Method:
     acting: dict[str, Any] = field(default_factory=dict)
     history: int = 1
     encoder: str = ""
+    shift: int | None = None
     log: str = ""
 
 
@@ -59,7 +61,8 @@ def method(where: str, kind: str, name: str, table: Any) -> Method:
         UserError: it says something that cannot be.
     """
     kinds = {"agent": str, "fields": dict, "preset": bool}
-    kinds |= {"acting": dict, "log": str} if kind == "online" else {"history": int, "encoder": str} if kind == "learn" else {}
+    own = {"online": {"acting": dict, "log": str}, "learn": {"history": int, "encoder": str, "shift": int}}
+    kinds |= own.get(kind, {})
     if not isinstance(table, dict) or "agent" not in table:
         raise UserError(f"{where}: method {name!r} must say its agent, such as {name} = {{ agent = 'bc' }}")
     for key in table:

@@ -162,6 +162,8 @@ def _learn(suite: Suite, method: Method, on: str) -> Job:
         options["history"] = method.history
     if method.encoder:
         options["encoder"] = method.encoder
+    if method.shift is not None:
+        options["shift"] = method.shift
     return Job("learn", method.name, method.agent, settings, published, on, data, options, (0,), suite.rows)
 
 

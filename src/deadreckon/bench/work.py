@@ -129,7 +129,7 @@ def _options(job: Job, watch: Progress, track: Sequence[str]) -> dict[str, Any]:
         "steps": job.options["steps"], "seeds": len(job.seeds), "seed": job.seeds[0], "evaluate_every": every,
         "episodes": job.options["episodes"], "chunk": min(1000, every), "resume": True,
         "holdout": 0, "history": job.options.get("history", 1), "encoder": job.options.get("encoder", "patches"),
-        "track": track,
+        "shift": job.options.get("shift"), "track": track,
         "watch": lambda progress, steps: watch(progress.step, steps),
     }  # fmt: skip
 

@@ -206,13 +206,13 @@ def _rewards(info: Info) -> list[str]:
 
 def _columns(log: Dataset, info: Info) -> list[str]:
     """Advice on observations, actions and rows."""
-    out = []
-    if info.constant_observations:
+    out, pictures = [], len(log.spec.observation_shape) > 1  # whose pixels may rest, and differ as they like
+    if info.constant_observations and not pictures:
         names = observation_names(log)
         shown = _shortened([names[i].removeprefix("observation ") for i in info.constant_observations])
         out.append(f"observation dimensions that never change: {shown}; they carry nothing and may be left out")
     low, high = info.observation_scales
-    if low > 0 and high / low > 1_000:
+    if low > 0 and high / low > 1_000 and not pictures:
         std, names = log.spec.observation.std.ravel(), observation_names(log)
         least, most = (names[int(i)] for i in (np.argmin(np.where(std > 0, std, np.inf)), np.argmax(std)))
         deviations = f"standard deviations {low:.2g} of {least} .. {high:.2g} of {most}"

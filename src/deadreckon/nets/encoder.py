@@ -9,7 +9,7 @@ from typing import Any, Literal, get_args
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray, UInt8
+from jaxtyping import Array, Float, Num, PRNGKeyArray, UInt8
 
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import standardised
@@ -70,14 +70,14 @@ class Encoder(eqx.Module):
         """Numbers that it makes of a picture."""
         return self.biases[-1].shape[-1]
 
-    def __call__(self, pictures: UInt8[Array, "*b h w c"]) -> Float[Array, "*b f"]:
-        """Features in (-1, 1)."""
+    def __call__(self, pictures: Num[Array, "*b h w c"]) -> Float[Array, "*b f"]:
+        """Features in (-1, 1) of numbers from 0 to 255."""
         lead = pictures.shape[:-3]
         maps = self.maps(pictures.reshape(-1, *pictures.shape[-3:]))
         out = maps.reshape(len(maps), -1) @ self.kernels[-1] + self.biases[-1]
         return jnp.tanh(standardised(out)).reshape(*lead, -1)
 
-    def maps(self, pictures: UInt8[Array, "n h w c"]) -> Float[Array, "n i j k"]:
+    def maps(self, pictures: Num[Array, "n h w c"]) -> Float[Array, "n i j k"]:
         """What the last layer sees."""
         x = pictures.astype(jnp.float32) / 255.0 - 0.5
         if self.network == "patches":
@@ -106,7 +106,7 @@ def patches(x: Float[Array, "n h w c"], side: int) -> Float[Array, "n i j k"]:
     return x.reshape(n, down, across, side * side * channels)
 
 
-def shifted(pictures: UInt8[Array, "b h w c"], key: PRNGKeyArray, most: int) -> UInt8[Array, "b h w c"]:
+def shifted(pictures: UInt8[Array, "b h w c"], key: PRNGKeyArray, most: Any) -> UInt8[Array, "b h w c"]:
     """Each picture moved by up to `most` pixels either way, its edge repeated (Yarats et al. 2021, section 4.1)."""
     count, height, width, _ = pictures.shape
     moves = jax.random.randint(key, (2, count), -most, most + 1)

@@ -19,6 +19,7 @@ from deadreckon.ope.estimates import LOGGED
 from deadreckon.ope.features import Table
 from deadreckon.ope.fits import Fits
 from deadreckon.ope.histories import with_histories
+from deadreckon.ope.pictures import behind, with_features
 from deadreckon.ope.settings import EstimateOptions, EstimateSettings
 from deadreckon.ope.tables import NOISE, Actor
 from deadreckon.ope.weights import GROUPS, Episodes
@@ -27,6 +28,7 @@ from deadreckon.policies.deployed import EnvPolicy, memoryless
 from deadreckon.policies.kinds import ClippedGaussian
 from deadreckon.policies.resolve import policies_of
 from deadreckon.randomness import generator, sequence
+from deadreckon.training.pictures import of_pictures
 
 LARGEST = 1e15  # size of a reward: the mean square of such values is still within float32
 WEIGHTLESS = "need weights, which mean nothing for policies of continuous actions that do not draw them"
@@ -65,7 +67,8 @@ class OPEInput(Fits):
 
     Attributes:
         settings: the same as one object.
-        log: all episodes, cut to the horizon; its observations are histories where policies act on these (`ope.histories`).
+        log: all episodes, cut to the horizon; its observations are histories where policies act on these (`ope.histories`), and
+            features where they are pictures (`ope.pictures`).
         data: those that are judged, cut to the horizon.
         estimand: what is estimated.
 
@@ -93,7 +96,8 @@ class OPEInput(Fits):
         self.names = tuple(names) if names is not None else tuple(f"policy {i}" for i in range(len(self.policies)))
         if len(self.names) != len(self.policies):
             raise UserError(f"{len(self.policies)} policies need as many names, got {len(self.names)}")
-        if len(data.spec.observation_shape) != 1:
+        pictures = of_pictures(data.spec)
+        if len(data.spec.observation_shape) != 1 and not pictures:
             raise UserError(f"estimators need flat observations, {data.name} has shape {data.spec.observation_shape}")
         if (largest := float(np.abs(data.rewards).max())) > LARGEST:
             told = f"{data.name}: rewards reach {largest:.3g} in size, and models of values square them in float32"
@@ -103,8 +107,10 @@ class OPEInput(Fits):
         if clusters is not None and np.shape(clusters) != (data.episodes,):
             raise UserError(f"clusters must be one number per episode, ({data.episodes},), got {np.shape(clusters)}")
         self.given = data
-        flat = [one for p in self.policies for one in (p.policies if isinstance(p, CrossFitted) else (p,))]
-        data, sizes = with_histories(data, flat)
+        each = [p.policies if isinstance(p, CrossFitted) else (p,) for p in self.policies]
+        flat = [one for own in each for one in own]
+        whose = [name for name, own in zip(self.names, each) for _ in own]
+        data, seen = with_features(data, flat, whose) if pictures else with_histories(data, flat)
         self.log = self.estimand.cut(data)
         self.data = self.log if held is None else self.log.select(self.held)
         self.clusters = np.arange(data.episodes) if clusters is None else np.unique(clusters, return_inverse=True)[1]
@@ -128,7 +134,7 @@ class OPEInput(Fits):
             [len(p.policies) if isinstance(p, CrossFitted) else 1 for p in self.policies],
         )
         self.actor = Actor(
-            [memoryless(p) for p in acting], acting_names, data.spec, self.estimand.greedy, self.seed, noise, sizes
+            [behind(memoryless(p)) for p in acting], acting_names, data.spec, self.estimand.greedy, self.seed, noise, seen
         )
         self.logged = logged
         if logged:

@@ -9,7 +9,7 @@ from deadreckon.errors import UserError
 from deadreckon.policies.deployed import EnvPolicy, History, history_of
 
 
-def with_histories(log: Dataset, policies: Sequence[Any]) -> tuple[Dataset, list[int] | None]:
+def with_histories(log: Dataset, policies: Sequence[Any]) -> tuple[Dataset, list[slice] | None]:
     """The log as policies are judged on it: with histories of the longest that any of them acts on.
 
     Args:
@@ -17,7 +17,7 @@ def with_histories(log: Dataset, policies: Sequence[Any]) -> tuple[Dataset, list
         policies: of any kind.
 
     Returns:
-        The log, and how many numbers at the end of a row each policy sees; None: all of them.
+        The log, and the end of a row that each policy sees; None: all of it.
 
     Raises:
         UserError: the log has no histories, or they have other sizes or bounds than those that a policy learned from.
@@ -39,7 +39,7 @@ def with_histories(log: Dataset, policies: Sequence[Any]) -> tuple[Dataset, list
             raise UserError("policies with histories learned under different bounds of actions; judge them one by one")
     steps = [history_of(p) if inner is not None else 1 for p, inner in zip(policies, found)]
     sizes = [history_size(spec.observation_size, spec.action_size, k) for k in steps]
-    return stacked(log, max(steps), own[0].member.view), sizes
+    return stacked(log, max(steps), own[0].member.view), [slice(max(sizes) - size, max(sizes)) for size in sizes]
 
 
 def _bounds(policy: History) -> tuple[float, ...]:

@@ -44,7 +44,7 @@ class Actor:
             those of policies that do not tell how likely their actions are.
         illegal: (probability of illegal actions, rows) so far of each policy that gives them any; it is judged as if it drew
             again until an action is legal.
-        sizes: numbers at the end of a row that each policy sees, of histories of fewer steps; None: all.
+        parts: numbers of a row that each policy sees, such as the end of a history; None: all.
     """
 
     policies: Sequence[Any]
@@ -54,11 +54,12 @@ class Actor:
     seed: int
     noise: float | None = NOISE
     illegal: dict[int, tuple[float, int]] = field(default_factory=dict, init=False, compare=False)
-    sizes: Sequence[int] | None = None
+    parts: Sequence[slice] | None = None
 
     def __post_init__(self):
-        sizes = self.sizes or [self.spec.observation_size] * len(self.policies)
-        for policy, name, size in zip(self.policies, self.names, sizes):
+        parts = self.parts or [slice(0, self.spec.observation_size)] * len(self.policies)
+        for policy, name, part in zip(self.policies, self.names, parts):
+            size = part.stop - part.start
             if jax.tree.leaves(policy.start(1)):
                 raise UserError(f"{name} remembers what it saw; estimators judge policies that act on the observation alone")
             if self.greedy and not self.spec.discrete and not isinstance(policy, EnvPolicy) and policy.has_log_prob:
@@ -74,7 +75,7 @@ class Actor:
 
     def _seen(self, which: int, observations: np.ndarray) -> np.ndarray:
         """What one policy sees of rows."""
-        return observations if self.sizes is None else observations[:, -self.sizes[which] :]
+        return observations if self.parts is None else observations[:, self.parts[which]]
 
     def _fits(self, name: str, shape: tuple[int, ...]) -> None:
         """Refuses a policy whose actions, of that shape a row, are not the log's."""

@@ -56,9 +56,12 @@ def numpy_player(path: Path | str, tree: dict[str, Any], arrays: dict[str, np.nd
         if portable.unknown_kind(tree["policy"]) is not None:
             return None
         player, inner = portable.NumpyPolicy(tree, arrays), tree["policy"]["inner"]
-        parts = inner.get("members", [inner["member"]] if inner["kind"] == "History" else [])
+        parts = portable.parts_of(inner)
     for part in parts:
         numpy_player(path, {"policy": part}, arrays)
+    if inner["kind"] == "Seeing":
+        with reading(path, "a policy file"):
+            player(np.zeros((1, *inner["encoder"]["shape"]), np.uint8))
     if parts:
         return player
     with reading(path, "a policy file"):

@@ -6,7 +6,8 @@ A file is an npz archive of float32 or float16 arrays and one JSON text, `policy
     play = load("policy.npz")
     action = play(observation)
 
-With the files `table_*.py` beside this one, which need numpy alone too, rows of the log's table can be given:
+Policies that see pictures need `portable_pictures.py` beside this file. With the files `table_*.py`, which need numpy alone
+too, rows of the log's table can be given:
 
     play.predict({"temp": 20.1, "mode": "auto"})
 """
@@ -104,10 +105,15 @@ def load(path):
     return NumpyPolicy(tree, arrays)
 
 
+def parts_of(inner):
+    """The policies that one is made of."""
+    return inner.get("members", [inner["member"]] if inner["kind"] in ("History", "Seeing") else [])
+
+
 def unknown_kind(policy):
     """The first kind of policy in a file's tree that is not played here, or None."""
     inner = policy["inner"]
-    parts = inner.get("members", [inner["member"]] if inner["kind"] == "History" else [])
+    parts = parts_of(inner)
     unknown = [] if parts or inner["kind"] in KINDS else [inner["kind"]]
     return next(iter([*unknown, *filter(None, map(unknown_kind, parts))]), None)
 
@@ -122,6 +128,7 @@ class NumpyPolicy:
         self.past = None  # of a history: (n, numbers) without the next observation
         self.member = NumpyPolicy({"policy": inner["member"]}, arrays) if inner["kind"] == "History" else None
         self.members = [NumpyPolicy({"policy": member}, arrays) for member in inner.get("members", [])]
+        self.behind = NumpyPolicy({"policy": inner["member"]}, arrays) if inner["kind"] == "Seeing" else None  # an encoder
         self.steps, self.action_size = (inner["steps"], inner["action_size"]) if self.member else (1, 0)
         self.which, self.drawing = None, np.random.default_rng(0)  # of a mixture: (n,) who acts, and what draws it
 
@@ -134,6 +141,8 @@ class NumpyPolicy:
         must be told it in every call. `legal`: (actions,) or (n, actions) truth values, the end of the observations, where
         these lack it.
         """
+        if self.behind is not None:
+            return self._on_pictures(self.behind, np.asarray(observations), rng, greedy)
         x = np.asarray(observations, np.float32)
         x = x if legal is None else np.concatenate([x, np.asarray(legal, np.float32)], -1)
         if self.member is not None:
@@ -152,6 +161,13 @@ class NumpyPolicy:
             low, high = get(self.tree["low"]), get(self.tree["high"])
             action = low + 0.5 * (action + 1.0) * (high - low)
         return action.astype(np.float32) if x.ndim > 1 else action[0].astype(np.float32)
+
+    def _on_pictures(self, behind, pictures, rng, greedy):
+        """Actions on what an encoder makes of pictures."""
+        batch = pictures if pictures.ndim > 3 else pictures[None]
+        seen = _beside_this("portable_pictures").features(self.tree["inner"]["encoder"], self.arrays, batch)
+        actions = behind(seen, rng, greedy)
+        return actions if pictures.ndim > 3 else actions[0]
 
     def _mixed(self, x, rng, greedy, first):
         """Actions of the members whose turn it is."""
@@ -196,8 +212,7 @@ class NumpyPolicy:
     def predict(self, rows, **options):
         """Actions by name in rows of a table; see `table_predict.Predictor.predict`, whose options it takes."""
         if self._predictor is None:
-            module = importlib.import_module(f"{__package__}.table_predict" if __package__ else "table_predict")
-            self._predictor = module.Predictor(self, self.log)
+            self._predictor = _beside_this("table_predict").Predictor(self, self.log)
         return self._predictor.predict(rows, **options)
 
     def probs(self, observations):
@@ -283,6 +298,11 @@ class NumpyPolicy:
         if kind == "OneStep":
             return np.arctanh(np.clip(self._net(node["net"], _beside(x, noise)), -_EDGE, _EDGE))
         raise ValueError(f"unknown kind of policy {kind!r} among candidates")
+
+
+def _beside_this(name):
+    """A module that lies beside this one, in the package or elsewhere."""
+    return importlib.import_module(f"{__package__}.{name}" if __package__ else name)
 
 
 def check_size(x, size, mask):

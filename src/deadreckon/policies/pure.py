@@ -11,7 +11,7 @@ from deadreckon.data.history import history_size
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.policies.candidates import GreedyActions
-from deadreckon.policies.deployed import EnvPolicy, History, Mixture
+from deadreckon.policies.deployed import EnvPolicy, History, Mixture, Seeing
 from deadreckon.policies.kinds import Categorical
 from deadreckon.policies.planner import Planner
 from deadreckon.policies.sequence import Asking
@@ -56,6 +56,9 @@ def pure(policy: EnvPolicy) -> Pure:
             raise UserError(f"policies of the kind {kind.__name__} {why}: they cannot be exported; use them with the package")
     if isinstance(inner, History):
         return pure(inner.member)._replace(history=inner.steps)
+    if isinstance(inner, Seeing):
+        behind = pure(inner.member)
+        return behind._replace(call=lambda pictures: behind.call(inner.encoder(pictures)))
     if isinstance(inner, Mixture):
         parts = [pure(member) for member in inner.members]
         if any(part.members > 1 for part in parts):

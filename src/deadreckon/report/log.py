@@ -10,7 +10,7 @@ from deadreckon.data.info import Info
 from deadreckon.data.spec import Box
 from deadreckon.data.told import LEVELS, Told, action_names, columns_of, observation_names
 from deadreckon.files import replacing
-from deadreckon.report import bars, charts
+from deadreckon.report import bars, charts, film
 from deadreckon.report.charts import Series
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import document
@@ -41,6 +41,7 @@ def write_log(log: Dataset, out: Path | str, info: Info, warnings: Sequence[str]
     sampled = f"Charts of rows show {len(rows):,} of {info.rows:,} rows, at regular distances." if len(rows) < len(log) else ""
     sections: list[tuple[str, str, Markup | None]] = [
         ("warnings", "Warnings", tag("ul", [tag("li", line) for line in warnings], class_="caveats") if warnings else None),
+        ("films", "What is seen", film.strips(log)),
         ("columns", "Columns", columns_table(columns)),
         ("values", "Values of the columns", _pictures(log, columns, rows)),
         ("returns", "Returns and lengths of episodes", _returns(log)),
@@ -85,7 +86,7 @@ def _pictures(log: Dataset, columns: Sequence[Told], rows: np.ndarray) -> Markup
     drawn = [picture for each in columns if (picture := _picture(log, each, rows)) is not None]
     remarks = []
     if len(log.spec.observation_shape) > 1:
-        remarks.append("Image observations are not drawn.")
+        remarks.append("Values of pictures are not drawn; see what is seen.")
     if len(drawn) > _FIGURES:
         remarks.append(f"The first {_FIGURES} of {len(drawn):,} columns are drawn.")
     if any(each.role in ("ignore", "time", "episode", "not in the schema") for each in columns):
@@ -186,7 +187,7 @@ def _coverage(log: Dataset, rows: np.ndarray) -> Markup:
 def _plane(log: Dataset, rows: np.ndarray) -> Markup:
     """The first two principal components of the standardised observations."""
     if len(log.spec.observation_shape) > 1:
-        return note("Image observations are not drawn.")
+        return note("Pictures have too many numbers for that; see what is seen.")
     flat = np.asarray(log.observations[rows], np.float64).reshape(len(rows), -1)
     flat, names = flat[:, flat.std(0) > 0], [n for n, s in zip(observation_names(log), flat.std(0)) if s > 0]
     if flat.shape[1] < 2:

@@ -12,7 +12,7 @@ class Markup(str):
     __slots__ = ()
 
 
-_VOID = {"br", "hr", "input", "meta", "wbr"}
+_VOID = {"br", "hr", "img", "input", "meta", "wbr"}
 
 
 def _text(child: Any) -> str:

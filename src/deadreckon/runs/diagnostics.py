@@ -47,7 +47,7 @@ class LogProbe:
         rng = np.random.default_rng(seed)
         rows = np.sort(rng.choice(len(log), min(SAMPLE, len(log)), replace=False))
         rng.shuffle(rows)
-        self.observations = np.asarray(log.observations[rows], np.float32)
+        self.observations = np.asarray(log.observations[rows])
         statistics = log.spec.observation
         states = (self.observations - statistics.mean) / (statistics.std + 1e-6)
         self.states = states.reshape(len(rows), -1).astype(np.float32)

@@ -24,7 +24,7 @@ from deadreckon.temporaries import beside
 
 CLOSE = 1e-5  # of half an action's range
 ROWS = 1_000  # of the log, on which an export is checked
-PLAYER = ("portable.py", "table_columns.py", "table_encoder.py", "table_predict.py", "table_rows.py")
+PLAYER = ("portable.py", "portable_pictures.py", "table_columns.py", "table_encoder.py", "table_predict.py", "table_rows.py")
 
 
 class Rows(NamedTuple):

@@ -156,7 +156,7 @@ class Folder:
         longer = before.get("steps", 0) < config["steps"]
         asked = config | {"steps": before.get("steps")} if longer else config
         kept = ("together", "agent", "online", "demonstrations", "start", "log", "data", "task", "seeds", "steps", "evaluation",
-                "history", "encoder")  # fmt: skip
+                "history", "encoder", "shift")  # fmt: skip
         if different := differences(before, asked, kept):
             raise UserError(f"{self.path} holds another run: {different[0]}; choose another --out")
         if "revisions" not in before:  # from before they were noted: random streams have changed since

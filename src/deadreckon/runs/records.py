@@ -97,6 +97,7 @@ class RunConfig(TypedDict):
     demonstrations: NotRequired[dict[str, Any] | None]
     history: NotRequired[Any]
     encoder: NotRequired[Any]
+    shift: NotRequired[Any]
     together: NotRequired[Any]
 
 

@@ -85,10 +85,15 @@ class TrainSettings(RunSettings):
 
     encoder: Kind = "patches"
     """network between pictures and the agent's own: patches (fast on CPUs), drq or impala (convolutions, for GPUs)"""
+    shift: int | None = None
+    """largest number of pixels by which pictures are moved at random, which makes learning robust where it changes nothing
+    (DrQ); None: 4 of 84, and 0 in tasks such as driving, where places in a picture say what to do"""
 
     def check(self, seed: int, **counts: int) -> None:
         """See `RunSettings`."""
         super().check(seed, history=self.history, **counts)
+        if self.shift is not None and self.shift < 0:
+            raise UserError(f"shift must be 0 or more pixels, got {self.shift}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -192,6 +197,7 @@ class TrainOptions(_Options, total=False):
     holdout: Holdout | Fold | float | None
     history: int
     encoder: Kind
+    shift: int | None
 
 
 class OnlineOptions(_Options, total=False):

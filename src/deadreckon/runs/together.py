@@ -27,7 +27,7 @@ from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Fit
 from deadreckon.training.part import Part
-from deadreckon.training.pictures import of_pictures
+from deadreckon.training.pictures import Sight, of_pictures, usual_shift
 from deadreckon.training.revisions import of_learning, revisions
 from deadreckon.versions import versions
 
@@ -99,8 +99,10 @@ def train_lanes(
     }
     if settings.history > 1:
         common["history"] = settings.history
+    sight = Sight()
     if any(of_pictures(one.log.spec) for one in learned):
-        common["encoder"] = settings.encoder
+        sight = Sight(settings.encoder, _shift(learned[0], settings.shift))
+        common["encoder"], common["shift"] = sight
     if out != folders[0].path:
         common["together"] = [folder.path.name for folder in folders]
     configs = [config | common for one in learned for config in _configs(one, seeds, len(lanes))]
@@ -110,7 +112,7 @@ def train_lanes(
         raise UserError(f"{kept} is of other runs; give {', '.join(folder.path.name for folder in folders)} another folder")
     # Built before anything is written: whatever does not fit is told while the disk is untouched.
     own = learned[0].rows if len(learned) == 1 else [one.rows for one in learned for _ in one.lanes]
-    how: dict[str, Any] = {"stream": settings.stream, "stops": every, "encoder": settings.encoder}
+    how: dict[str, Any] = {"stream": settings.stream, "stops": every, "sight": sight}
     job = Fit(lanes, own, numbers * len(folders), steps, settings.chunk, kept, **how)
     told = [text for folder, config in zip(folders, configs) for text in folder.check(config, resume=resume)]
     for text in dict.fromkeys(told):
@@ -157,6 +159,14 @@ def _configs(one: _Learned, seeds: int, lanes: int) -> list[dict[str, Any]]:
     }  # fmt: skip
     runs = [one.lanes[start : start + seeds] for start in range(0, len(one.lanes), seeds)]
     return [{"agent": {"name": agent_name(agents[0]), "fields": fields_of(agents)}, **own} for agents in runs]
+
+
+def _shift(one: _Learned, asked: int | None) -> int:
+    """Pixels by which pictures of a log are moved."""
+    if asked is not None:
+        return asked
+    task = one.judge or of_log(one.log.name.partition("@")[0])
+    return 0 if task is not None and task.places_matter else usual_shift(one.log.spec.observation_shape[0])
 
 
 def judge_of(log: Dataset, task: Any) -> Task | None:

@@ -41,7 +41,7 @@ def train(
             that of a known log, and none for others; False: none.
         out: run folder; None is `runs/AGENT-LOG`, with dashes for what cannot be in a folder's name.
         **settings: `evaluate_every`, `episodes`, `chunk`, `resume`, `stream`, `strict`, `holdout`, `history`, `encoder`,
-            `callback`, `track` and `watch`; see `runs.settings.TrainSettings`.
+            `shift`, `callback`, `track` and `watch`; see `runs.settings.TrainSettings`.
 
     Raises:
         UserError: input that does not fit, in one line; nothing is written then.

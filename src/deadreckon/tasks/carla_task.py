@@ -90,6 +90,7 @@ def named(name: str) -> CarlaTask:
         raise UserError(f"task {name}: timeout must be 0.1 to 3600 seconds, got {timeout}")
     return CarlaTask(
         name=name, domain="carla", horizon=_HORIZONS[scene], observation_shape=(SIZE, SIZE, 3), observation_dtype="uint8",
+        places_matter=True,
         action_space=Box((-1.0, -1.0), (1.0, 1.0)), gym_id="", reference=None,
         published=Reference(*_PUBLISHED[scene], "D4RL's, measured in its own servers"), summary=_SAID[scene],
         properties=("realistic", "partial observability", "high-dimensional"), servers=found,

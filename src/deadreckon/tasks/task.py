@@ -156,6 +156,7 @@ class Task:
         properties: what makes it hard, among `PROPERTIES`: thesis 7.3, and Table 8.1 where it has the task.
         source: where the task comes from, thesis Table D.2.
         observation_dtype: numpy name of the dtype of observations: "float32", or "uint8" for pictures.
+        places_matter: whether a picture that is moved by some pixels asks for other actions, as for one who drives.
     """
 
     revision: ClassVar[int] = 1
@@ -173,6 +174,7 @@ class Task:
     properties: tuple[str, ...] = ()
     source: str = ""
     observation_dtype: str = "float32"
+    places_matter: bool = False
     # Left out of the hash, which a dict has none of, so that tasks can be keys.
     extra: dict[str, Any] = field(default_factory=dict, hash=False)
 

@@ -17,10 +17,10 @@ from jaxtyping import PRNGKeyArray
 from deadreckon.data.batch import BatchSource, TransitionSource
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.interrupts import holding
-from deadreckon.nets.encoder import Kind
 from deadreckon.randomness import key_for
 from deadreckon.training.checkpoint import load_tree, save_tree
 from deadreckon.training.learner import lane_of, lift, stack, unstack
+from deadreckon.training.pictures import USUAL, Sight
 from deadreckon.training.program import PARAMETERS, advance, begin, choose, finite
 from deadreckon.training.replay import Experience
 from deadreckon.training.sources import source_of
@@ -83,7 +83,7 @@ class Fit:
         chunk: most updates between two looks from outside; also what a kill can lose.
         folder: of the checkpoints; None keeps nothing on disk.
         stream: fetch batches from the host instead of keeping the log on the device; None decides by memory.
-        encoder: of pictures, where observations are these; see `nets.encoder.Kind`.
+        sight: how pictures are seen, where observations are these.
         stops: further steps at which a chunk must end, such as evaluations, as a period; 0 for none.
         each: what every lane learns from: `rows`, or its own of them.
     """
@@ -96,7 +96,7 @@ class Fit:
     folder: Path | None = None
     stream: bool | None = None
     stops: int = 0
-    encoder: Kind = "patches"
+    sight: Sight = USUAL
 
     def __post_init__(self):
         if self.steps < 1 or self.chunk < 1:
@@ -119,7 +119,7 @@ class Fit:
         # Chunks and pauses end where blocks do, so that neither changes when a policy acts.
         block = self.source.block
         self.steps, self.chunk, self.stops = (-(-n // block) * block for n in (self.steps, self.chunk, self.stops))
-        self.states = begin(self.learner, [own.spec for own in self.each], self.roots, self.encoder)
+        self.states = begin(self.learner, [own.spec for own in self.each], self.roots, self.sight)
         self.failures: tuple[Failure | None, ...] = (None,) * len(self.seeds)
         self.step = 0
 

@@ -1,13 +1,14 @@
 """How agents learn from pictures: features by an encoder before the agent's own networks, which actor and critics share.
 
-As in DrQ-v2 (Yarats et al. 2022, section 3.1) pictures are shifted at random, and the encoder learns by one loss of the agent,
-`representation_loss`, most often that of its critics; all others take features as they are.
+As in DrQ-v2 (Yarats et al. 2022, section 3.1) pictures may be shifted at random, and the encoder learns by one loss of the
+agent, `representation_loss`, most often that of its critics; all others take features as they are.
 """
 
 import dataclasses
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import optax
 from jaxtyping import Array, PRNGKeyArray
@@ -20,15 +21,38 @@ from deadreckon.randomness import keys
 
 REVISION = 1  # raised where what is learned from pictures changes (see bench/identity.py)
 FEATURES = 64  # that an agent sees instead of a picture
-SHIFT = 4  # pixels, the most that pictures are moved, for 84 of height; of others in proportion
+SHIFT = 4  # pixels, the most that pictures of 84 are moved in DrQ-v2; others in proportion
+
+
+class Sight(NamedTuple):
+    """How pictures are seen.
+
+    Attributes:
+        network: that makes features of them; see `nets.encoder.Kind`.
+        shift: pixels, the most that they are moved at random either way.
+    """
+
+    network: Kind = "patches"
+    shift: int = 0
+
+
+USUAL = Sight()
 
 
 class Seen(NamedTuple):
-    """The state of an agent that learns from pictures: the encoder with its optimiser, and the agent's own state."""
+    """The state of an agent that learns from pictures.
+
+    Attributes:
+        encoder: what makes features of them.
+        opt: its optimiser.
+        inner: the agent's own state.
+        shift: () int32, pixels, the most that pictures are moved.
+    """
 
     encoder: Encoder
     opt: optax.OptState
     inner: Any
+    shift: Array
 
 
 def of_pictures(spec: Spec) -> bool:
@@ -42,13 +66,19 @@ def features_of(spec: Spec) -> Spec:
     return dataclasses.replace(spec, observation_shape=(FEATURES,), observation_dtype="float32", observation=bounds)
 
 
-def first_state(learner: Any, spec: Spec, key: PRNGKeyArray, kind: Kind) -> Any:
-    """The learner's first state, of pictures behind a fresh encoder of that kind."""
+def usual_shift(height: int) -> int:
+    """Pixels, the most that pictures of this height are moved in proportion to `SHIFT`."""
+    return max(1, round(SHIFT * height / 84))
+
+
+def first_state(learner: Any, spec: Spec, key: PRNGKeyArray, sight: Sight) -> Any:
+    """The learner's first state, of pictures behind a fresh encoder."""
     if not of_pictures(spec):
         return learner.init(spec, key)
     k_encoder, k_inner = keys(key, "encoder", "agent")
-    encoder = Encoder.create(kind, spec.observation_shape, FEATURES, k_encoder)
-    return Seen(encoder, init_opt(encoder), learner.init(features_of(spec), k_inner))
+    encoder = Encoder.create(sight.network, spec.observation_shape, FEATURES, k_encoder)
+    inner = learner.init(features_of(spec), k_inner)
+    return Seen(encoder, init_opt(encoder), inner, jnp.asarray(sight.shift, jnp.int32))
 
 
 def update(learner: Any, state: Any, batch: Batch, *, step: Array, key: PRNGKeyArray) -> tuple[Any, dict[str, Array]]:
@@ -56,11 +86,11 @@ def update(learner: Any, state: Any, batch: Batch, *, step: Array, key: PRNGKeyA
     if not isinstance(state, Seen):
         return learner.update(state, batch, step=step, key=key)
     k_now, k_next, k_inner = keys(key, "shift", "next_shift", "agent")
-    most = max(1, round(SHIFT * batch.observation.shape[1] / 84))
-    features, back = jax.vjp(lambda encoder: encoder(shifted(batch.observation, k_now, most)), state.encoder)
+    now = shifted(batch.observation, k_now, state.shift)
+    features, back = jax.vjp(lambda encoder: encoder(now), state.encoder)
     seen = batch._replace(observation=features)
     if batch.next_observation is not None:
-        seen = seen._replace(next_observation=state.encoder(shifted(batch.next_observation, k_next, most)))
+        seen = seen._replace(next_observation=state.encoder(shifted(batch.next_observation, k_next, state.shift)))
 
     def loss(features: Array) -> Array:
         return learner.representation_loss(state.inner, seen._replace(observation=features), step=step, key=k_inner)
@@ -68,4 +98,4 @@ def update(learner: Any, state: Any, batch: Batch, *, step: Array, key: PRNGKeyA
     grads = back(jax.grad(loss)(features))[0]
     encoder, opt = apply_gradients(state.encoder, grads, state.opt, learner.representation_lr)
     inner, metrics = learner.update(state.inner, seen, step=step, key=k_inner)
-    return Seen(encoder, opt, inner), metrics
+    return Seen(encoder, opt, inner, state.shift), metrics

@@ -15,10 +15,10 @@ from jaxtyping import Array, Float, Int, Key, PRNGKeyArray
 
 from deadreckon.data.batch import Batch
 from deadreckon.data.spec import Spec
-from deadreckon.nets.encoder import Kind
 from deadreckon.randomness import key_for
 from deadreckon.training import pictures
 from deadreckon.training.learner import stack, unstack
+from deadreckon.training.pictures import USUAL, Sight
 
 REVISION = 2  # of the loop: rows drawn, keys, order of updates; raised where numbers change (see bench/identity.py)
 PARAMETERS = "parameters"  # what has failed where no metric has, and a state is not finite
@@ -187,20 +187,20 @@ def advance(
     return states, jax.tree.map(lambda s: s / count, sums), bad
 
 
-def begin(learner: Any, specs: Sequence[Spec], roots: Key[Array, "lanes"], encoder: Kind = "patches") -> Any:
+def begin(learner: Any, specs: Sequence[Spec], roots: Key[Array, "lanes"], sight: Sight = USUAL) -> Any:
     """(lanes, ...) first states.
 
     Args:
         learner: see `learner.lift`.
         specs: of the log of each lane.
         roots: keys of the lanes.
-        encoder: of pictures.
+        sight: how pictures are seen, where there are any.
     """
     # Not compiled as a whole: what draws a layer is compiled once a shape, and serves all lanes, agents and logs. One
     # program an agent and log gives the same bits and takes half a second to ten seconds to compile.
     keys = [key_for(jax.random.wrap_key_data(root), "init") for root in np.asarray(jax.random.key_data(roots))]
     made = zip(unstack(learner, len(specs)), specs, keys)
-    return stack([pictures.first_state(own, spec, key, encoder) for own, spec, key in made])
+    return stack([pictures.first_state(own, spec, key, sight) for own, spec, key in made])
 
 
 @jax.jit
