@@ -29,6 +29,10 @@ def _pin() -> None:
 _pin()  # before anything starts threads
 shapes.check()  # before anything of the package is imported
 
+from deadreckon.tasks.pixels import choose_opengl  # noqa: E402
+
+choose_opengl()  # before anything imports MuJoCo, which looks for OpenGL once
+
 
 @pytest.fixture(scope="session", autouse=True)
 def _compilation_cache():

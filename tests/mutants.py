@@ -72,7 +72,7 @@ MUTANTS = (
         "a policy remembers the episode before", ("policies/test_history.py",),
     ),
     Mutant(
-        "history-oldest-part", "ope/tables.py", "observations[:, -self.sizes[which] :]", "observations[:, : self.sizes[which]]",
+        "history-oldest-part", "ope/histories.py", "slice(max(sizes) - size, max(sizes))", "slice(0, size)",
         "estimators show a policy of fewer steps the oldest ones",
         ("runs/test_history.py::test_policies_of_fewer_steps_act_on_the_newest",),
     ),
@@ -1815,6 +1815,32 @@ MUTANTS = (
         "levels may be formulas", ("data/formats/test_csv_out.py",),
     ),
     # ---- roads and driving, demonstrations
+    Mutant(
+        "pictures-climb", "training/pictures.py", "back(jax.grad(loss)(features))[0]", "back(-jax.grad(loss)(features))[0]",
+        "an encoder climbs its loss", ("training/test_pictures.py",),
+    ),
+    Mutant(
+        "pictures-now-for-next", "training/pictures.py", "shifted(batch.next_observation, k_next, state.shift)",
+        "shifted(batch.observation, k_next, state.shift)", "what follows a picture is the picture",
+        ("training/test_pictures.py",),
+    ),
+    Mutant(
+        "pictures-moved-roads", "runs/together.py", "task is not None and task.places_matter", "False",
+        "pictures of roads are moved at random", ("tasks/test_pixels.py",),
+    ),
+    Mutant(
+        "pixels-oldest", "tasks/pixels.py", "self.frames[copy, :, :, -3:] = self._drawn(copy)",
+        "self.frames[copy, :, :, :3] = self._drawn(copy)", "the newest frame takes the place of the oldest",
+        ("tasks/test_pixels.py",),
+    ),
+    Mutant(
+        "pictures-first-encoder", "ope/pictures.py", "first = sum(each.features for each in encoders[:which])", "first = 0",
+        "policies are judged by the features of the first one's encoder", ("ope/test_pictures.py",),
+    ),
+    Mutant(
+        "film-first-frame", "report/film.py", "pictures[..., -3:]", "pictures[..., :3]",
+        "film strips show the oldest frame of an observation", ("report/test_log_page.py",),
+    ),
     Mutant(
         "lane-across", "tasks/driving.py", "along - 5.0 * across", "along - across", "driving across the lane costs a fifth",
         ("tasks/test_driving.py",),

@@ -62,6 +62,18 @@ def test_each_policy_acts_on_the_features_of_its_own_encoder():
     np.testing.assert_allclose(case.initial_actions(1)[:, :, 0, 0], np.tile([0.5, -0.5, 0.0], (80, 1)), atol=1e-5)
 
 
+def test_actions_are_those_that_the_whole_policies_take():
+    made = []
+    for seed in (1, 2):
+        net = MLP.create(8, (16,), 1, jax.random.key(seed))
+        member = EnvPolicy(Deterministic(net), None, None, jnp.array([-2.0]), jnp.array([2.0]))
+        made.append(EnvPolicy(Seeing(policy_of(seed, 0.0).inner.encoder, member), None, None, None, None))
+    case = OPEInput(LOG, made)
+    for i, policy in enumerate(made):
+        np.testing.assert_allclose(2.0 * case.current_actions(1)[:, i, 0], policy(LOG.observations), atol=1e-5)
+    assert np.abs(made[0](LOG.observations) - made[1](LOG.observations)).max() > 0.05
+
+
 def test_values_are_those_of_the_actions():
     """Five steps that pay 1 and -0.5 each, in the log's units 2 x 0.5 and 2 x -0.25."""
     case = OPEInput(LONG, [policy_of(1, 0.5), policy_of(2, -0.25)], discount=0.9)

@@ -9,10 +9,11 @@ from deadreckon.data.history import history_size
 from deadreckon.data.spec import Discrete, Spec
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
+from deadreckon.nets.encoder import Encoder
 from deadreckon.nets.mlp import MLP
 from deadreckon.policies.candidates import GreedyActions, ThresholdedPolicy
-from deadreckon.policies.deployed import EnvPolicy, History, Mixture
-from deadreckon.policies.kinds import Categorical
+from deadreckon.policies.deployed import EnvPolicy, History, Mixture, Seeing
+from deadreckon.policies.kinds import Categorical, Deterministic
 from deadreckon.policies.planner import Planner
 from deadreckon.policies.policy import KINDS
 from deadreckon.policies.pure import MEMBER, REFUSED, pure
@@ -83,7 +84,18 @@ def test_every_kind_that_the_package_has_is_exported_or_refused():
     known = {
         "Deterministic", "TanhGaussian", "Gaussian", "ClippedGaussian", "TanhMeanGaussian", "VAEDecoder", "PerturbedPolicy",
         "OneStep", "GreedyQ", "Categorical", "GreedyActions", "ThresholdedPolicy", "Mixture", "History",
+        "Seeing",
     }  # fmt: skip
     abstract = {"Sampler"}
     ours = {name for name, kind in KINDS.items() if kind.__module__.startswith("deadreckon.")}
     assert ours == known | abstract | {kind.__name__ for kind in REFUSED}
+
+
+def test_pictures_go_in_as_numbers():
+    encoder = Encoder.create("patches", (16, 16, 3), 8, jax.random.key(0))
+    member = EnvPolicy(Deterministic(MLP.create(8, (4,), 2, jax.random.key(1))), None, None, None, None)
+    policy = EnvPolicy(Seeing(encoder, member), None, None, None, None)
+    pictures = np.random.default_rng(0).integers(0, 256, (5, 16, 16, 3)).astype(np.uint8)
+    found = pure(policy)
+    assert (found.inputs, found.outputs) == (("observation",), ("action",))
+    np.testing.assert_allclose(found.call(pictures.astype(np.float32))[0], policy(pictures), atol=1e-6)

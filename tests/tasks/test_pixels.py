@@ -10,6 +10,7 @@ from gymnasium.utils.env_checker import check_env
 from opengl import needs_opengl
 
 import deadreckon as dr
+from deadreckon.agents.bc import BC
 from deadreckon.collect.driving import collect_driving, pursue
 from deadreckon.collect.rollouts import Segment, collect_rollouts
 from deadreckon.data.formats.hdf5 import read_hdf5, write_hdf5
@@ -141,6 +142,16 @@ def test_a_log_of_pictures_is_the_same_twice_and_in_its_file(tmp_path):
     assert read_hdf5(tmp_path / "plain.hdf5", mmap=True).fingerprint == logs[0].fingerprint
     with pytest.raises(UserError, match="is stored in chunks or compressed"):
         read_hdf5(tmp_path / "packed.hdf5", mmap=True)
+
+
+@pytest.mark.parametrize(("matter", "asked", "shift"), [(True, None, 0), (False, None, 1), (True, 3, 3)])
+def test_pictures_are_shifted_where_places_in_them_do_not_matter(matter, asked, shift, tmp_path):
+    seen = Pixels.of(BASE, (16, 16), 1, "counting:pixels", places_matter=matter)
+    log = collect_rollouts(
+        seen, [Segment(None, 30)], name="counting", seed=5, provenance=Provenance("collected"), scratch=tmp_path / "log"
+    )
+    run = dr.train(BC(hidden=(4,), batch_size=4), log, steps=1, task=seen, episodes=1, out=tmp_path / "run", shift=asked)
+    assert run.config["shift"] == shift
 
 
 def test_names():

@@ -15,7 +15,7 @@ def test_the_scene_has_lights_behind_junctions_and_cars_where_they_are_put():
     import mujoco
 
     network = TABLE.network
-    model = mujoco.MjModel.from_xml_string(road_scene.mjcf(network, others=20))
+    model = mujoco.MjModel.from_xml_string(road_scene.mjcf(network, (48, 48), others=20))
     data = mujoco.MjData(model)
     assert model.nmocap == 21
     assert model.body("car").mocapid[0] == 0

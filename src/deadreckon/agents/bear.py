@@ -201,9 +201,7 @@ class BEAR(Agent):
     def learn_values(self, state, batch, k_model, k_future) -> tuple[Any, Metrics]:
         """One step of the behaviour model and of the critics, whose weights use the model from before it."""
         opts = dict(state.opts)
-        grads, model_metrics = jax.grad(models.loss, has_aux=True)(
-            state.behavior, batch.observation, batch.action, k_model
-        )
+        grads, model_metrics = jax.grad(models.loss, has_aux=True)(state.behavior, batch.observation, batch.action, k_model)
         model, opts["behavior"] = apply_gradients(state.behavior, grads, opts["behavior"], self.behavior_lr)
         target = backup(batch, self.discount, self.future(state, batch, k_future))
         weight = self.bellman_weight(state, batch)
@@ -230,21 +228,15 @@ class BEAR(Agent):
             log_temperature, opts["temperature"] = self.after_warm_start(stepped, rested, step)
 
         targets = polyak_update((state.target_actor, state.target_critics), (actor, state.critics), self.tau)
-        metrics |= {
-            "actor_loss": loss, "actor_value": value, self.constraint: divergence, "multiplier": jnp.exp(log_multiplier),
-        }  # fmt: skip
-        state = state._replace(
-            actor=actor, log_multiplier=log_multiplier, log_temperature=log_temperature, target_actor=targets[0],
-            target_critics=targets[1], opts=opts,
-        )  # fmt: skip
-        return state, metrics
+        metrics |= {"actor_loss": loss, "actor_value": value, self.constraint: divergence}
+        metrics["multiplier"] = jnp.exp(log_multiplier)
+        state = state._replace(actor=actor, target_actor=targets[0], target_critics=targets[1], opts=opts)
+        return state._replace(log_multiplier=log_multiplier, log_temperature=log_temperature), metrics
 
     def representation_loss(self, state, batch, *, step, key):
-        """Those of the critics and of the model of the log."""
-        k_model, k_future, _ = keys(key, "behavior", "target", "actor_loss")
-        target = backup(batch, self.discount, self.future(state, batch, k_future))
-        loss = bellman_loss(state.critics, batch, target, self.bellman_weight(state, batch))[0]
-        return loss + models.loss(state.behavior, batch.observation, batch.action, k_model)[0]
+        """That of the critics."""
+        target = backup(batch, self.discount, self.future(state, batch, keys(key, "behavior", "target", "actor_loss")[1]))
+        return bellman_loss(state.critics, batch, target, self.bellman_weight(state, batch))[0]
 
     def policy(self, state):
         """The best of `test_samples` draws by Q_1, or the actor itself."""

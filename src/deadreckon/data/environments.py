@@ -23,6 +23,7 @@ IDS = {
     "walker2d": "Walker2d-v5", "ant": f"{_MODULE}Ant-v5", "humanoid": f"{_MODULE}Humanoid-v5",
     "ant-reach": f"{_MODULE}AntReach-v0", "flow-ring": f"{_MODULE}Flow-Ring-v0", "flow-merge": f"{_MODULE}Flow-Merge-v0",
     "battery": f"{_MODULE}Battery-v1", "carla-lane-state": f"{_MODULE}CarlaLaneState-v0",
+    "carla-lane": f"{_MODULE}CarlaLane-v0", "carla-town": f"{_MODULE}CarlaTown-v0",
     "carla-town-state": f"{_MODULE}CarlaTownState-v0",
     **{name: f"{_MODULE}Adroit{name.title()}-v1" for name in ("pen", "hammer", "door", "relocate")},
     **{f"kitchen-{name}": f"{_MODULE}Kitchen{name.title()}-v0" for name in ("complete", "partial", "mixed")},

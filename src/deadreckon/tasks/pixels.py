@@ -162,7 +162,10 @@ def choose_opengl() -> None:
     if said or not sys.platform.startswith("linux") or "mujoco" in sys.modules:
         return
     card = Path("/dev/dri").exists() or Path("/dev/nvidiactl").exists()
-    os.environ["MUJOCO_GL"] = "egl" if card or not _loads("libOSMesa.so.8", "libOSMesa.so") else "osmesa"
+    if card and _loads("libEGL.so.1"):
+        os.environ["MUJOCO_GL"] = "egl"
+    elif _loads("libOSMesa.so.8", "libOSMesa.so"):
+        os.environ["MUJOCO_GL"] = "osmesa"
 
 
 def _loads(*names: str) -> bool:

@@ -13,6 +13,7 @@ from deadreckon.tasks.road_props import LAMPS, lamp_names, lights, other_cars, s
 from deadreckon.tasks.roads import Road
 
 PLACE = (1.6, 1.7)  # m before the middle of the car and above the ground, where D4RL's camera is
+COARSE = ' numslices="10" numstacks="3" numquads="1"'  # parts of round things and boxes, whose number is what drawing takes
 VIEW = 48.0  # degrees, of its field of view
 SPAN = 1.0  # m of a road between two cross-sections
 MARK, DASH = 0.15, 3.0  # m, width of marks, and length of dashes and of the gaps between them
@@ -97,7 +98,7 @@ def mjcf(network: Network, size: tuple[int, int], others: int = 0) -> str:
     <headlight ambient="0.9 0.9 0.9" diffuse="0.1 0.1 0.1" specular="0 0 0"/>
     <map znear="0.001" zfar="2"/>
     <global offheight="{size[0]}" offwidth="{size[1]}"/>
-    <quality shadowsize="0"/>
+    <quality shadowsize="0"{COARSE if others else ""}/>
   </visual>
   <statistic extent="150" center="0 0 0"/>
   <asset>

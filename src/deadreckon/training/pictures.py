@@ -55,9 +55,9 @@ class Seen(NamedTuple):
     shift: Array
 
 
-def of_pictures(spec: Spec) -> bool:
+def of_pictures(spec: Any) -> bool:
     """Whether a log's observations are pictures."""
-    return spec.observation_dtype == "uint8" and len(spec.observation_shape) == 3
+    return getattr(spec, "observation_dtype", None) == "uint8" and len(spec.observation_shape) == 3  # designs have none
 
 
 def features_of(spec: Spec) -> Spec:

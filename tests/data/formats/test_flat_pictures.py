@@ -98,14 +98,15 @@ def test_the_catalogue(monkeypatch, tmp_path, capsys):
     assert (found.original, found.sources, found.rows) == ("carla/carla_lane_follow_flat-v0.hdf5", ("d4rl",), 100_000)
     assert {entry(name).original for name in CARLA_FILES} == {f"carla/{file}.hdf5" for file in CARLA_FILES.values()}
     assert set(CARLA_FILES) < set(SHAPES)
-    assert registry.of_log("carla-lane-v0@d4rl") is None  # no server is known
+    assert registry.of_log("carla-lane-v0@d4rl") is None  # of another world than our task
+    assert registry.of_log("carla-lane-v0@dr1") is registry.of_log("carla-lane-v0") is registry.task("carla-lane")
     assert reference("carla-lane-v0").expert == registry.task("carla:localhost:2000/lane").published.expert
     assert reference("carla-town-full").random == registry.task("carla:localhost:2000/town").published.random
-    for name in ("carla-town-v0", "carla-town-v0@d4rl"):
-        with pytest.raises(UserError, match="is not here yet: `deadreckon data get carla-town-v0 --source d4rl` downl"):
+    for name in ("carla-town-full-v0", "carla-town-full-v0@d4rl"):
+        with pytest.raises(UserError, match="is not here yet: `deadreckon data get carla-town-full-v0 --source d4rl` downl"):
             load(name)
-    with pytest.raises(UserError, match=r"'dr1' of carla-town-v0: known are carla-town-v0@d4rl \(downloaded\)$"):
-        load("carla-town-v0@dr1")
+    with pytest.raises(UserError, match=r"'dr1' of carla-town-full-v0: known are carla-town-full-v0@d4rl \(downloaded\)$"):
+        load("carla-town-full-v0@dr1")
     with pytest.raises(UserError, match="carla-lane-v0 has no Minari twin: --source d4rl downloads its original at D4RL's, "):
         get("carla-lane-v0", "minari")
     monkeypatch.setenv("DEADRECKON_D4RL_URL", "http://localhost:9")
