@@ -1825,7 +1825,7 @@ MUTANTS = (
         ("training/test_pictures.py",),
     ),
     Mutant(
-        "pictures-moved-roads", "runs/together.py", "task is not None and task.places_matter", "False",
+        "pictures-moved-roads", "runs/together.py", "(task is not None and task.places_matter)", "False",
         "pictures of roads are moved at random", ("tasks/test_pixels.py",),
     ),
     Mutant(

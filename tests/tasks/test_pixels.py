@@ -34,6 +34,13 @@ class Counting(Task):
         return Counter(seeds)
 
 
+class Renderer(tuple):
+    closed = 0
+
+    def close(self):
+        Renderer.closed += 1
+
+
 class Counter:
     def __init__(self, seeds):
         self.seeds, self.count, self.age, self.drawn = list(seeds), np.zeros(len(seeds)), np.zeros(len(seeds), int), 0
@@ -59,10 +66,10 @@ class Counter:
 
     def renderer(self, size, plain=False):
         assert plain
-        return ("renderer", size)
+        return Renderer(size)
 
     def picture(self, copy, size, renderer=None):
-        assert renderer == ("renderer", size)
+        assert renderer == size
         self.drawn += 1
         return renderer, np.full((*size, 3), self.count[copy] % 256, np.uint8)
 
@@ -119,7 +126,9 @@ def test_policies_are_judged_by_what_the_camera_shows():
         seen.append(observations)
         return np.zeros((len(observations), 1), np.float32)
 
+    closed = Renderer.closed
     result = evaluate(BlackBoxPolicy(act), SEEN, episodes=3, record=2)
+    assert Renderer.closed == closed + 1
     assert {(each.dtype.name, each.shape) for each in seen} == {("uint8", (3, 4, 6, 9))}
     assert result.trajectories is not None
     assert result.trajectories.shape == (1, 2, 5, 1)  # what pictures are drawn from, and no pictures

@@ -1,4 +1,7 @@
+from dataclasses import replace
+
 import jax
+import jax.export
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -8,13 +11,14 @@ from deadreckon.agents import AGENTS, agent_class
 from deadreckon.agents.bc import BC
 from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.spec import Box
+from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
-from deadreckon.nets.encoder import shifted
+from deadreckon.nets.encoder import Encoder, shifted
 from deadreckon.policies import portable, store
-from deadreckon.policies.deployed import deployed
+from deadreckon.policies.deployed import Mixture, deployed
 from deadreckon.randomness import keys
 from deadreckon.runs.settings import TrainSettings
+from deadreckon.training import sources
 from deadreckon.training.fit import Fit, complete
 from deadreckon.training.pictures import FEATURES, Seen, Sight, features_of, update, usual_shift
 
@@ -56,7 +60,8 @@ def fitted(agents, seeds, steps, log=LOG, **options):
 
 def test_which_agents_see():
     assert set(SEEING) == {"bc", "td3", "td3_bc", "sac", "iql", "cql", "bear"}
-    with pytest.raises(UserError, match=r"ReBRAC needs flat observations, spots has shape \(16, 16, 3\)"):
+    said = "ReBRAC takes flat observations, or pictures .* where its class says supports_images = True; spots has shape"
+    with pytest.raises(UserError, match=said):
         agent_class("rebrac")().resolve(LOG.spec, 10)
 
 
@@ -75,6 +80,58 @@ def test_lanes_chunks_and_streams_change_nothing_and_files_act_alike(name, tmp_p
     np.testing.assert_array_equal(store.load(tmp_path / "policy.npz")(LOG.observations[:7]), actions)
     np.testing.assert_allclose(portable.load(tmp_path / "policy.npz")(LOG.observations[:7]), actions, atol=1e-5)
     np.testing.assert_allclose(policy(LOG.observations[3]), actions[3], atol=1e-6)
+
+
+def test_batches_from_the_host_come_in_parts_of_limited_size(monkeypatch):
+    whole = fitted([small("td3_bc")], [0], 6, chunk=6, stream=True)
+    monkeypatch.setattr(sources, "FETCHED", 2 * 16 * 2 * 768 + 5_000)  # two updates of 16 rows with what follows
+    source = Fit([small("td3_bc")], TransitionSource(LOG, small("td3_bc").needs(LOG.spec)), [0], 6, 6, stream=True)
+    assert source.source.part == 2
+    parts = fitted([small("td3_bc")], [0], 6, chunk=6, stream=True)
+    for one, other in zip(jax.tree.leaves(whole.states), jax.tree.leaves(parts.states), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("network", ["patches", "drq", "impala"])
+def test_programs_of_any_number_of_pictures(network):
+    """As exports make them: the number of rows is a symbol."""
+    encoder = Encoder.create(network, (24, 24, 3), 8, jax.random.key(0))
+    rows = jax.export.symbolic_shape("n")[0]
+    whole = jax.export.export(jax.jit(lambda pictures: encoder(pictures)))(jax.ShapeDtypeStruct((rows, 24, 24, 3), jnp.float32))
+    pictures = np.random.default_rng(0).integers(0, 256, (5, 24, 24, 3)).astype(np.float32)
+    np.testing.assert_allclose(whole.call(pictures), encoder(pictures), atol=1e-5)
+
+
+def test_a_mixture_sees_one_picture_or_several(tmp_path):
+    agent = small("bc")
+    states = fitted([agent] * 2, [0, 1], 2)
+    view = states.each[0].view
+    members = [deployed(agent, jax.tree.map(lambda leaf, i=i: leaf[i], states.states), view) for i in range(2)]
+    mixture = Mixture.of(members)
+    store.save(tmp_path / "mixture.npz", mixture)
+    play = portable.load(tmp_path / "mixture.npz")
+    assert mixture(LOG.observations[0]).shape == play(LOG.observations[0], first=True).shape == (2,)
+    assert mixture(LOG.observations[:3]).shape == play(LOG.observations[:3], first=True).shape == (3, 2)
+    with pytest.raises(UserError, match="sees pictures"):
+        mixture(np.zeros((3, 16, 15, 3), np.uint8))
+
+
+def test_discrete_policies_tell_their_probabilities_by_numpy_too(tmp_path):
+    log = replace(LOG, actions=(LOG.actions[:, 0] > 0).astype(np.int32), action_space=Discrete(2))
+    agent = agent_class("bc")(hidden=(8,), batch_size=8).resolve(log.spec, 10)
+    job = fitted([agent], [0], 2, log=log)
+    policy = deployed(agent, jax.tree.map(lambda leaf: leaf[0], job.states), job.each[0].view)
+    store.save(tmp_path / "policy.npz", policy)
+    found = portable.load(tmp_path / "policy.npz").probs(log.observations[:4])
+    np.testing.assert_allclose(found, policy.action_probs(log.observations[:4]), atol=1e-5)
+    assert found.shape == (4, 2)
+
+
+def test_pictures_of_roads_are_not_shifted_by_any_of_their_names(tmp_path):
+    for name, shift in (("carla_lane_follow_flat-v0", 0), ("carla-town-full-v0", 0), ("spots", 1)):
+        log = replace(LOG, name=name)
+        run = dr.train(BC(hidden=(4,), batch_size=4), log, steps=1, task=False, holdout=0, out=tmp_path / name)
+        assert run.config["shift"] == shift
 
 
 def test_a_run_goes_on_where_it_was_killed(tmp_path):

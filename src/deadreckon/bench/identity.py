@@ -10,6 +10,7 @@ from functools import cache
 from typing import Any
 
 from deadreckon.bench.jobs import Job, agent_of, designer_of, estimator_of, study_of
+from deadreckon.data.formats.flat_pictures import SHAPES
 from deadreckon.errors import UserError
 from deadreckon.files import home
 from deadreckon.training import pictures
@@ -34,7 +35,7 @@ def _learn(job: Job) -> dict[str, Any]:
 
     task = of_log(job.on)
     found = {"method": revisions(agent_class(job.agent))} | ({} if task is None else of_evaluation(task))
-    if task is not None and task.observation_dtype == "uint8":
+    if (task is not None and task.observation_dtype == "uint8") or job.on.partition("@")[0] in SHAPES:
         found["pictures"] = pictures.REVISION
     return found
 

@@ -74,7 +74,7 @@ class Encoder(eqx.Module):
         """Features in (-1, 1) of numbers from 0 to 255."""
         lead = pictures.shape[:-3]
         maps = self.maps(pictures.reshape(-1, *pictures.shape[-3:]))
-        out = maps.reshape(len(maps), -1) @ self.kernels[-1] + self.biases[-1]
+        out = maps.reshape(maps.shape[0], -1) @ self.kernels[-1] + self.biases[-1]
         return jnp.tanh(standardised(out)).reshape(*lead, -1)
 
     def maps(self, pictures: Num[Array, "n h w c"]) -> Float[Array, "n i j k"]:

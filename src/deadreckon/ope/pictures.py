@@ -16,7 +16,7 @@ from jaxtyping import Array
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.nets.encoder import Encoder
-from deadreckon.policies.deployed import EnvPolicy, Seeing
+from deadreckon.policies.deployed import EnvPolicy, Mixture, Seeing
 
 BLOCK = 512  # pictures at a time
 
@@ -38,6 +38,8 @@ def with_features(log: Dataset, policies: Sequence[Any], names: Sequence[str]) -
     encoders: list[Encoder] = []
     parts = []
     for policy, name in zip(policies, names):
+        if isinstance(policy, EnvPolicy) and isinstance(policy.inner, Mixture):
+            raise UserError(f"{name} is a mixture of policies that see: give the folder of its cross-fit, or its members")
         if not (isinstance(policy, EnvPolicy) and isinstance(policy.inner, Seeing)):
             raise UserError(
                 f"{name} has no encoder: estimators judge policies on pictures by the features that the encoders of the "

@@ -115,8 +115,10 @@ class EnvPolicy(eqx.Module):
             raise UserError(
                 f"this policy acts on the last {steps} steps of an episode, not on one observation: use its start and act"
             )
-        if isinstance(self.inner, Seeing):
-            x = checked_pictures(observations, self.inner.encoder.shape)
+        if (shape := picture_shape(self)) is not None:
+            if legal is not None:
+                raise UserError("legal actions are the end of flat observations; this policy sees pictures, so leave legal out")
+            x = checked_pictures(observations, shape)
             actions = first_actions(self, jnp.asarray(x if x.ndim == 4 else x[None]), jax.random.key(0), True)
             return np.asarray(actions if x.ndim == 4 else actions[0])
         x = np.asarray(observations, np.float32)
@@ -246,6 +248,14 @@ def deployed(agent: Any, state: Any, view: Normalizer) -> EnvPolicy:
         return EnvPolicy.of(agent.policy(state), view)
     seeing = Seeing(state.encoder, EnvPolicy.of(agent.policy(state.inner), view))
     return EnvPolicy(seeing, None, None, None, None)
+
+
+def picture_shape(policy: Any) -> tuple[int, int, int] | None:
+    """(height, width, channels) of the pictures that a policy, or a mixture's members, see; None of others."""
+    inner = policy.inner if isinstance(policy, EnvPolicy) else None
+    if isinstance(inner, Mixture):
+        return picture_shape(inner.members[0])
+    return inner.encoder.shape if isinstance(inner, Seeing) else None
 
 
 def checked_pictures(given: Any, shape: tuple[int, ...]) -> np.ndarray:

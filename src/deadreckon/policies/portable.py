@@ -6,8 +6,8 @@ A file is an npz archive of float32 or float16 arrays and one JSON text, `policy
     play = load("policy.npz")
     action = play(observation)
 
-Policies that see pictures need `portable_pictures.py` beside this file. With the files `table_*.py`, which need numpy alone
-too, rows of the log's table can be given:
+Policies that see pictures, numbers from 0 to 255, need `portable_pictures.py` beside this file. With the files `table_*.py`,
+which need numpy alone too, rows of the log's table can be given:
 
     play.predict({"temp": 20.1, "mode": "auto"})
 """
@@ -128,6 +128,7 @@ class NumpyPolicy:
         self.past = None  # of a history: (n, numbers) without the next observation
         self.member = NumpyPolicy({"policy": inner["member"]}, arrays) if inner["kind"] == "History" else None
         self.members = [NumpyPolicy({"policy": member}, arrays) for member in inner.get("members", [])]
+        self.rank = 3 if inner["kind"] == "Seeing" else 1  # axes of one observation
         self.behind = NumpyPolicy({"policy": inner["member"]}, arrays) if inner["kind"] == "Seeing" else None  # an encoder
         self.steps, self.action_size = (inner["steps"], inner["action_size"]) if self.member else (1, 0)
         self.which, self.drawing = None, np.random.default_rng(0)  # of a mixture: (n,) who acts, and what draws it
@@ -142,6 +143,8 @@ class NumpyPolicy:
         these lack it.
         """
         if self.behind is not None:
+            if legal is not None:
+                raise ValueError("legal actions are the end of flat observations; this policy sees pictures: leave legal out")
             return self._on_pictures(self.behind, np.asarray(observations), rng, greedy)
         x = np.asarray(observations, np.float32)
         x = x if legal is None else np.concatenate([x, np.asarray(legal, np.float32)], -1)
@@ -164,14 +167,16 @@ class NumpyPolicy:
 
     def _on_pictures(self, behind, pictures, rng, greedy):
         """Actions on what an encoder makes of pictures."""
-        batch = pictures if pictures.ndim > 3 else pictures[None]
-        seen = _beside_this("portable_pictures").features(self.tree["inner"]["encoder"], self.arrays, batch)
-        actions = behind(seen, rng, greedy)
+        actions = behind(self._features(pictures if pictures.ndim > 3 else pictures[None]), rng, greedy)
         return actions if pictures.ndim > 3 else actions[0]
+
+    def _features(self, pictures):
+        return _beside_this("portable_pictures").features(self.tree["inner"]["encoder"], self.arrays, pictures)
 
     def _mixed(self, x, rng, greedy, first):
         """Actions of the members whose turn it is."""
-        batch = x if x.ndim > 1 else x[None]
+        rank = self.members[0].rank
+        batch = x if x.ndim > rank else x[None]
         n = len(batch)
         begins = np.broadcast_to(np.asarray(False if first is None else first, bool), n)
         if self.which is None or len(self.which) != n:
@@ -179,7 +184,7 @@ class NumpyPolicy:
         drawn = (rng or self.drawing).integers(len(self.members), size=n)
         self.which = np.where(begins, drawn, self.which)
         actions = np.stack([member(batch, rng, greedy, begins) for member in self.members])[self.which, np.arange(n)]
-        return actions if x.ndim > 1 else actions[0]
+        return actions if x.ndim > rank else actions[0]
 
     def _on_history(self, member, x, rng, greedy, first):
         """Actions on the last steps: observations with the actions between them, the newest last."""
@@ -217,6 +222,8 @@ class NumpyPolicy:
 
     def probs(self, observations):
         """(n, actions) probabilities of discrete actions at a batch of observations; None of continuous ones."""
+        if self.behind is not None:
+            return self.behind.probs(self._features(np.asarray(observations)))
         if (node := self.tree["inner"])["kind"] not in _CHOOSING:
             return None
         scores = self._scores(node, self._observed(observations))

@@ -22,7 +22,8 @@ def strips(log: Dataset) -> Markup | None:
         return None
     returns, drawn, seen = log.returns(), [], set()
     order = np.argsort(-returns, kind="stable")
-    for said, place in zip(STRIPS, (0, len(order) // 2, len(order) - 1)):
+    places = zip(STRIPS, (0, len(order) // 2, len(order) - 1))
+    for said, place in places if len(order) > 2 else [(STRIPS[0], 0), (STRIPS[-1], len(order) - 1)]:
         episode = int(order[place])
         if episode in seen:
             continue
@@ -35,8 +36,11 @@ def strips(log: Dataset) -> Markup | None:
 
 
 def _strip(pictures: np.ndarray, told: str) -> Markup:
-    """(n, height, width, channels) side by side, of several frames the newest, with a pixel between them."""
-    shown = pictures[..., -3:] if pictures.shape[-1] >= 3 else np.repeat(pictures[..., -1:], 3, -1)
+    """(n, height, width, channels) side by side with a pixel between them.
+
+    Of several frames of three colours it is the newest, else the last channel alone.
+    """
+    shown = pictures[..., -3:] if pictures.shape[-1] % 3 == 0 else np.repeat(pictures[..., -1:], 3, -1)
     joined = np.concatenate([np.pad(each, ((0, 0), (0, 1), (0, 0)), constant_values=255) for each in shown], 1)
     file = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(joined[:, :-1])).save(file, "PNG", optimize=True)

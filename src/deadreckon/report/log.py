@@ -86,7 +86,7 @@ def _pictures(log: Dataset, columns: Sequence[Told], rows: np.ndarray) -> Markup
     drawn = [picture for each in columns if (picture := _picture(log, each, rows)) is not None]
     remarks = []
     if len(log.spec.observation_shape) > 1:
-        remarks.append("Values of pictures are not drawn; see what is seen.")
+        remarks.append("Values of pictures are not drawn; see the film strips above.")
     if len(drawn) > _FIGURES:
         remarks.append(f"The first {_FIGURES} of {len(drawn):,} columns are drawn.")
     if any(each.role in ("ignore", "time", "episode", "not in the schema") for each in columns):
@@ -187,7 +187,7 @@ def _coverage(log: Dataset, rows: np.ndarray) -> Markup:
 def _plane(log: Dataset, rows: np.ndarray) -> Markup:
     """The first two principal components of the standardised observations."""
     if len(log.spec.observation_shape) > 1:
-        return note("Pictures have too many numbers for that; see what is seen.")
+        return note("Pictures have too many numbers for that; see the film strips above.")
     flat = np.asarray(log.observations[rows], np.float64).reshape(len(rows), -1)
     flat, names = flat[:, flat.std(0) > 0], [n for n, s in zip(observation_names(log), flat.std(0)) if s > 0]
     if flat.shape[1] < 2:

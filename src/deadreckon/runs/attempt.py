@@ -200,7 +200,8 @@ class Attempt:
         judge_in = judge_of(log, self.settings.task)
         log = log.with_action_space(log.action_space if judge_in is None else judge_in.action_space)
         if len(log.spec.observation_shape) != 1:
-            raise UserError(f"policies are judged by flat observations, {log.name} has shape {log.spec.observation_shape}")
+            seen = f"{log.name} has shape {log.spec.observation_shape}"
+            raise UserError(f"recommend learns from flat observations, {seen}; use train and ope")
         given = self.settings.holdout
         holdout = usual(log) if given is None else given if isinstance(given, Holdout) else Holdout(given)
         held = len(holdout.parts(log).held)  # what cannot be held out is told before anything is learned

@@ -12,7 +12,7 @@ import numpy as np
 from deadreckon.data.spec import Discrete
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
-from deadreckon.policies.deployed import EnvPolicy, first_actions
+from deadreckon.policies.deployed import EnvPolicy, first_actions, picture_shape
 from deadreckon.policies.resolve import policies_of
 from deadreckon.runs.settings import ReturnOptions, ReturnSettings, check_seed
 from deadreckon.stats.crossed import mean_interval
@@ -253,6 +253,8 @@ def _check_fit(policy: Any, task: Task, name: str) -> None:
     """Tries a policy of our own on one observation, so that a wrong one is told before the simulator starts."""
     if not isinstance(policy, EnvPolicy):
         return
+    if (shape := picture_shape(policy)) is not None and shape != task.observation_shape:
+        raise UserError(f"{name} sees pictures of shape {shape}, {task.name} shows {task.observation_shape}")
     try:
         seen = jax.ShapeDtypeStruct((1, *task.observation_shape), task.observation_dtype)
         jax.eval_shape(lambda observation: first_actions(policy, observation, jax.random.key(0), True), seen)

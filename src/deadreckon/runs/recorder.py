@@ -194,8 +194,11 @@ class Recorder:
             columns[name] = np.repeat([probe[name] for probe in probes], count)
         if self.judge is not None:
             last = step == self.job.steps
+            # Nothing is drawn from pictures, which a task seen by its camera has something else for.
+            drawn = self.judge.observation_dtype != "uint8" or type(self.judge).shown is not Task.shown
+            recorded = RECORDED if drawn else 0
             result = evaluate(
-                policies, self.judge, episodes=count, discount=self.discounts, record=min(RECORDED, count) if last else 0
+                policies, self.judge, episodes=count, discount=self.discounts, record=min(recorded, count) if last else 0
             )
             columns |= {"return": result.returns.ravel(), "length": result.lengths.ravel()}
             columns |= {"discounted_return": result.discounted.ravel()}

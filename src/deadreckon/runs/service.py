@@ -87,7 +87,7 @@ class Service:
         if not isinstance(rows, dict | list):
             raise Refused(422, "the body must be a row {column: value}, or a list of rows")
         plain = self.policy.encoder.schema is None  # then a row is a list of numbers
-        single = isinstance(rows, dict) or (plain and bool(rows) and not isinstance(rows[0], list))
+        single = isinstance(rows, dict) or (plain and bool(rows) and _depth(rows) <= len(self.policy.encoder.shape or (1,)))
         given = [rows] if single else rows  # so that a dictionary is a row, and never one of columns
         if not given:
             raise Refused(422, "the list of rows is empty")
@@ -128,6 +128,14 @@ class Service:
             else:
                 options[key] = _WORDS[value.lower()]
         return options
+
+
+def _depth(rows: Any) -> int:
+    """How deep lists lie in lists, by the first of each."""
+    depth = 0
+    while isinstance(rows, list):
+        depth, rows = depth + 1, rows[0] if rows else None
+    return depth
 
 
 def _by_row(columns: Mapping[str, np.ndarray]) -> list[Any]:

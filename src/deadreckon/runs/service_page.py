@@ -95,8 +95,10 @@ def _row(policy: Predictor, told: dict[str, Any]) -> dict[str, Any]:
     """JSON Schema of a row."""
     encoder = policy.encoder
     if not encoder.observed:
-        size = {} if encoder.shape is None else {"minItems": encoder.shape[0], "maxItems": encoder.shape[0]}
-        return {"type": "array", "items": {"type": "number"}, **size}
+        found: dict[str, Any] = {"type": "number"}
+        for size in reversed(encoder.shape or (None,)):
+            found = {"type": "array", "items": found} | ({} if size is None else {"minItems": size, "maxItems": size})
+        return found
     properties = {key: _type_of(column) for key, column in told["observations"].items()}
     for key, column in told["legal"].items():
         names = {"enum": encoder.names}
@@ -124,11 +126,15 @@ def _type_of_action(action: dict[str, Any]) -> dict[str, Any]:
     return _type_of({**action, "may_be_missing": False})
 
 
+def _zeros(shape: tuple[int, ...]) -> Any:
+    return [_zeros(shape[1:])] * shape[0] if shape else 0.0
+
+
 def example(policy: Predictor) -> Any:
     """A row that the policy takes: means and first levels."""
     encoder = policy.encoder
     if not encoder.observed:
-        return [0.0] * (1 if encoder.shape is None else encoder.shape[0])
+        return _zeros(encoder.shape or (1,))
     row: dict[str, Any] = {}
     for key, column in encoder.observed.items():
         mean = (encoder.held.get(key) or {}).get("mean", column.get("fill") or column.get("low") or 0.0)

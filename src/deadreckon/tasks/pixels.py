@@ -134,6 +134,12 @@ class PixelSimulator:
         """What the task's camera sees of a copy, in any size; see the task's simulator."""
         return self.base.picture(copy, size, renderer, *(() if camera is None else (camera,)))
 
+    def close(self) -> None:
+        """Gives the OpenGL context back; it is made anew when something is drawn."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
     def _drawn(self, copy: int) -> np.ndarray:
         """(height, width, 3) uint8, what the camera sees now."""
         if self._renderer is None:

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from deadreckon.data.spec import Box
+from deadreckon.errors import UserError
 from deadreckon.tasks.car import VELOCITY, WHEEL, YAW, X, Y, course, moved
 from deadreckon.tasks.lane_table import LaneTable
 from deadreckon.tasks.pixels import Pixels
@@ -98,6 +99,8 @@ class TownSimulator:
     """
 
     def __init__(self, task: TownDriving, seeds: Sequence[int]):
+        if (places := len(task.slots[0])) < CARS + 1:
+            raise UserError(f"{task.name}: {CARS + 1} cars need as many places, and this town has {places}; make it larger")
         self.task, copies, junctions = task, len(seeds), len(task.table.network.junctions)
         self._starts = Starts(seeds, self._start)
         self.traffic = Traffic.empty(task.table, copies, CARS)

@@ -16,6 +16,7 @@ from deadreckon.training.program import Column, Plan, indices, layout_of, pack
 from deadreckon.training.replay import Experience
 
 BLOCK = 65_536  # rows that are packed at a time
+FETCHED = 2**28  # bytes of batches that are fetched from the host at a time
 ROUNDED = 2**28  # bytes up to which a log's rows are rounded up
 RESIDENT_SHARE = 0.4  # of the device's memory that a log may take before its batches are streamed
 
@@ -122,7 +123,10 @@ class Streamed(Source):
     """A log on the host, whose batches are fetched for each chunk while the one before is computed."""
 
     def __init__(self, rows: BatchSource, plan: Plan, roots: Key[Array, "lanes"], chunk: int):
-        self.rows, self.plan, self.roots, self.chunk = rows, plan, roots, chunk
+        self.rows, self.plan, self.roots = rows, plan, roots
+        # Of pictures the batches of a whole chunk would be gigabytes.
+        update = len(roots) * plan.batch_size * max(plan.window, 1) * _row_bytes(rows)
+        self.part = min(chunk, max(FETCHED // update, 1))  # updates whose batches are fetched at a time
         self.initial = None if rows.initial is None else jax.device_put(rows.initial)
         self.ahead: tuple[int, Future] | None = None
 
@@ -135,17 +139,28 @@ class Streamed(Source):
         self.ahead = None
 
     def advance(self, update, learner, states, start, stop, end):
-        """See `Source`; the fetch of the chunk that follows is set going."""
-        if self.ahead is not None and self.ahead[0] == start:
-            data = self.ahead[1].result()
-        else:
-            data = self._fetch(start)
-        self.ahead = (stop, self.pool.submit(self._fetch, stop)) if stop < end else None
-        return update(states, data, start, stop, self.rows.count)
+        """See `Source`; the fetch of what follows is set going."""
+        means, bad, counts = [], [], []
+        for first in range(start, stop, self.part):
+            last = min(first + self.part, stop)
+            if self.ahead is not None and self.ahead[0] == first:
+                data = self.ahead[1].result()
+            else:
+                data = self._fetch(first)
+            self.ahead = (last, self.pool.submit(self._fetch, last)) if last < end else None
+            states, mean, where = update(states, data, first, last, self.rows.count)
+            means.append(mean)
+            bad.append(where)
+            counts.append(last - first)
+        if len(means) == 1:
+            return states, means[0], bad[0]
+        means, bad = jax.device_get((means, bad))
+        mean = {name: np.average([part[name] for part in means], 0, counts) for name in means[0]}
+        return states, mean, {name: _earliest([part[name] for part in bad]) for name in bad[0]}
 
     def _fetch(self, start: int) -> dict[str, Any]:
-        # Always a whole chunk of draws, so that one compiled program serves the last, shorter chunk too.
-        index = np.asarray(indices(self.plan, self.roots, jnp.int32(start), jnp.int32(self.rows.count), self.chunk))
+        # Always as many draws, so that one compiled program serves the last, shorter part too.
+        index = np.asarray(indices(self.plan, self.roots, jnp.int32(start), jnp.int32(self.rows.count), self.part))
         return pack(self.rows.take(index), self.plan.layout, index.ndim)
 
 
@@ -242,14 +257,19 @@ def packed_rows(logs: Sequence[BatchSource], layout: tuple[Column, ...]) -> dict
     out: dict[str, np.ndarray] = {}
     room, offset = _room(logs), 0
     for rows in logs:
-        for start in range(0, rows.count, BLOCK):
-            part = pack(rows.take(np.arange(start, min(start + BLOCK, rows.count))), layout, 1)
+        block = min(BLOCK, max(FETCHED // _row_bytes(rows), 1))
+        for start in range(0, rows.count, block):
+            part = pack(rows.take(np.arange(start, min(start + block, rows.count))), layout, 1)
             for name, column in part.items():
                 if name not in out:
                     out[name] = np.zeros((room, *column.shape[1:]), column.dtype)
                 out[name][offset + start : offset + start + len(column)] = column
         offset += rows.count
     return out
+
+
+def _row_bytes(rows: BatchSource) -> int:
+    return max(sum(int(np.prod(shape)) * np.dtype(dtype).itemsize for shape, dtype in rows.fields.values()), 1)
 
 
 def _fits(size: int) -> bool:
