@@ -74,6 +74,7 @@ def test_actions_are_those_that_the_whole_policies_take():
     assert np.abs(made[0](LOG.observations) - made[1](LOG.observations)).max() > 0.05
 
 
+@pytest.mark.slow
 def test_values_are_those_of_the_actions():
     """Five steps that pay 1 and -0.5 each, in the log's units 2 x 0.5 and 2 x -0.25."""
     case = OPEInput(LONG, [policy_of(1, 0.5), policy_of(2, -0.25)], discount=0.9)
@@ -88,6 +89,7 @@ def test_networks_of_values_take_features():
     np.testing.assert_allclose(found.value, np.array([1.0, -0.5]) * (1 - 0.9**5) / 0.1, atol=0.6)
 
 
+@pytest.mark.slow
 def test_densities_are_those_of_the_policy():
     policy = policy_of(1, 0.5, spread=0.3)
     case = OPEInput(LOG, [policy], greedy=False)

@@ -24,7 +24,7 @@ from deadreckon.training.pictures import FEATURES, Seen, Sight, features_of, upd
 
 SEEING = [name for name in AGENTS if "supports_images" in vars(agent_class(name))]
 ROWS = 300
-FAST = ("bc", "iql")  # the others have the same code around other losses
+FAST = ("iql",)  # the others have the same code around other losses
 
 
 def fast_first(names):
@@ -82,6 +82,7 @@ def test_lanes_chunks_and_streams_change_nothing_and_files_act_alike(name, tmp_p
     np.testing.assert_allclose(policy(LOG.observations[3]), actions[3], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_batches_from_the_host_come_in_parts_of_limited_size(monkeypatch):
     whole = fitted([small("td3_bc")], [0], 6, chunk=6, stream=True)
     monkeypatch.setattr(sources, "FETCHED", 2 * 16 * 2 * 768 + 5_000)  # two updates of 16 rows with what follows
@@ -92,7 +93,7 @@ def test_batches_from_the_host_come_in_parts_of_limited_size(monkeypatch):
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("network", ["patches", "drq", "impala"])
+@pytest.mark.parametrize("network", ["patches", *(pytest.param(name, marks=pytest.mark.slow) for name in ("drq", "impala"))])
 def test_programs_of_any_number_of_pictures(network):
     """As exports make them: the number of rows is a symbol."""
     encoder = Encoder.create(network, (24, 24, 3), 8, jax.random.key(0))
@@ -116,6 +117,7 @@ def test_a_mixture_sees_one_picture_or_several(tmp_path):
         mixture(np.zeros((3, 16, 15, 3), np.uint8))
 
 
+@pytest.mark.slow
 def test_discrete_policies_tell_their_probabilities_by_numpy_too(tmp_path):
     log = replace(LOG, actions=(LOG.actions[:, 0] > 0).astype(np.int32), action_space=Discrete(2))
     agent = agent_class("bc")(hidden=(8,), batch_size=8).resolve(log.spec, 10)
@@ -134,6 +136,7 @@ def test_pictures_of_roads_are_not_shifted_by_any_of_their_names(tmp_path):
         assert run.config["shift"] == shift
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_where_it_was_killed(tmp_path):
     whole = fitted([small("td3_bc")], [0], 8, chunk=4)
     job = Fit([small("td3_bc")], TransitionSource(LOG, small("td3_bc").needs(LOG.spec)), [0], 8, 4, tmp_path / "kept")
