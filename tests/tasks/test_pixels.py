@@ -167,6 +167,9 @@ def test_names():
     found = find("walker2d:pixels")
     assert (found.name, found.observation_shape, found.horizon) == ("walker2d:pixels", (84, 84, 9), 1000)
     assert of_run("walker2d:pixels") == found
+    for name in ("stranger:pixels?size=3", "stranger:Env:pixels", "stranger:Env?size=3:pixels"):
+        with pytest.raises(UserError, match="name it with --task, or import stranger first"):
+            of_run(name)
     with pytest.raises(UserError, match="carla-lane shows pictures already; leave :pixels out"):
         find("carla-lane:pixels")
     with pytest.raises(UserError, match="nothing draws battery"):

@@ -58,7 +58,7 @@ def of_run(name: str) -> Task:
     """
     if name.startswith(carla_task.PREFIX):
         raise UserError(f"the run's task is in a CARLA server, {name}: name it, or another one, with --task")
-    path = name.partition("?")[0].removeprefix("gymnasium:").removesuffix(SUFFIX)
+    path = name.removesuffix(SUFFIX).partition("?")[0].removeprefix("gymnasium:")
     module = path.partition(":")[0]
     if name not in _TASKS and ":" in path and module not in sys.modules:
         raise UserError(f"the run's task is {name}, not one of deadreckon's: name it with --task, or import {module} first")
