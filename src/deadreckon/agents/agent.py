@@ -15,6 +15,7 @@ from deadreckon.nets.mlp import MLP, UNIFORM, Init, ensemble, q_values
 from deadreckon.policies.kinds import Categorical, TanhMeanGaussian, stochastic
 from deadreckon.policies.policy import NormalizedPolicy
 from deadreckon.provided import provided
+from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import check_fields
 from deadreckon.training.learner import Metrics
 from deadreckon.training.pictures import of_pictures
@@ -157,6 +158,12 @@ def bellman_loss(
     error = jnp.square(q - jax.lax.stop_gradient(target))
     error = error if weight is None else error * weight
     return error.mean(-1).sum(), {"critic_loss": error.mean(), "q": q.mean()}
+
+
+def loss_of_critics(agent: Any, state: Any, batch: Batch, key: PRNGKeyArray) -> Float[Array, ""]:
+    """The `critic_loss` of an agent at its `target`, with the draws of its update, which `key` is of."""
+    k_target, k_critics = keys(key, "target", "critic_loss")
+    return agent.critic_loss(state.critics, state, batch, agent.target(state, batch, k_target), k_critics)[0]
 
 
 def backup(batch: Batch, discount: Any, future: Float[Array, "*k b"]) -> Float[Array, "*k b"]:

@@ -235,7 +235,7 @@ class BEAR(Agent):
 
     def representation_loss(self, state, batch, *, step, key):
         """That of the critics."""
-        target = backup(batch, self.discount, self.future(state, batch, keys(key, "behavior", "target", "actor_loss")[1]))
+        target = backup(batch, self.discount, self.future(state, batch, keys(key, "target")[0]))
         return bellman_loss(state.critics, batch, target, self.bellman_weight(state, batch))[0]
 
     def policy(self, state):

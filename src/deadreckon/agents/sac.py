@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array
 
-from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
+from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics, loss_of_critics
 from deadreckon.data.batch import BatchSpec
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, UNIFORM, Init, all_q_values, minimum, q_values
@@ -185,8 +185,7 @@ class SAC(Agent):
 
     def representation_loss(self, state, batch, *, step, key):
         """That of the critics."""
-        k_target, k_critics, _ = keys(key, "target", "critic_loss", "actor_loss")
-        return self.critic_loss(state.critics, state, batch, self.target(state, batch, k_target), k_critics)[0]
+        return loss_of_critics(self, state, batch, key)
 
     def policy(self, state):
         """The actor; greedy actions are its mean, or the most probable action."""

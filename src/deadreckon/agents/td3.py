@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
+from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics, loss_of_critics
 from deadreckon.data.batch import BatchSpec
 from deadreckon.nets.mlp import MLP, UNIFORM, Init, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
@@ -102,8 +102,7 @@ class TD3(Agent):
 
     def representation_loss(self, state, batch, *, step, key):
         """That of the critics."""
-        k_target, k_critics = keys(key, "target", "critic_loss")
-        return self.critic_loss(state.critics, state, batch, self.target(state, batch, k_target), k_critics)[0]
+        return loss_of_critics(self, state, batch, key)
 
     def policy(self, state) -> NormalizedPolicy:
         """The actor."""
