@@ -15,7 +15,8 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11; do \
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 # uv trusts the certificates that it brings along. Behind a proxy with its own it needs the system's, hence the second try.
-SYNC := UV_PROJECT_ENVIRONMENT=$(VENV) uv sync --frozen
+# Bytecode is compiled at once, as pip does: tests start many processes, some at the same time.
+SYNC := UV_COMPILE_BYTECODE=1 UV_PROJECT_ENVIRONMENT=$(VENV) uv sync --frozen
 define uv_sync
 	$(SYNC) $(1) || UV_SYSTEM_CERTS=1 UV_NATIVE_TLS=1 $(SYNC) $(1)
 endef
@@ -35,8 +36,9 @@ demo: $(STAMP) ## the main job on data that we make ourselves: collect, learn, j
 test: $(STAMP) ## lint and the fast tests
 	@$(MAKE) --no-print-directory -j 2 lint fast
 
+# Our own bytecode is kept, too, whatever the shell says: every command that a test starts would compile it again.
 fast: $(STAMP) ## the fast tests alone
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
 test-slow: $(SLOW_STAMP) ## the tests marked slow: learning, kills, the built wheel
 	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m slow

@@ -203,6 +203,7 @@ def test_intervals_are_calibrated_on_rows_held_out(fitted):
     assert (inside < 0.95).all(), inside
 
 
+@pytest.mark.slow
 def test_the_best_are_elites_and_their_errors_are_of_the_weights_kept(fitted):
     model, ensemble, report = fitted
     assert list(ensemble.elites) == list(np.argsort(report.error)[:3])

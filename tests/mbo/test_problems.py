@@ -254,6 +254,7 @@ def test_molecules(real_data, tmp_path):
         problem("molecule", path=small)
 
 
+@pytest.mark.slow
 def test_gfp(real_data, tmp_path, monkeypatch):
     """A part of the proteins and a short training: the learned effects rank held-out proteins."""
     lines = (real_data / "gfp" / "avgfp.tsv").read_text().splitlines()

@@ -91,7 +91,7 @@ def test_fitted_values_are_those_of_the_world_in_the_log(world, name):
     np.testing.assert_allclose(found.value, exact, atol=0.05 * scale, err_msg=name)
 
 
-# Fast are those whose fit the test above has made already.
+@pytest.mark.slow
 @cases([name for name in FITTED if "dice" in name or name == "vpm"], nowhere=["dual-dice", "gen-dice", "vpm"])
 def test_ratios_are_those_of_exact_occupancies(world, name):
     case, _, policies = world

@@ -50,6 +50,7 @@ LOG = log_of()
 LONG = log_of(200)
 
 
+@pytest.mark.slow
 def test_each_policy_acts_on_the_features_of_its_own_encoder():
     one, other = policy_of(1, 0.5), policy_of(2, -0.5)
     same = policy_of(3, 0.0, encoder=one.inner.encoder)

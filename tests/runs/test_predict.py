@@ -111,6 +111,7 @@ def test_new_rows_get_named_actions_alike_by_jax_and_numpy(runs, name):
         same(act(log.observations), run.predictor().encoder.named(own))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TABLES)
 def test_permuting_the_rows_permutes_the_actions(runs, name):
     _, run = runs[name]

@@ -139,6 +139,7 @@ def test_snapshots_alone_are_shipped_where_no_logs_are_made_with_them(run, tmp_p
     assert about["agent"] == "sac"
 
 
+@pytest.mark.slow
 def test_refusals(run, tmp_path):
     with pytest.raises(UserError, match="no policy was kept after 25 updates; those kept are"):
         publish(Publish(str(run), medium=25, expert=80, out=str(tmp_path)))

@@ -57,6 +57,7 @@ def test_each_is_the_run_that_it_would_be_alone(runs, log, tmp_path, name):
     assert np.abs(runs["plain"].policies[0](X) - runs["near"].policies[0](X)).max() > 0.01
 
 
+@pytest.mark.slow  # that lanes fail alone is in tests/agents/test_conformance.py
 def test_what_went_bad_is_told_of_its_own_run_alone(runs):
     assert runs["plain"].failures == runs["near"].failures == [None, None]
     assert all(failure.step < 20 for failure in runs["bad"].failures)

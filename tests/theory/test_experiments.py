@@ -33,6 +33,7 @@ def test_errors_on_a_grid():
     np.testing.assert_allclose(none.errors["support"][0], on.world.optimal(0.9) - own, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_threshold_trades_one_constant_for_the_other(on):
     trade = propagation.tradeoff(on, thresholds=7, draws=30, steps=60)
     assert (np.diff(trade.coefficient) <= 1e-6).all()

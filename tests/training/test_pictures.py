@@ -1,4 +1,5 @@
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.export
@@ -24,11 +25,11 @@ from deadreckon.training.pictures import FEATURES, Seen, Sight, features_of, upd
 
 SEEING = [name for name in AGENTS if "supports_images" in vars(agent_class(name))]
 ROWS = 300
-FAST = ("iql",)  # the others have the same code around other losses
 
 
-def fast_first(names):
-    return [name if name in FAST else pytest.param(name, marks=pytest.mark.slow) for name in names]
+def one_fast(names, fast):
+    """The others have the same code around other losses."""
+    return [name if name == fast else pytest.param(name, marks=pytest.mark.slow) for name in names]
 
 
 def log_of_spots(rows: int = ROWS, seed: int = 0) -> Dataset:
@@ -65,7 +66,7 @@ def test_which_agents_see():
         agent_class("rebrac")().resolve(LOG.spec, 10)
 
 
-@pytest.mark.parametrize("name", fast_first(SEEING))
+@pytest.mark.parametrize("name", one_fast(SEEING, "bc"))
 def test_lanes_chunks_and_streams_change_nothing_and_files_act_alike(name, tmp_path):
     agents = [small(name)] * 2
     together = fitted(agents, [3, 4], 6, chunk=6)
@@ -129,6 +130,7 @@ def test_discrete_policies_tell_their_probabilities_by_numpy_too(tmp_path):
     assert found.shape == (4, 2)
 
 
+@pytest.mark.slow  # what shifts them is in tests/tasks/test_pixels.py
 def test_pictures_of_roads_are_not_shifted_by_any_of_their_names(tmp_path):
     for name, shift in (("carla_lane_follow_flat-v0", 0), ("carla-town-full-v0", 0), ("spots", 1)):
         log = replace(LOG, name=name)
@@ -152,7 +154,7 @@ def test_a_run_goes_on_where_it_was_killed(tmp_path):
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("name", fast_first(["bc", "td3_bc", "sac", "iql", "bear"]))
+@pytest.mark.parametrize("name", one_fast(["bc", "td3_bc", "sac", "iql", "bear"], "iql"))
 def test_the_encoder_follows_the_slope_of_its_loss_alone(name):
     """One update by hand: Adam's first step has the sign of the slope, whatever the agent's other losses are."""
     agent = small(name)
@@ -162,7 +164,7 @@ def test_the_encoder_follows_the_slope_of_its_loss_alone(name):
     rows = TransitionSource(LOG, agent.needs(LOG.spec)).take(np.arange(16))
     batch = Batch(**{name: jnp.asarray(column) for name, column in rows.items()})
     key, step = jax.random.key(7), jnp.asarray(5)
-    new, _ = update(agent, state, batch, step=step, key=key)
+    new, _ = jax.jit(partial(update, agent))(state, batch, step=step, key=key)
     k_now, k_next, k_inner = keys(key, "shift", "next_shift", "agent")
 
     def loss(encoder):
@@ -171,7 +173,7 @@ def test_the_encoder_follows_the_slope_of_its_loss_alone(name):
             seen = seen._replace(next_observation=state.encoder(shifted(batch.next_observation, k_next, 2)))
         return agent.representation_loss(state.inner, seen, step=step, key=k_inner)
 
-    slopes = jax.grad(loss)(state.encoder)
+    slopes = jax.jit(jax.grad(loss))(state.encoder)
     for before, after, slope in zip(*map(jax.tree.leaves, (state.encoder, new.encoder, slopes)), strict=True):
         sure = np.abs(slope) > 1e-5
         assert sure.any()
@@ -188,7 +190,7 @@ def test_values_reach_the_encoder_of_actor_critics_and_imitation_does_not():
     state = state._replace(inner=state.inner._replace(critics=critics))
     rows = TransitionSource(LOG, agent.needs(LOG.spec)).take(np.arange(16))
     batch = Batch(**{name: jnp.asarray(column) for name, column in rows.items()})
-    new, _ = update(agent, state, batch, step=jnp.asarray(0), key=jax.random.key(0))
+    new, _ = jax.jit(partial(update, agent))(state, batch, step=jnp.asarray(0), key=jax.random.key(0))
     for before, after in zip(*map(jax.tree.leaves, (state.encoder, new.encoder)), strict=True):
         np.testing.assert_array_equal(before, after)
     assert not np.array_equal(new.inner.actor.weights[0], state.inner.actor.weights[0])
@@ -199,6 +201,7 @@ def test_the_spec_behind_an_encoder():
     assert (spec.observation_shape, spec.observation_dtype, spec.action) == ((FEATURES,), "float32", LOG.spec.action)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoder", ["patches", pytest.param("drq", marks=pytest.mark.slow)])
 def test_bc_is_seen_to_learn_where_the_spot_is(encoder, tmp_path):
     log = log_of_spots(2_000)

@@ -200,8 +200,9 @@ class Fit:
             theta = np.linalg.solve(penalised - self.case.discount * following, reward)
         else:
             factor, theta = cho_factor(penalised), np.zeros_like(reward)
+            base, backup = cho_solve(factor, reward), self.case.discount * cho_solve(factor, following)
             for _ in range(self.horizon):
-                theta = cho_solve(factor, reward + self.case.discount * following @ theta)
+                theta = base + backup @ theta
         return float(start @ theta) * self.std
 
     def _steps(self, solve, following, base, backup, start, rows, ridge) -> Critic:

@@ -5,6 +5,7 @@ program, so neither the chunk length nor where rows come from changes a bit of t
 """
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -160,6 +161,7 @@ def advance(
         key = key_for(root, "update", step)
         return pictures.update(learner, state, batch, step=step, key=key)
 
+    @partial(jax.jit, inline=True)  # the shapes of the metrics and the loop share one trace
     def all_lanes(states: Any, step: Array) -> tuple[Any, dict[str, Array]]:
         fetched = None if plan.resident else {name: column[step - start] for name, column in data.items()}
         if plan.grows and not single:
