@@ -215,6 +215,7 @@ def test_value_estimates_have_one_number_a_row(trained):
 LEARNERS = {
     "td3": (0.25, {}),
     "td3_bc": (0.35, {"alpha": 10.0}),
+    "d4pg": (0.25, {"v_min": -12.0, "v_max": 2.0, "n_step": 1}),
     "sac": (0.25, {"temperature": 0.01}),
     "bcq": (0.25, {"max_perturbation": 0.6, "test_samples": 50}),
     "brac": (0.35, {"penalty": 0.1, "behavior_steps": 500}),

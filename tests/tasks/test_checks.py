@@ -11,7 +11,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from opengl import draws
 
-from deadreckon.tasks import envs
+from deadreckon.tasks import control, envs
 
 IDS = sorted(name for name in envs.registered if name.startswith("deadreckon/"))
 pytestmark = pytest.mark.filterwarnings("ignore:.*Box observation space.*", "ignore:.*infinity.*")
@@ -20,6 +20,8 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*Box observation space.*", "ign
 def made(name):
     if "Flow" in name and importlib.util.find_spec("libsumo") is None:
         pytest.skip("SUMO is not installed")
+    if name in {task.gym_id for task in control.TASKS} and importlib.util.find_spec("dm_control") is None:
+        pytest.skip("dm_control is not installed")
     if name in ("deadreckon/CarlaLane-v0", "deadreckon/CarlaTown-v0") and not draws():
         pytest.skip("MuJoCo finds no OpenGL to draw with")
     return gymnasium.make(name)

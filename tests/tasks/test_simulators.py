@@ -1,5 +1,6 @@
 """What every simulator promises: copies that know nothing of each other, of threads or of interruptions."""
 
+import importlib.util
 from dataclasses import replace
 
 import numpy as np
@@ -10,13 +11,19 @@ from deadreckon import tasks
 
 # Horizons so short that some copies' episodes end with every task; hopper and ant fall, and pens drop, before that, too.
 HORIZONS = {"hopper": 25, "halfcheetah": 9, "ant": 12, "humanoid": 18, "maze2d-umaze-dense": 7, "pen": 22, "antmaze-umaze": 8,
-            "ant-reach": 13, "relocate": 11, "carla-lane-state": 14, "carla-town-state": 14}  # fmt: skip
+            "ant-reach": 13, "relocate": 11, "carla-lane-state": 14, "carla-town-state": 14,
+            "finger-turn-hard": 13, "manipulator-insert-peg": 10}  # fmt: skip
 WORLDS = {name: replace(tasks.task(name), horizon=horizon) for name, horizon in HORIZONS.items()}
 # Slow are those that differ from a fast one in nothing but the body and the reward.
-SLOW = ("humanoid", "ant-reach", "relocate")
-every = pytest.mark.parametrize(
-    "task", [pytest.param(task, id=name, marks=pytest.mark.slow if name in SLOW else ()) for name, task in WORLDS.items()]
-)
+SLOW = ("humanoid", "ant-reach", "relocate", "manipulator-insert-peg")
+absent = pytest.mark.skipif(importlib.util.find_spec("dm_control") is None, reason="dm_control is not installed")
+
+
+def marks(name):
+    return [pytest.mark.slow] * (name in SLOW) + [absent] * (WORLDS[name].domain == "control")
+
+
+every = pytest.mark.parametrize("task", [pytest.param(task, id=name, marks=marks(name)) for name, task in WORLDS.items()])
 COPIES, STEPS = 40, 30  # enough copies for threads to be worth waking
 
 

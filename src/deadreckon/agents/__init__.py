@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from deadreckon.agents.combo import COMBO
     from deadreckon.agents.cql import CQL
     from deadreckon.agents.crr import CRR
+    from deadreckon.agents.d4pg import D4PG
     from deadreckon.agents.dapg import DAPG
     from deadreckon.agents.decision_transformer import DecisionTransformer
     from deadreckon.agents.dqfd import DQfD
@@ -58,6 +59,7 @@ AGENTS = {
     "bc": ("bc", "BC", "behaviour cloning: tanh-Gaussian, VAE (thesis A.4) or clipped Gaussian"),
     "td3": ("td3", "TD3", "twin delayed DDPG on a fixed log, the naive baseline (thesis 4.4)"),
     "td3_bc": ("td3_bc", "TD3BC", "TD3 that also imitates the log (Fujimoto & Gu 2021)"),
+    "d4pg": ("d4pg", "D4PG", "DDPG with a critic of return distributions, offline or --online (Barth-Maron et al. 2018)"),
     "sac": ("sac", "SAC", "soft actor-critic on a fixed log (thesis 7.4, SAC-off)"),
     "ppo": ("ppo", "PPO", "clipped policy gradients on the last block of steps, --online only (Schulman et al. 2017)"),
     "dapg": ("dapg", "DAPG", "natural policy gradients from demonstrations, --online only (Rajeswaran et al. 2018)"),
@@ -105,6 +107,7 @@ __all__ = [
     "COMBO",
     "CQL",
     "CRR",
+    "D4PG",
     "DAPG",
     "EDAC",
     "FQL",

@@ -1,7 +1,8 @@
 """Measures the returns that mean 0 and 100 on the normalised scale (thesis 7.3).
 
 `python -m deadreckon.collect.references` prints the numbers that `tasks/maze2d.py`, `driving.py`, `town.py` and, where SUMO is
-installed, `flow.py` hold, and what uniform actions earn in the Gym-MuJoCo tasks, of which Humanoid's is used.
+installed, `flow.py` hold, and what uniform actions earn in the Gym-MuJoCo tasks, of which Humanoid's is used, and, where
+dm_control is installed, in its tasks (`control.py`).
 """
 
 import importlib.util
@@ -14,7 +15,7 @@ from deadreckon.collect.flow import Controller, FollowerStopper, PISaturation
 from deadreckon.collect.maze2d import to_the_goal
 from deadreckon.collect.town import drive
 from deadreckon.data.spec import Box
-from deadreckon.tasks import driving, flow, gym_mujoco, town
+from deadreckon.tasks import control, driving, flow, gym_mujoco, town
 from deadreckon.tasks.flow import Flow
 from deadreckon.tasks.flow_merge import Merge
 from deadreckon.tasks.maze2d import TASKS, Maze2D
@@ -115,6 +116,8 @@ def main() -> None:
             print(f'    "{task.name}": ({found.random:.4f}, {found.expert:.4f}),')
     for task in gym_mujoco.TASKS:
         print(f"{task.name}, uniform actions: {uniform_return(task, range(1000), np.random.default_rng(0)):.4f}")
+    for task in control.TASKS if importlib.util.find_spec("dm_control") is not None else ():
+        print(f'    "{task.name}": {uniform_return(task, range(100), np.random.default_rng(0)):.4f},')
 
 
 if __name__ == "__main__":

@@ -17,6 +17,8 @@ SPEC, BOUNDS = "env_spec", "observation_bounds"  # in a log's provenance
 
 _MODULE = "deadreckon.tasks.envs:deadreckon/"  # Gymnasium imports what stands before the colon
 _MAZES = ("UMaze", "Medium", "Large")
+_CONTROL = ("cartpole-swingup", "cheetah-run", "finger-turn-hard", "fish-swim", "humanoid-run", "manipulator-insert-ball",
+            "manipulator-insert-peg", "walker-stand", "walker-walk")  # fmt: skip
 _WALKED = ("UMaze", "UMaze-Diverse", "Medium-Play", "Medium-Diverse", "Large-Play", "Large-Diverse")
 IDS = {
     "inverted-pendulum": "InvertedPendulum-v5", "hopper": "Hopper-v5", "halfcheetah": "HalfCheetah-v5",
@@ -26,6 +28,7 @@ IDS = {
     "carla-lane": f"{_MODULE}CarlaLane-v0", "carla-town": f"{_MODULE}CarlaTown-v0",
     "carla-town-state": f"{_MODULE}CarlaTownState-v0",
     **{name: f"{_MODULE}Adroit{name.title()}-v1" for name in ("pen", "hammer", "door", "relocate")},
+    **{name: f"{_MODULE}{name.title().replace('-', '')}-v0" for name in _CONTROL},
     **{f"kitchen-{name}": f"{_MODULE}Kitchen{name.title()}-v0" for name in ("complete", "partial", "mixed")},
     **{f"maze2d-{e.lower()}{'-' * bool(e)}{maze.lower()}{'-dense' * dense}": f"{_MODULE}Maze2D-{e}{maze}{'Dense' * dense}-v1"
        for e in ("", "Eval") for maze in _MAZES for dense in (False, True)},

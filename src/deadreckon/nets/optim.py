@@ -59,6 +59,12 @@ def polyak_update(target: Any, online: Any, rate: Any) -> Any:
     return jax.tree.map(lambda t, o: t + rate * (o - t), target, online)
 
 
+def renewed(target: Any, online: Any, step: Array, period: int) -> Any:
+    """Target networks that are copied from the online ones at the end of every `period` updates, and rest in between."""
+    over = (step + 1) % period == 0
+    return jax.tree.map(lambda t, o: jnp.where(over, o, t), target, online)
+
+
 def copy(tree: Any) -> Any:
     """Arrays of their own, so that a target network is never an alias of the online one."""
     return jax.tree.map(jnp.copy, tree) if _traced(tree) else jax.device_put(jax.tree.map(np.array, tree))

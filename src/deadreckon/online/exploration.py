@@ -95,12 +95,14 @@ class Exploration:
         self.needs = needs = agent.needs(self.spec)
         shape = task.observation_shape
         self.columns = row_columns(task)
-        fields = {name: shape for name, shape in self.columns.items() if name != "timeout"} | self._further(needs)
+        # Transitions of several steps are summed up when they are drawn, as far as their episodes go on.
+        sums = "discount" in needs.columns
+        fields = {name: shape for name, shape in self.columns.items() if sums or name != "timeout"} | self._further(needs)
         # All columns are float32 in the file, which holds the numbers of discrete actions exactly.
         kinds = {"action": np.dtype(np.int32)} if self.spec.discrete else {}
         self.fields = {name: (shape, kinds.get(name, np.dtype(np.float32))) for name, shape in fields.items()}
-        plain = needs.n_step == 1 and not (needs.window or needs.initial)
-        if set(needs.columns) - set(fields) or not plain or not self._fits(agent):
+        plain = (sums or needs.n_step == 1) and not (needs.window or needs.initial)
+        if set(needs.columns) - {*fields, "discount"} or not plain or not self._fits(agent):
             raise UserError(f"{type(agent).__name__} does not {self._learning}")
         self.view = Normalizer.of(self.spec, needs.standardise)
         self.block = settings.updates_per_block

@@ -11,11 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float
 
 from deadreckon.data.batch import Batch, BatchSpec, TransitionSource
+from deadreckon.nets.layer_norm_mlp import LayerNormMLP
 from deadreckon.nets.mlp import ensemble
-from deadreckon.nets.optim import apply_gradients, copy, init_opt
+from deadreckon.nets.optim import apply_gradients, copy, init_opt, renewed
+from deadreckon.nets.return_distributions import cross_entropy, mean, project, support
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import in_blocks
 from deadreckon.ope.estimates import Estimates
@@ -25,54 +27,12 @@ from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.training.hyperparameters import Count, NonNegative, Range, Sizes, host, static
 
 
-class NormMLP(eqx.Module):
-    """Dense layers; the first is normalised and goes through a tanh, the others through an ELU (Acme's LayerNormMLP)."""
-
-    weights: tuple[Array, ...]
-    biases: tuple[Array, ...]
-    gain: Array
-    shift: Array
-
-    @classmethod
-    def create(cls, sizes: tuple[int, ...], key: PRNGKeyArray) -> "NormMLP":
-        """Uniform in +-1/sqrt(inputs)."""
-        keys = jax.random.split(key, len(sizes) - 1)
-        weights = tuple(
-            jax.random.uniform(k, (i, o), minval=-1.0, maxval=1.0) / jnp.sqrt(i) for k, i, o in zip(keys, sizes, sizes[1:])
-        )
-        first = sizes[1] if len(sizes) > 2 else 0
-        return cls(weights, tuple(jnp.zeros(o) for o in sizes[1:]), jnp.ones(first), jnp.zeros(first))
-
-    def __call__(self, x: Float[Array, "*b i"]) -> Float[Array, "*b o"]:
-        """The network's output."""
-        last = len(self.weights) - 1
-        for i, (w, b) in enumerate(zip(self.weights, self.biases)):
-            x = x @ w + b
-            if i == last:
-                break
-            if i == 0:
-                x = (x - x.mean(-1, keepdims=True)) * jax.lax.rsqrt(x.var(-1, keepdims=True) + 1e-5)
-                x = jnp.tanh(x * self.gain + self.shift)
-            else:
-                x = jax.nn.elu(x)
-        return x
-
-
 class State(NamedTuple):
     """Critics (members, policies, ...), the copies that targets come from, and the optimiser."""
 
-    critics: NormMLP
-    targets: NormMLP
+    critics: LayerNormMLP
+    targets: LayerNormMLP
     opt: optax.OptState
-
-
-def project(
-    probabilities: Float[Array, "*n b z"], reward: Float[Array, "b"], discount: Float[Array, "b"], atoms: Float[Array, "z"]
-) -> Float[Array, "*n b z"]:
-    """The distribution of r + discount Z on Z's own atoms: what falls between two of them is shared by nearness."""
-    moved = jnp.clip(reward[:, None] + discount[:, None] * atoms, atoms[0], atoms[-1])
-    share = jnp.clip(1.0 - jnp.abs(moved[:, None, :] - atoms[:, None]) / (atoms[1] - atoms[0]), 0.0, 1.0)  # (b, to, from)
-    return jnp.einsum("btf,...bf->...bt", share, probabilities)
 
 
 class Distributions(eqx.Module):
@@ -86,7 +46,7 @@ class Distributions(eqx.Module):
     @property
     def support(self) -> Float[Array, "z"]:
         """(atoms,) what a critic's probabilities are of."""
-        return self.scale.low + (self.scale.high - self.scale.low) * jnp.linspace(0.0, 1.0, self.settings.atoms)
+        return support(self.scale.low, self.scale.high, self.settings.atoms)
 
     def needs(self, spec):
         """Transitions, with the columns `policy` and `weight` beside them."""
@@ -97,11 +57,11 @@ class Distributions(eqx.Module):
         inputs = spec.observation_size + (0 if spec.discrete else spec.action_size)
         settings = self.settings
         sizes = (inputs, *settings.hidden, settings.atoms * (spec.action_size if spec.discrete else 1))
-        policies = lambda k: ensemble(lambda key: NormMLP.create(sizes, key), self.policies, k)  # noqa: E731
+        policies = lambda k: ensemble(lambda key: LayerNormMLP.create(sizes, key), self.policies, k)  # noqa: E731
         critics = ensemble(policies, settings.members, key)
         return State(critics, copy(critics), init_opt(critics))
 
-    def logits(self, critics: NormMLP, observation: Array, action: Array) -> Float[Array, "m p b z"]:
+    def logits(self, critics: LayerNormMLP, observation: Array, action: Array) -> Float[Array, "m p b z"]:
         """Of the returns after one action per row, the same for all critics."""
         if action.ndim == 1:
             every = self._every(critics, observation)
@@ -109,17 +69,17 @@ class Distributions(eqx.Module):
         inputs = jnp.concatenate([observation, action], -1)
         return jax.vmap(jax.vmap(lambda net: net(inputs)))(critics)
 
-    def _every(self, critics: NormMLP, observation: Array) -> Float[Array, "m p b n z"]:
+    def _every(self, critics: LayerNormMLP, observation: Array) -> Float[Array, "m p b n z"]:
         out = jax.vmap(jax.vmap(lambda net: net(observation)))(critics)
         return out.reshape(*out.shape[:-1], -1, self.settings.atoms)
 
-    def mixture(self, critics: NormMLP, observation: Array, table: Array) -> Float[Array, "m p b z"]:
+    def mixture(self, critics: LayerNormMLP, observation: Array, table: Array) -> Float[Array, "m p b z"]:
         """Probabilities of the returns of what the policies do; see `critics.expected` for the table."""
         if table.ndim == 3:
             return jnp.einsum("mpbnz,bpn->mpbz", jax.nn.softmax(self._every(critics, observation)), table)
         seen = jnp.broadcast_to(observation[:, None], (*table.shape[:1], table.shape[2], observation.shape[-1]))
 
-        def one(net: NormMLP, own: Float[Array, "b s a"]) -> Array:
+        def one(net: LayerNormMLP, own: Float[Array, "b s a"]) -> Array:
             return jax.nn.softmax(net(jnp.concatenate([seen, own], -1))).mean(1)
 
         return jax.vmap(lambda member: jax.vmap(one, (0, 1))(member, table))(critics)
@@ -136,21 +96,19 @@ class Distributions(eqx.Module):
         scale = jnp.minimum(1.0, self.settings.max_grad_norm / jnp.sqrt(jnp.maximum(square, 1e-12)))
         grads = jax.tree.map(lambda g: g * scale.reshape(*scale.shape, *[1] * (g.ndim - 2)), grads)
         critics, opt = apply_gradients(state.critics, grads, state.opt, self.settings.lr)
-        over = (step + 1) % self.settings.target_update_period == 0
-        targets = jax.tree.map(lambda new, old: jnp.where(over, new, old), critics, state.targets)
+        targets = renewed(state.targets, critics, step, self.settings.target_update_period)
         return State(critics, targets, opt), metrics
 
-    def loss(self, critics: NormMLP, batch: Batch, target: Float[Array, "m p b z"]):
+    def loss(self, critics: LayerNormMLP, batch: Batch, target: Float[Array, "m p b z"]):
         """Cross entropy, weighted by how often the row's episode counts for the member; summed over critics."""
         assert batch.extra is not None
-        log_probs = jax.nn.log_softmax(self.logits(critics, batch.observation, batch.action))
-        error = -(jax.lax.stop_gradient(target) * log_probs).sum(-1)
-        q = (jnp.exp(log_probs) * self.support).sum(-1)
+        logits = self.logits(critics, batch.observation, batch.action)
+        error, q = cross_entropy(logits, target), mean(logits, self.support)
         return (error * batch.extra["weight"].T[:, None, :]).mean(-1).sum(), {"loss": error.mean(), "q": q.mean()}
 
 
 @eqx.filter_jit
-def _values(learner: Distributions, critics: NormMLP, observation: Array, table: Array) -> Float[Array, "m p b"]:
+def _values(learner: Distributions, critics: LayerNormMLP, observation: Array, table: Array) -> Float[Array, "m p b"]:
     return (learner.mixture(critics, observation, table) * learner.support).sum(-1)
 
 

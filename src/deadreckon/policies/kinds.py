@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from deadreckon.data.normalizer import EDGE
 from deadreckon.data.spec import Spec
 from deadreckon.nets import distributions as dist
+from deadreckon.nets.layer_norm_mlp import LayerNormMLP
 from deadreckon.nets.mlp import MLP, UNIFORM, Init
 from deadreckon.policies.policy import NormalizedPolicy
 
@@ -17,7 +18,7 @@ from deadreckon.policies.policy import NormalizedPolicy
 class Deterministic(NormalizedPolicy):
     """One action for each observation, a = tanh(net(s))."""
 
-    net: MLP
+    net: MLP | LayerNormMLP
 
     def pre_actions(self, observation, key, *, greedy, count=()):
         """See `NormalizedPolicy`; every draw is the same."""

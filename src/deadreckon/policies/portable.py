@@ -245,12 +245,20 @@ class NumpyPolicy:
         check_size(x, self._array(net["weights"][0]).shape[-2], mask)
         for i, (w, b) in enumerate(zip(net["weights"], net["biases"])):
             x = x @ self._array(w) + self._array(b)
-            if i < last:
+            if i < last and net["kind"] == "LayerNormMLP":
+                x = self._normalised(net, x) if i == 0 else np.where(x > 0.0, x, np.expm1(np.minimum(x, 0.0)))
+            elif i < last:
                 x = _ACTIVATIONS[net["activation"]](x)
                 if net.get("normalise", False):
                     x = x - x.mean(-1, keepdims=True)
                     x = x / np.sqrt(np.square(x).mean(-1, keepdims=True) + 1e-6)
         return np.where(seen[..., -mask:] > 0.5, x, _ILLEGAL) if mask else x
+
+    def _normalised(self, net, x):
+        """The first layer of a network that normalises it."""
+        x = x - x.mean(-1, keepdims=True)
+        x = x / np.sqrt(np.square(x).mean(-1, keepdims=True) + 1e-5)
+        return np.tanh(x * self._array(net["gain"]) + self._array(net["shift"]))
 
     def _chosen(self, node, x, rng, greedy):
         """Indices of discrete actions, (n,)."""

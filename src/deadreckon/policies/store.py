@@ -11,6 +11,7 @@ import numpy as np
 from deadreckon.errors import UserError, reading
 from deadreckon.files import replacing
 from deadreckon.nets.encoder import Encoder
+from deadreckon.nets.layer_norm_mlp import LayerNormMLP
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.transformer import Block, Transformer
 from deadreckon.nets.vae import VAE
@@ -25,7 +26,8 @@ _TAUGHT, _HELD = "taught", "held"  # arrays beside those of the policy, which al
 _EXACT = ("mean", "std", "low", "high")  # the coordinates of a `EnvPolicy`
 # Beside the policies that register themselves (`policy.KINDS`) the only classes that a file can name: reading one runs no code
 # of the file's choosing.
-_PARTS: dict[str, Any] = {part.__name__: part for part in (EnvPolicy, MLP, VAE, Encoder, Transformer, Block, Sequence)}
+_CLASSES = EnvPolicy, MLP, LayerNormMLP, VAE, Encoder, Transformer, Block, Sequence
+_PARTS: dict[str, Any] = {part.__name__: part for part in _CLASSES}
 
 
 def save(

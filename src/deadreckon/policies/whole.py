@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError, as_one_line
 from deadreckon.foreign.shapes import words
+from deadreckon.nets.layer_norm_mlp import LayerNormMLP
 from deadreckon.nets.mlp import MLP
 from deadreckon.policies.deployed import History, Mixture, Seeing
 from deadreckon.policies.file import observation_sizes
@@ -69,8 +70,8 @@ def _act(policy: Any, observation: Any) -> Any:
     return policy.act(step, policy.start(1), jax.random.key(0), greedy=True)[0]
 
 
-def _networks(part: Any) -> Iterator[MLP]:
-    if isinstance(part, MLP):
+def _networks(part: Any) -> Iterator[MLP | LayerNormMLP]:
+    if isinstance(part, MLP | LayerNormMLP):
         yield part
     elif dataclasses.is_dataclass(part):
         for field in dataclasses.fields(part):

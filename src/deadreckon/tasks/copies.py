@@ -36,7 +36,7 @@ class MujocoCopies:
             frame_skip: physics steps an environment step.
         """
         self.task, copies = task, len(seeds)
-        self._starts = Starts(seeds, self._draw)
+        self._starts = Starts(seeds, self._draw, self._generator)
         self._mujoco = mujoco = bindings()
         # Waking a thread costs more than a copy or two take.
         threads = min(thread_count(threads, task.name), max(1, copies // 4))
@@ -60,7 +60,12 @@ class MujocoCopies:
         """The model for one thread: the shared one, or a copy where episodes change it."""
         return model
 
-    def _draw(self, generator: np.random.Generator) -> np.ndarray:
+    @staticmethod
+    def _generator(seed: int) -> Any:
+        """The random numbers of a copy."""
+        return np.random.default_rng(seed)
+
+    def _draw(self, generator: Any) -> np.ndarray:
         """What is drawn for a new episode."""
         raise NotImplementedError
 

@@ -7,7 +7,7 @@ from typing import Any
 from deadreckon.data import terminations
 from deadreckon.data.entries import ENTRIES, ORIGINAL
 from deadreckon.errors import UserError, unknown
-from deadreckon.tasks import adroit, antmaze, battery, carla_task, driving, flow, gym_mujoco, kitchen, maze2d, town
+from deadreckon.tasks import adroit, antmaze, battery, carla_task, control, driving, flow, gym_mujoco, kitchen, maze2d, town
 from deadreckon.tasks.pixels import SUFFIX, of_pixels
 from deadreckon.tasks.task import Task
 
@@ -89,5 +89,5 @@ def register(task: Task) -> None:
 
 
 _MANY = *maze2d.TASKS, *antmaze.TASKS, antmaze.REACH_TASK, *gym_mujoco.TASKS, *adroit.TASKS, *kitchen.TASKS, *flow.TASKS
-for _task in (*_MANY, *driving.TASKS, *town.TASKS, battery.TASK):
+for _task in (*_MANY, *driving.TASKS, *town.TASKS, *control.TASKS, battery.TASK):
     register(_task)

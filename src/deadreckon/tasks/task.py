@@ -71,16 +71,22 @@ class Starts:
     Args:
         seeds: one a copy.
         draw: gives a start from a generator.
+        generator: of a seed.
 
     Raises:
         UserError: no seed, or one below 0.
     """
 
-    def __init__(self, seeds: Sequence[int], draw: Callable[[np.random.Generator], np.ndarray]):
+    def __init__(
+        self,
+        seeds: Sequence[int],
+        draw: Callable[[Any], np.ndarray],
+        generator: Callable[[int], Any] = np.random.default_rng,
+    ):
         self.seeds = np.zeros(len(seeds), np.uint64)
-        self.draw = draw
+        self.draw, self._generator = draw, generator
         self.drawn = np.zeros(len(seeds), np.int64)
-        self._generators: list[np.random.Generator] = [np.random.default_rng(0)] * len(seeds)
+        self._generators: list[Any] = [None] * len(seeds)
         self.begin(np.arange(len(seeds)), seeds)
 
     def begin(self, which: np.ndarray, seeds: Sequence[int]) -> None:
@@ -89,7 +95,7 @@ class Starts:
             raise UserError(f"one seed a copy is needed, each 0 or more, got {list(seeds)} for {len(which)} copies")
         for i, seed in zip(which, seeds):
             self.seeds[i], self.drawn[i] = seed, 0
-            self._generators[i] = np.random.default_rng(int(seed))
+            self._generators[i] = self._generator(int(seed))
 
     def next(self, copy: int) -> np.ndarray:
         """The copy's next start."""

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key, PRNGKeyArray
+from jaxtyping import Array, Bool, Float, Int, Key, PRNGKeyArray
 
 from deadreckon.data.batch import Batch
 from deadreckon.data.spec import Spec
@@ -75,6 +75,9 @@ class Plan(NamedTuple):
     resident: bool
     grows: bool  # each lane has rows of its own, on the device
     logged: int = 0  # rows of each batch that come from a log, which all lanes share; the others are the lane's own
+    n_step: int = 0  # of growing rows: transitions that are summed up to one (`summed`); 0: rows are taken as they are
+    stride: int = 1  # rows between two that follow each other
+    gamma: float = 1.0  # discount of these sums
 
 
 def draw(plan: Plan, root: PRNGKeyArray, step: Int[Array, ""], rows: Int[Array, ""]) -> Int[Array, "b *w"]:
@@ -102,7 +105,7 @@ def indices(
 
 def batch_of(plan: Plan, taken: dict[str, Array], initial: dict[str, Array] | None, root: PRNGKeyArray, step: Array) -> Batch:
     """A batch from packed rows, with its mask and initial observations where they are needed."""
-    fields = unpack(taken, plan.layout, 2 if plan.window else 1)
+    fields = unpack(taken, plan.layout, 2 if plan.window or plan.n_step else 1)
     if plan.window:
         left = fields.pop("_left")[:, :1]
         fields["mask"] = (jnp.arange(plan.window) <= left).astype(jnp.float32)
@@ -113,6 +116,27 @@ def batch_of(plan: Plan, taken: dict[str, Array], initial: dict[str, Array] | No
     known = {name: fields.pop(name) for name in Batch._fields if name in fields}
     # Keeps the compiler from fusing the fetch into the update, whose bits then do not depend on where rows come from.
     return jax.lax.optimization_barrier(Batch(**known, extra=fields or None))
+
+
+def summed(batch: Batch, inside: Bool[Array, "b n"], gamma: float) -> Batch:
+    """Transitions that follow each other as one of n steps, or of fewer where an episode ends; see `Batch`.
+
+    Args:
+        batch: (b, n, ...) transitions, with the column "timeout" in `extra`.
+        inside: whether these are rows that are there.
+        gamma: discount of the sum.
+    """
+    assert batch.extra is not None
+    over = (batch.terminal + batch.extra["timeout"] > 0)[:, :-1]
+    goes_on = jnp.cumprod(jnp.pad(~over, ((0, 0), (1, 0)), constant_values=True) & inside, 1)
+    count = goes_on.sum(1)
+    last = lambda column: jax.vmap(lambda rows, i: rows[i - 1])(column, count)  # noqa: E731
+    terminal = last(batch.terminal)
+    return Batch(
+        observation=batch.observation[:, 0], action=batch.action[:, 0], next_observation=last(batch.next_observation),
+        reward=(batch.reward * goes_on * gamma ** jnp.arange(inside.shape[1])).sum(1), terminal=terminal,
+        discount=gamma**count * (1.0 - terminal),
+    )  # fmt: skip
 
 
 @eqx.filter_jit
@@ -147,15 +171,21 @@ def advance(
         data = {name: column.reshape(column.shape[1:]) for name, column in data.items()}
 
     def one(learner: Any, state: Any, root: PRNGKeyArray, fetched: Any, span: Any, step: Array) -> tuple[Any, dict[str, Array]]:
+        inside = jnp.ones((1, 1), bool)
         if plan.resident:
             first, count = (0, rows) if span is None else span
             index = first + draw(plan, root, step, count)
             own = fetched if plan.grows and not single else data
+            if plan.n_step:
+                index = index[:, None] + plan.stride * jnp.arange(plan.n_step)
+                inside, index = index < rows, jnp.minimum(index, rows - 1)
             fetched = {name: column[index] for name, column in own.items()}
             if plan.logged:
                 past = draw_logged(plan, root, step, known)
                 fetched = {name: jnp.concatenate([logged[name][past], column]) for name, column in fetched.items()}
         batch = batch_of(plan, fetched, initial, root, step)
+        if plan.n_step:
+            batch = summed(batch, inside, plan.gamma)
         if hasattr(learner, "learned"):
             batch = learner.learned(batch)
         key = key_for(root, "update", step)

@@ -24,12 +24,14 @@ class Experience(Protocol):
     Attributes:
         block: updates between two turns of acting; also the unit in which runs are paused and saved.
         logged: rows of each batch that come from a log instead, which `extend` gives beside the lanes' own; 0 without one.
+        copies: of the environment in a lane; row r + copies is what followed row r.
         metrics: numbers of its own, each (lanes,), that are told with those of the updates.
         needs, spec, view, fields: as of `TransitionSource`.
     """
 
     block: int
     logged: int
+    copies: int
     metrics: dict[str, np.ndarray]
     needs: BatchSpec
     spec: Spec

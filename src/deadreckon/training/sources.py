@@ -220,7 +220,10 @@ def source_of(
     needs, layout = rows.needs, layout_of(rows.fields)
     if isinstance(rows, Experience):
         shape = needs.batch_size, needs.window, needs.initial
-        return Growing(rows, Plan(layout, *shape, resident=True, grows=True, logged=rows.logged), roots)
+        plan = Plan(layout, *shape, resident=True, grows=True, logged=rows.logged)
+        if "discount" in needs.columns:
+            plan = plan._replace(n_step=needs.n_step, stride=rows.copies, gamma=needs.gamma)
+        return Growing(rows, plan, roots)
     resident = not stream if stream is not None else _fits(rows.nbytes)
     plan = Plan(layout, needs.batch_size, needs.window, needs.initial, resident=resident, grows=False)
     return Resident(rows, plan) if resident else Streamed(rows, plan, roots, chunk)

@@ -1,0 +1,134 @@
+"""D4PG: DDPG whose critic learns the distribution of returns (Barth-Maron et al. 2018), in the sizes of RL Unplugged.
+
+The critic gives probabilities of `atoms` returns between `v_min` and `v_max`. With pi' and Z' the copies that targets come
+from and P the projection on the atoms,
+
+    L_critic = H( P[ r_1 + ... + gamma^(n-1) r_n + gamma^n Z'(s_n, pi'(s_n)) ], Z(s, a) ),
+
+and the actor follows the slope of the distribution's mean by its action, each row's cut to length one, as in Acme (Hoffman et
+al. 2020). Nothing holds it to a log. Sizes are those of Gulcehre et al. (2020).
+"""
+
+from typing import Annotated, ClassVar, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float
+
+from deadreckon.agents.agent import Agent
+from deadreckon.data.batch import Batch, BatchSpec
+from deadreckon.errors import UserError
+from deadreckon.nets.layer_norm_mlp import LayerNormMLP
+from deadreckon.nets.optim import apply_gradients, clip_by_norm, copy, init_opt, renewed
+from deadreckon.nets.return_distributions import cross_entropy, mean, project, support
+from deadreckon.policies.kinds import Deterministic
+from deadreckon.randomness import keys
+from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Range, Sizes, UnitInterval, static
+
+SMALL = 0.01  # of the actor's last weights: it begins near the middle of its actions
+
+
+class State(NamedTuple):
+    """Networks, their targets and optimisers."""
+
+    actor: LayerNormMLP
+    critic: LayerNormMLP
+    target_actor: LayerNormMLP
+    target_critic: LayerNormMLP
+    actor_opt: optax.OptState
+    critic_opt: optax.OptState
+
+
+class D4PG(Agent):
+    """A deterministic actor and a critic of return distributions."""
+
+    revision: ClassVar[int] = 1
+    online: ClassVar[bool] = True
+    exploration_noise: ClassVar[float] = 0.3  # published (Acme: sigma)
+    other_names: ClassVar[dict[str, str]] = {
+        "vmin": "v_min", "vmax": "v_max", "num_atoms": "atoms", "policy_lr": "actor_lr", "clipping": "max_grad_norm",
+    }  # fmt: skip
+
+    actor_lr: NonNegative = 1e-4  # learning rate of the actor
+    critic_lr: NonNegative = 1e-4  # learning rate of the critic
+    discount: UnitInterval = 0.99  # discount factor per step
+    n_step: Count = static(1)  # rewards summed before the value that follows (published for learning online: 5)
+    v_min: float = -150.0  # smallest return that has a probability
+    v_max: float = 150.0  # largest return that has a probability
+    atoms: Annotated[int, Range(ge=2)] = static(51)  # number of returns that have a probability
+    target_update_period: Count = static(100)  # updates between copies of the networks to their targets
+    max_grad_norm: Positive = 40.0  # norm above which the gradients of a network are clipped
+    hidden: Sizes = static((300, 200))  # width of each hidden layer of the actor
+    critic_hidden: Sizes = static((400, 300))  # width of each hidden layer of the critic
+    batch_size: Count = static(256)  # batch size (transitions per update)
+
+    def resolve(self, spec, steps):
+        """See `Agent.resolve`; the returns that have a probability must be a range."""
+        if not self.v_min < self.v_max:
+            raise UserError(f"{type(self).__name__}: v_min must be below v_max, got {self.v_min} and {self.v_max}")
+        return super().resolve(spec, steps)
+
+    def needs(self, spec):
+        """Rows of `n_step` transitions, with what multiplies the value behind them."""
+        columns = ("observation", "action", "reward", "next_observation", "discount")
+        return BatchSpec(columns, self.batch_size, n_step=self.n_step, gamma=self.discount)
+
+    def init(self, spec, key):
+        """Fresh networks; targets are copies."""
+        ka, kc = keys(key, "actor", "critic")
+        actor = LayerNormMLP.create((spec.observation_size, *self.hidden, spec.action_size), ka, SMALL)
+        inputs = spec.observation_size + spec.action_size
+        critic = LayerNormMLP.create((inputs, *self.critic_hidden, self.atoms), kc)
+        return State(actor, critic, copy(actor), copy(critic), init_opt(actor), init_opt(critic))
+
+    @property
+    def support(self) -> Float[Array, "z"]:
+        """(atoms,) the returns that have a probability."""
+        return support(self.v_min, self.v_max, self.atoms)
+
+    def target(self, state: State, batch: Batch) -> Float[Array, "b z"]:
+        """The distribution of the rewards and of what the target networks expect behind them, on the atoms."""
+        action = jnp.tanh(state.target_actor(batch.next_observation))
+        future = jax.nn.softmax(logits(state.target_critic, batch.next_observation, action))
+        return project(future, batch.reward, batch.discount, self.support)
+
+    def critic_loss(self, critic: LayerNormMLP, batch: Batch, target: Float[Array, "b z"]):
+        """Cross entropy to the target."""
+        found = logits(critic, batch.observation, batch.action)
+        loss = cross_entropy(found, target).mean()
+        return loss, {"critic_loss": loss, "q": mean(found, self.support).mean()}
+
+    def actor_loss(self, actor: LayerNormMLP, critic: LayerNormMLP, batch: Batch) -> Float[Array, ""]:
+        """1/2 |a + g - a|^2 with a = pi(s) and a + g without a slope: its slope is -g, the critic's, of length one at most."""
+        action = jnp.tanh(actor(batch.observation))
+        value = lambda a: mean(logits(critic, batch.observation, a), self.support).sum()  # noqa: E731
+        slope = jax.grad(value)(action)
+        length = jnp.linalg.norm(slope, axis=-1, keepdims=True)
+        goal = jax.lax.stop_gradient(action + slope / jnp.maximum(length, 1.0))
+        return 0.5 * jnp.square(goal - action).sum(-1).mean()
+
+    def update(self, state, batch, *, step, key):
+        """Critic, actor, and at the end of every period the targets."""
+        grads, metrics = jax.grad(self.critic_loss, has_aux=True)(state.critic, batch, self.target(state, batch))
+        loss, slopes = jax.value_and_grad(self.actor_loss)(state.actor, state.critic, batch)  # by the same critic, as published
+        grads, slopes = clip_by_norm(grads, self.max_grad_norm), clip_by_norm(slopes, self.max_grad_norm)
+        critic, critic_opt = apply_gradients(state.critic, grads, state.critic_opt, self.critic_lr)
+        actor, actor_opt = apply_gradients(state.actor, slopes, state.actor_opt, self.actor_lr)
+        before = state.target_actor, state.target_critic
+        target_actor, target_critic = renewed(before, (actor, critic), step, self.target_update_period)
+        state = State(actor, critic, target_actor, target_critic, actor_opt, critic_opt)
+        return state, metrics | {"actor_loss": loss}
+
+    def policy(self, state):
+        """The actor."""
+        return Deterministic(state.actor)
+
+    def q_value(self, state, observation, action):
+        """The mean of the distribution."""
+        return mean(logits(state.critic, observation, action), self.support)
+
+
+def logits(critic: LayerNormMLP, observation: Float[Array, "*b o"], action: Float[Array, "*b a"]) -> Float[Array, "*b z"]:
+    """Of the returns after each row's action."""
+    return critic(jnp.concatenate([observation, action], -1))
