@@ -41,7 +41,7 @@ fast: $(STAMP) ## the fast tests alone
 	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile
 
 test-slow: $(SLOW_STAMP) ## the tests marked slow: learning, kills, the built wheel
-	$(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m slow
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m slow
 
 faults: $(STAMP) ## kills commands N=100 times and disturbs them otherwise, at the lowest priority; goes on where it was ended
 	nice -n 19 $(BIN)/python -m tests.faults --kills $(or $(N),100) --out .cache/faults

@@ -30,7 +30,8 @@ def batch():
     rng = np.random.default_rng(0)
     size = SPEC.observation_size, SPEC.action_size
     return Batch(
-        observation=jnp.asarray(rng.normal(size=(6, size[0])), jnp.float32), reward=jnp.asarray(rng.normal(size=6), jnp.float32),
+        observation=jnp.asarray(rng.normal(size=(6, size[0])), jnp.float32),
+        reward=jnp.asarray(rng.normal(size=6), jnp.float32),
         action=jnp.asarray(rng.uniform(-1, 1, (6, size[1])), jnp.float32),
         next_observation=jnp.asarray(rng.normal(size=(6, size[0])), jnp.float32),
         discount=jnp.asarray([0.9, 0.81, 0.0, 0.9, 0.81, 0.0], jnp.float32),
@@ -146,6 +147,8 @@ def test_rows_are_of_n_steps_and_say_what_multiplies_the_value_behind_them():
 def test_what_it_refuses():
     with pytest.raises(UserError, match="v_min must be below v_max, got 3.0 and 3.0"):
         D4PG(v_min=3.0, v_max=3.0).resolve(SPEC, 10)
+    with pytest.raises(UserError, match="D4PG.v_min takes a finite number"):
+        D4PG(v_min=-np.inf).resolve(SPEC, 10)
 
 
 def test_the_mean_is_of_the_softmax():

@@ -18,7 +18,8 @@ SETTINGS = Online(copies=2, explore=40, updates_per_step=0.5, block=20)
 UPDATES = SETTINGS.updates(100)
 MODEL = {"model_hidden": (8,), "model_weight_decay": (), "members": 3, "elites": 2, "model_epochs": 2, "model_train_freq": 20}
 OWN = {
-    "cal_ql": {"critic_hidden": (8,), "samples": 2}, "d4pg": {"critic_hidden": (8, 8), "n_step": 3}, "rlpd": {"critics": 3, "policy_freq": 2},
+    "cal_ql": {"critic_hidden": (8,), "samples": 2}, "rlpd": {"critics": 3, "policy_freq": 2},
+    "d4pg": {"critic_hidden": (8, 8), "n_step": 3},
     "mbpo": {"rollouts_per_step": 3, "retain_steps": 40},
     "slbo": {"members": 1, "elites": 1, "rollouts": 2, "rollout_length": 10},
     "pets": {"horizon": 3, "population": 10, "cem_elites": 2, "cem_iterations": 2, "particles": 2},

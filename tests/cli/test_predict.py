@@ -135,4 +135,4 @@ def test_a_policy_without_a_schema(tmp_path, capsys):
     with open(tmp_path / "new.csv", "w", newline="") as file:
         csv.writer(file).writerows([["x"], [1.0]])
     assert main(["predict", str(run.path), str(tmp_path / "new.csv"), "--out", str(tmp_path / "a.csv")]) == 2
-    assert "keeps no schema of its log, because it learned from arrays, online, or under an earlier" in capsys.readouterr().err
+    assert "keeps no schema of its log, because it learned from arrays, pictures, online, or under" in capsys.readouterr().err

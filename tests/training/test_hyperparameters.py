@@ -24,7 +24,7 @@ MADE = {
 # Numbers of any sign.
 FREE = {
     "kappa", "log_ratio_range", "min_gap", "min_target", "multiplier_max", "multiplier_min", "return_range", "reward_shift",
-    "target_entropy", "target_return", "threshold",
+    "target_entropy", "target_return", "threshold", "v_max", "v_min",
 }  # fmt: skip
 
 

@@ -6,7 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from deadreckon.data.batch import TransitionSource
+from deadreckon.data.provenance import Provenance
+from deadreckon.online.rows import replay_log
 from deadreckon.training.program import Plan, advance, draw, layout_of
+from deadreckon.training.sources import source_of
+from tests.agents.test_online_conformance import PENDULUM, SETTINGS, job
 
 FIELDS = {"observation": (2,), "action": (1,), "reward": (), "next_observation": (2,), "terminal": (), "timeout": ()}
 COPIES, ROWS, ROOM, GAMMA = 3, 200, 256, 0.9
@@ -58,3 +63,50 @@ def test_rewards_go_on_as_far_as_the_episode_and_the_rows(rows, lanes, n):
                 assert found[f"{name} {i}"][lane] == pytest.approx(value, abs=1e-5), (name, first, path)
             lengths.add(len(path))
     assert lengths == set(range(1, n + 1))
+
+
+@pytest.fixture(scope="module")
+def acted(tmp_path_factory):
+    """Experience of D4PG with returns of three steps, and where its rows lie."""
+    folder = tmp_path_factory.mktemp("replay")
+    found, experience = job("d4pg", [0], folder=folder)
+    for _ in found.chunks():
+        pass
+    experience.flush()
+    return experience, folder / "0.bin"
+
+
+def test_what_is_learned_from_while_acting_is_what_the_log_of_it_gives(acted):
+    experience, path = acted
+    count, root = experience.count, jax.random.key(2)
+    plan = source_of(experience, root[None], 10, None).plan
+    assert (plan.n_step, plan.stride) == (3, SETTINGS.copies)
+    log = replay_log(path, PENDULUM, SETTINGS.copies, count, name="r", provenance=Provenance())
+    source = TransitionSource(log, experience.needs)
+    learner, at = jax.tree.map(lambda leaf: jnp.stack([leaf]), Telling()), jnp.asarray(0)
+    data = {"packed": experience.replay.buffer}
+    _, found, _ = advance(learner, plan, jnp.zeros(1), data, None, root[None], at, at + 1, jnp.asarray(count))
+    index = np.asarray(draw(plan, root, at, jnp.asarray(count)))
+    each = count // SETTINGS.copies  # rows of a copy, which lie one after the other in the log
+    rows = source.take(index % SETTINGS.copies * each + index // SETTINGS.copies)
+    assert len(np.unique(np.round(rows["reward"], 3))) > 2  # episodes end on the way
+    for name in ("reward", "discount"):
+        np.testing.assert_allclose([found[f"{name} {i}"][0] for i in range(len(index))], rows[name], atol=1e-5)
+    nexts = [found[f"next_observation {i}"][0] for i in range(len(index))]
+    np.testing.assert_allclose(nexts, rows["next_observation"][:, 0], atol=1e-5)
+
+
+def test_an_episode_that_could_not_be_taken_up_again_ends_in_its_last_row(acted, monkeypatch):
+    experience, path = acted
+    state, restore = experience.state(), experience.simulator.restore
+    monkeypatch.setattr(experience.simulator, "restore", lambda state: (restore(state), np.array([1]))[1])
+    last = experience.count - SETTINGS.copies
+    before = np.asarray(experience.replay.buffer)[0, : experience.count]
+    with pytest.warns(UserWarning, match="1 episodes begin anew"):
+        experience.restore(state)
+    after = np.asarray(experience.replay.buffer)[0, : experience.count]
+    changed = np.argwhere(before != after).tolist()
+    assert changed == ([[last + 1, before.shape[1] - 1]] if not before[last + 1, -2:].any() else [])
+    kept = np.fromfile(path, np.float32).reshape(-1, before.shape[1])
+    np.testing.assert_array_equal(kept[last + 1, -2:], after[last + 1, -2:])
+    assert after[last + 1, -2:].any()

@@ -18,6 +18,8 @@ from deadreckon.nets.encoder import Encoder, shifted
 from deadreckon.policies import portable, store
 from deadreckon.policies.deployed import Mixture, deployed
 from deadreckon.randomness import keys
+from deadreckon.runs import diagnostics
+from deadreckon.runs.diagnostics import LogProbe
 from deadreckon.runs.settings import TrainSettings
 from deadreckon.training import sources
 from deadreckon.training.fit import Fit, complete
@@ -225,3 +227,16 @@ def test_what_is_refused(tmp_path):
         policy(np.zeros((16, 16, 3), np.float32))
     with pytest.raises(UserError, match=r"got uint8 of shape \(3, 16, 15, 3\)"):
         policy(np.zeros((3, 16, 15, 3), np.uint8))
+
+
+def test_the_distance_to_the_log_is_of_actions_alone(monkeypatch):
+    """Pixels would outweigh them: a policy that did something else was at a distance of 0.000."""
+    log = log_of_spots(400)
+    probe, done = LogProbe(log), {seen.tobytes(): action for seen, action in zip(log.observations, log.actions)}
+    copied = np.stack([done[seen.tobytes()] for seen in probe.observations])
+    found = []
+    for actions in (copied, np.full_like(copied, 0.9)):
+        monkeypatch.setattr(diagnostics, "first_actions", lambda *given, actions=actions: actions)
+        found.append(probe(None)["mmd_to_data"])  # pyright: ignore[reportArgumentType]
+    assert found[0] < 0.05
+    assert found[1] > 0.5

@@ -24,7 +24,7 @@ from deadreckon.nets.optim import apply_gradients, clip_by_norm, copy, init_opt,
 from deadreckon.nets.return_distributions import cross_entropy, mean, project, support
 from deadreckon.policies.kinds import Deterministic
 from deadreckon.randomness import keys
-from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Range, Sizes, UnitInterval, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Number, Positive, Range, Sizes, UnitInterval, static
 
 SMALL = 0.01  # of the actor's last weights: it begins near the middle of its actions
 
@@ -54,8 +54,8 @@ class D4PG(Agent):
     critic_lr: NonNegative = 1e-4  # learning rate of the critic
     discount: UnitInterval = 0.99  # discount factor per step
     n_step: Count = static(1)  # rewards summed before the value that follows (published for learning online: 5)
-    v_min: float = -150.0  # smallest return that has a probability
-    v_max: float = 150.0  # largest return that has a probability
+    v_min: Number = -150.0  # smallest return that has a probability
+    v_max: Number = 150.0  # largest return that has a probability
     atoms: Annotated[int, Range(ge=2)] = static(51)  # number of returns that have a probability
     target_update_period: Count = static(100)  # updates between copies of the networks to their targets
     max_grad_norm: Positive = 40.0  # norm above which the gradients of a network are clipped
@@ -65,9 +65,10 @@ class D4PG(Agent):
 
     def resolve(self, spec, steps):
         """See `Agent.resolve`; the returns that have a probability must be a range."""
+        agent = super().resolve(spec, steps)
         if not self.v_min < self.v_max:
             raise UserError(f"{type(self).__name__}: v_min must be below v_max, got {self.v_min} and {self.v_max}")
-        return super().resolve(spec, steps)
+        return agent
 
     def needs(self, spec):
         """Rows of `n_step` transitions, with what multiplies the value behind them."""
@@ -102,11 +103,11 @@ class D4PG(Agent):
     def actor_loss(self, actor: LayerNormMLP, critic: LayerNormMLP, batch: Batch) -> Float[Array, ""]:
         """1/2 |a + g - a|^2 with a = pi(s) and a + g without a slope: its slope is -g, the critic's, of length one at most."""
         action = jnp.tanh(actor(batch.observation))
+        fixed = jax.lax.stop_gradient(action)
         value = lambda a: mean(logits(critic, batch.observation, a), self.support).sum()  # noqa: E731
-        slope = jax.grad(value)(action)
+        slope = jax.grad(value)(fixed)
         length = jnp.linalg.norm(slope, axis=-1, keepdims=True)
-        goal = jax.lax.stop_gradient(action + slope / jnp.maximum(length, 1.0))
-        return 0.5 * jnp.square(goal - action).sum(-1).mean()
+        return 0.5 * jnp.square(fixed + slope / jnp.maximum(length, 1.0) - action).sum(-1).mean()
 
     def update(self, state, batch, *, step, key):
         """Critic, actor, and at the end of every period the targets."""

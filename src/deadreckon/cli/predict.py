@@ -54,8 +54,8 @@ def predict(args: Sequence[str]) -> None:
     policy = predictor(found.file, options.table)
     if policy.encoder.schema is None:
         raise UserError(
-            f"{found.words} keeps no schema of its log, because it learned from arrays, online, or under an earlier version: "
-            "train it again from the table, or give arrays to its policy in Python"
+            f"{found.words} keeps no schema of its log, because it learned from arrays, pictures, online, or under an earlier "
+            "version: train it again from a table, or give arrays or pictures to its policy in Python"
         )
     ways = {key: value for key, value in vars(options.file).items() if value is not None}
     table, told = read_rows(options.table, Schema.from_json(policy.encoder.schema, str(found.file)), **ways)

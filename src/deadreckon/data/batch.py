@@ -65,6 +65,11 @@ class BatchSpec:
     standardise: bool = False
     gamma: float = 0.99
 
+    @property
+    def sums(self) -> bool:
+        """Whether rows that grow are summed up over `n_step` transitions when they are drawn (`training.program.summed`)."""
+        return "discount" in self.columns
+
 
 def redrawn(count: int, members: int, seed: int) -> np.ndarray:
     """(count, members) how often each of `count` things counts for each member of an ensemble: redrawn with replacement.

@@ -96,13 +96,13 @@ class Exploration:
         shape = task.observation_shape
         self.columns = row_columns(task)
         # Transitions of several steps are summed up when they are drawn, as far as their episodes go on.
-        sums = "discount" in needs.columns
+        sums = self._sums and needs.sums
         fields = {name: shape for name, shape in self.columns.items() if sums or name != "timeout"} | self._further(needs)
         # All columns are float32 in the file, which holds the numbers of discrete actions exactly.
         kinds = {"action": np.dtype(np.int32)} if self.spec.discrete else {}
         self.fields = {name: (shape, kinds.get(name, np.dtype(np.float32))) for name, shape in fields.items()}
         plain = (sums or needs.n_step == 1) and not (needs.window or needs.initial)
-        if set(needs.columns) - {*fields, "discount"} or not plain or not self._fits(agent):
+        if set(needs.columns) - {*fields, *(["discount"] * sums)} or not plain or not self._fits(agent):
             raise UserError(f"{type(agent).__name__} does not {self._learning}")
         self.view = Normalizer.of(self.spec, needs.standardise)
         self.block = settings.updates_per_block
@@ -122,6 +122,7 @@ class Exploration:
         self._begin(agent)
 
     _learning = "learn online"  # what an agent that is refused does not
+    _sums = True  # whether it can give transitions of several steps; kinds of experience with other rows say that they cannot
 
     def _spec(self) -> Spec:
         """What methods know before they see rows."""
@@ -236,10 +237,18 @@ class Exploration:
         self.carry = jax.device_put(state["carry"])
         self.replay.restore(int(state["count"]))
         if lost is not None:
-            # Between two blocks of rows, so that no row has a successor of another episode.
             told = "when seed and actions are repeated it shows something else, so it draws from elsewhere"
             warnings.warn(f"{self.task.name}: {told}; {len(lost)} episodes begin anew", stacklevel=2)
+            self._cut(lost)
             self._begin_episodes(lost)
+
+    def _cut(self, lost: np.ndarray) -> None:
+        """Ends the episodes of these copies, counted through all lanes, by a timeout in their last rows."""
+        terminal, timeout = self.replay.width - 2, self.replay.width - 1
+        for lane, copy in zip(*np.divmod(lost, self.copies)) if self.replay.count else ():
+            row = self.replay.count - self.copies + int(copy)
+            if not self.replay.buffer[int(lane), row, terminal]:
+                self.replay.set(int(lane), row, timeout, 1.0)
 
 
 def _where(which: np.ndarray, fresh: Array, now: Array) -> Array:

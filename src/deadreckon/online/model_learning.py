@@ -26,6 +26,7 @@ class ModelLearning(Exploration):
     """
 
     revision: ClassVar[int] = 1
+    _sums = False
 
     def _begin(self, agent: OnlineModelBasedAgent) -> None:
         block = self.settings.block

@@ -19,6 +19,7 @@ class OnPolicy(Exploration):
     """
 
     revision: ClassVar[int] = 1
+    _sums = False
 
     def _begin(self, agent: Any) -> None:
         self.fields = learned_fields(agent, self.columns)

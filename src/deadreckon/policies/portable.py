@@ -146,7 +146,8 @@ class NumpyPolicy:
             if legal is not None:
                 raise ValueError("legal actions are the end of flat observations; this policy sees pictures: leave legal out")
             return self._on_pictures(self.behind, np.asarray(observations), rng, greedy)
-        x = np.asarray(observations, np.float32)
+        sees = bool(self.members) and self.members[0].rank > 1  # a mixture's pictures stay as they are
+        x = np.asarray(observations, None if sees else np.float32)
         x = x if legal is None else np.concatenate([x, np.asarray(legal, np.float32)], -1)
         if self.member is not None:
             return self._on_history(self.member, x, rng, greedy, first)

@@ -14,8 +14,10 @@ def features(node, arrays, pictures):
     """(n, features) float32 of (n, height, width, channels) pictures, numbers from 0 to 255.
 
     `node` is the encoder's part of a policy's tree, and `arrays` those of its file. ValueError where pictures are of another
-    shape.
+    shape, or not of uint8.
     """
+    if pictures.dtype != np.uint8:
+        raise ValueError(f"this policy sees pictures of uint8, numbers from 0 to 255, got {pictures.dtype}")
     shape = tuple(node["shape"])
     if pictures.shape[1:] != shape:
         raise ValueError(f"this policy sees pictures of shape {shape}, got {pictures.shape[1:]}")

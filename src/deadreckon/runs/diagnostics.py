@@ -16,7 +16,7 @@ from deadreckon.policies.deployed import EnvPolicy, first_actions
 from deadreckon.runs.evaluate import action_key
 from deadreckon.stats.interval import ALPHA
 from deadreckon.tasks.task import Task
-from deadreckon.training.pictures import Seen
+from deadreckon.training.pictures import Seen, of_pictures
 
 SAMPLE = 1024  # logged rows that policies are compared on
 
@@ -40,7 +40,8 @@ class LogProbe:
 
     `mmd_to_data`: two-sample MMD between (state, logged action) and (state, policy's action), states standardised, actions
     in [-1, 1], the kernel's variance the median squared distance; two disjoint halves of the sample, so that a perfect
-    copy gives about zero. `outside_range`: share of the policy's actions beyond the range of the log in some dimension.
+    copy gives about zero. Of pictures actions alone are compared: thousands of pixels would outweigh them.
+    `outside_range`: share of the policy's actions beyond the range of the log in some dimension.
     """
 
     def __init__(self, log: Dataset, seed: int = 0):
@@ -50,7 +51,8 @@ class LogProbe:
         self.observations = np.asarray(log.observations[rows])
         statistics = log.spec.observation
         states = (self.observations - statistics.mean) / (statistics.std + 1e-6)
-        self.states = states.reshape(len(rows), -1).astype(np.float32)
+        states = states.reshape(len(rows), -1).astype(np.float32)
+        self.states = states[:, :0] if of_pictures(log.spec) else states
         self.range = log.spec.actions.min - 1e-5, log.spec.actions.max + 1e-5
         self.discrete = log.spec.action.size if log.spec.discrete else 0
         self.half = half = len(rows) // 2

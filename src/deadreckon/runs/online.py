@@ -98,6 +98,9 @@ def _train_online(
     start: Start | None,
 ) -> Run:  # fmt: skip
     """The run in `folder`, of one agent a seed."""
+    if len(task.observation_shape) != 1:
+        shown = "pictures" if task.observation_dtype == "uint8" else "observations"
+        raise UserError(f"{task.name} shows {shown} of shape {task.observation_shape}; learning online needs flat observations")
     turns = asked.settings or turns_of(type(lanes[0]), task.name, start is not None)
     trackers = trackers_of(asked.track, 1)
     updates = turns.updates(steps)

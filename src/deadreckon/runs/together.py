@@ -164,7 +164,10 @@ def _configs(one: _Learned, seeds: int, lanes: int) -> list[dict[str, Any]]:
 
 def _shift(one: _Learned, asked: int | None) -> int:
     """Pixels by which pictures of a log are moved."""
+    height = min(one.log.spec.observation_shape[:2])
     if asked is not None:
+        if asked > height // 2:
+            raise UserError(f"shift must be at most half of a picture, {height // 2} of {height} pixels, got {asked}")
         return asked
     stem = one.log.name.partition("@")[0]
     task = one.judge or of_log(stem)

@@ -49,7 +49,10 @@ class Control(Task):
     @property
     def versions(self) -> dict[str, str]:
         """See `Task.versions`."""
-        return {"dm_control": metadata.version("dm_control")}
+        try:
+            return {"dm_control": metadata.version("dm_control")}
+        except metadata.PackageNotFoundError:
+            return {}
 
     def environment(self) -> Any:
         """The package's own environment, such as `dm_control.suite.load` gives.
@@ -75,13 +78,13 @@ class ControlSimulator(MujocoCopies):
     task: Control
 
     def __init__(self, task: Control, seeds: Sequence[int], threads: int | None = None):
-        self._drawn = task.environment()  # in which episodes are drawn
+        self._drawn = task.environment()  # in which episodes are drawn, and the copies of the first thread are measured
         self._of: dict[int, Any] = {}  # an environment of each thread's data: what measures it
         model, steps = self._drawn.physics.model, self._drawn.control_timestep() / self._drawn.physics.timestep()
         self._rows = [(field, model.name2id(name, field.partition("_")[0])) for field, name in task.moved]
         super().__init__(task, model.ptr, seeds, threads, frame_skip=round(steps))
         for i in range(len(self._data)):
-            own = task.environment()
+            own = task.environment() if i else self._drawn
             with own.physics.reset_context():
                 own.task.initialize_episode(own.physics)  # which sets some constants of the model, too
             self._models[i], self._data[i] = own.physics.model.ptr, own.physics.data.ptr
@@ -179,15 +182,15 @@ def _variable(name: str, value: str) -> Iterator[None]:
 
 # What uniform actions earn is measured, see `python -m deadreckon.collect.references`. A step pays 1 at most.
 _UNIFORM = {
-    "cartpole-swingup": 0.0,
-    "cheetah-run": 0.0,
-    "finger-turn-hard": 0.0,
-    "fish-swim": 0.0,
-    "humanoid-run": 0.0,
-    "manipulator-insert-ball": 0.0,
-    "manipulator-insert-peg": 0.0,
-    "walker-stand": 0.0,
-    "walker-walk": 0.0,
+    "cartpole-swingup": 30.2425,
+    "cheetah-run": 4.0459,
+    "finger-turn-hard": 83.51,
+    "fish-swim": 77.3035,
+    "humanoid-run": 0.7783,
+    "manipulator-insert-ball": 47.399,
+    "manipulator-insert-peg": 40.6817,
+    "walker-stand": 130.7953,
+    "walker-walk": 32.2342,
 }
 
 

@@ -8,7 +8,7 @@ import ctypes
 import dataclasses
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -66,6 +66,11 @@ class Pixels(Task):
     def shown(self, simulator: Any, observations: np.ndarray, which: np.ndarray) -> np.ndarray:
         """See `Task.shown`: what the task itself would show."""
         return self.base.shown(simulator.base, simulator.seen, which)
+
+    @property
+    def versions(self) -> Mapping[str, str]:
+        """See `Task.versions`."""
+        return self.base.versions
 
     @property
     def logs_pay_alike(self) -> bool:

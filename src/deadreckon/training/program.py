@@ -119,7 +119,9 @@ def batch_of(plan: Plan, taken: dict[str, Array], initial: dict[str, Array] | No
 
 
 def summed(batch: Batch, inside: Bool[Array, "b n"], gamma: float) -> Batch:
-    """Transitions that follow each other as one of n steps, or of fewer where an episode ends; see `Batch`.
+    """Transitions that follow each other as one of n steps, or of fewer where an episode or what there is ends; see `Batch`.
+
+    What comes out has the six columns of a transition and its discount alone.
 
     Args:
         batch: (b, n, ...) transitions, with the column "timeout" in `extra`.
@@ -171,7 +173,7 @@ def advance(
         data = {name: column.reshape(column.shape[1:]) for name, column in data.items()}
 
     def one(learner: Any, state: Any, root: PRNGKeyArray, fetched: Any, span: Any, step: Array) -> tuple[Any, dict[str, Array]]:
-        inside = jnp.ones((1, 1), bool)
+        inside = jnp.ones((plan.batch_size, max(plan.n_step, 1)), bool)
         if plan.resident:
             first, count = (0, rows) if span is None else span
             index = first + draw(plan, root, step, count)

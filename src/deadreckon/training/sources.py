@@ -221,7 +221,7 @@ def source_of(
     if isinstance(rows, Experience):
         shape = needs.batch_size, needs.window, needs.initial
         plan = Plan(layout, *shape, resident=True, grows=True, logged=rows.logged)
-        if "discount" in needs.columns:
+        if needs.sums:
             plan = plan._replace(n_step=needs.n_step, stride=rows.copies, gamma=needs.gamma)
         return Growing(rows, plan, roots)
     resident = not stream if stream is not None else _fits(rows.nbytes)
