@@ -359,7 +359,7 @@ def test_rows_without_the_legal_actions_or_without_any_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda inner, arrays: inner.update(net="none"), r"inner.net must be of the kind MLP or of the kind LayerNormMLP, got 'none'"),
+        (lambda inner, arrays: inner.update(net="none"), r"inner.net must be of the kind MLP or of the kind Lay.*, got 'none'"),
         (lambda inner, arrays: inner["net"].update(activation="cube"), "activation must be |do not fit together.*cube"),
         (lambda inner, arrays: inner["net"].update(weights=None), "weights"),
         (lambda inner, arrays: arrays.update({inner["net"]["weights"][0][1:]: np.zeros((5, 7), "f4")}), "do not fit together"),
