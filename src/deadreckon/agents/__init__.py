@@ -244,9 +244,7 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str):
-    if name == "Agent":
-        return importlib.import_module("deadreckon.agents.agent").Agent
-    for module, attribute, _ in AGENTS.values():
+    for module, attribute, _ in (("agent", "Agent", ""), *AGENTS.values()):
         if attribute == name:
             return getattr(importlib.import_module(f"deadreckon.agents.{module}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
