@@ -1825,6 +1825,31 @@ MUTANTS = (
         ("training/test_pictures.py",),
     ),
     Mutant(
+        "n-step-over-timeouts", "training/program.py", 'over = (batch.terminal + batch.extra["timeout"] > 0)[:, :-1]',
+        "over = (batch.terminal > 0)[:, :-1]", "sums of rewards cross timeouts", ("training/test_n_step.py",),
+    ),
+    Mutant(
+        "n-step-other-copies", "training/sources.py", "stride=rows.copies", "stride=1",
+        "sums of rewards mix copies of the environment", ("training/test_n_step.py",),
+    ),
+    Mutant(
+        "n-step-lost-episodes", "online/exploration.py", "            self._cut(lost)\n", "",
+        "an episode that is lost on resuming does not end", ("training/test_n_step.py",),
+    ),
+    Mutant(
+        "d4pg-slope-uncut", "agents/d4pg.py", "slope / jnp.maximum(length, 1.0)", "slope / length",
+        "every slope of D4PG's critic has length one", ("agents/test_d4pg.py",),
+    ),
+    Mutant(
+        "targets-renewed-late", "nets/optim.py", "(step + 1) % period == 0", "step % period == 0",
+        "target networks are copied an update late", ("agents/test_d4pg.py",),
+    ),
+    Mutant(
+        "control-old-positions", "tasks/control.py",
+        "        self._mujoco.mj_step1(own.physics.model.ptr, data)  # dm_control measures where the state is\n", "",
+        "dm_control's tasks observe where bodies were a physics step ago", ("tasks/test_control.py",),
+    ),
+    Mutant(
         "pictures-moved-roads", "runs/together.py", "(task is not None and task.places_matter)", "False",
         "pictures of roads are moved at random", ("tasks/test_pixels.py",),
     ),
