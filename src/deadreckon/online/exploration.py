@@ -22,7 +22,7 @@ from deadreckon.online.rows import row_columns, row_width, unpacked
 from deadreckon.online.turns import Online
 from deadreckon.randomness import key_for, sequence
 from deadreckon.tasks.task import Task
-from deadreckon.training.replay import Replay
+from deadreckon.training.replay import Replay, read_rows
 
 
 @eqx.filter_jit
@@ -235,19 +235,20 @@ class Exploration:
         lost = self.simulator.restore(state["simulator"])
         self.seen = np.array(state["seen"])
         self.carry = jax.device_put(state["carry"])
+        if lost is not None:
+            self._cut(lost, int(state["count"]))
         self.replay.restore(int(state["count"]))
         if lost is not None:
             told = "when seed and actions are repeated it shows something else, so it draws from elsewhere"
             warnings.warn(f"{self.task.name}: {told}; {len(lost)} episodes begin anew", stacklevel=2)
-            self._cut(lost)
             self._begin_episodes(lost)
 
-    def _cut(self, lost: np.ndarray) -> None:
-        """Ends the episodes of these copies, counted through all lanes, by a timeout in their last rows."""
+    def _cut(self, lost: np.ndarray, count: int) -> None:
+        """Ends the episodes of these copies, counted through all lanes, by a timeout in their last rows in the files."""
         terminal, timeout = self.replay.width - 2, self.replay.width - 1
-        for lane, copy in zip(*np.divmod(lost, self.copies)) if self.replay.count else ():
-            row = self.replay.count - self.copies + int(copy)
-            if not self.replay.buffer[int(lane), row, terminal]:
+        for lane, copy in zip(*np.divmod(lost, self.copies)) if count else ():
+            row = count - self.copies + int(copy)
+            if not read_rows(self.paths[lane], self.replay.width, count)[row, terminal]:
                 self.replay.set(int(lane), row, timeout, 1.0)
 
 
