@@ -1,8 +1,10 @@
-"""Things of users, named `module:attribute`."""
+"""Things of users, named `module:attribute`, and packages that go by variables of the environment."""
 
+import contextlib
 import importlib
 import os
 import sys
+from collections.abc import Iterator
 from typing import Any
 
 from deadreckon.errors import UserError
@@ -33,3 +35,17 @@ def imported(path: str, what: str, form: str) -> Any:
         article = "an" if what[0] in "aeiou" else "a"
         raise UserError(f"{what} {path}: {what_of}; {article} {what} of your own is named module:{form}") from error
     return getattr(found, attribute, None)
+
+
+@contextlib.contextmanager
+def environment_variable(name: str, value: str) -> Iterator[None]:
+    """A variable of the environment meanwhile, for packages that look there alone."""
+    before = os.environ.get(name)
+    os.environ[name] = value
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[name]
+        else:
+            os.environ[name] = before

@@ -4,11 +4,9 @@ Bodies, starts, observations and rewards are the package's own code, called copy
 numbers are those that its environments would have. Observations are its entries in its order, flat. Episodes only time out.
 """
 
-import contextlib
 import importlib
 import importlib.util
-import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import metadata
@@ -18,6 +16,7 @@ import numpy as np
 
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
+from deadreckon.imports import environment_variable
 from deadreckon.tasks.copies import MujocoCopies, bindings
 from deadreckon.tasks.task import Reference, Task
 
@@ -160,22 +159,8 @@ def _flat(observation: Any) -> np.ndarray:
 def _suite() -> Any:
     """The module `dm_control.suite`, without its own rendering, which would open OpenGL: pictures are drawn by `mujoco`."""
     bindings()  # looks for an OpenGL where the variable says, and only once
-    with _variable("MUJOCO_GL", "disable"):
+    with environment_variable("MUJOCO_GL", "disable"):
         return importlib.import_module("dm_control.suite")
-
-
-@contextlib.contextmanager
-def _variable(name: str, value: str) -> Iterator[None]:
-    """An environment variable for a while."""
-    before = os.environ.get(name)
-    os.environ[name] = value
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[name]
-        else:
-            os.environ[name] = before
 
 
 # ---- the tasks ----------------------------------------------------------------------------------------------------------

@@ -1,10 +1,8 @@
 """Minari data sets: read from a folder or by id, and written, under `MINARI_DATASETS_PATH`."""
 
-import contextlib
 import os
 import shutil
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 
 from deadreckon.data.dataset import Dataset
@@ -18,6 +16,7 @@ from deadreckon.errors import UserError, naming
 from deadreckon.files import alone, read_json
 from deadreckon.foreign.child import read_apart
 from deadreckon.foreign.door import file_size
+from deadreckon.imports import environment_variable
 from deadreckon.names import safe_name
 from deadreckon.temporaries import beside, put, recover
 
@@ -96,7 +95,8 @@ def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
     try:
         root().mkdir(parents=True, exist_ok=True)
         with alone(target, what=str(target)), beside(root() / target.name, folder=True) as scratch:
-            with _root_is(str(scratch)), warnings.catch_warnings():
+            # So that a data set appears in Minari's real root only when complete.
+            with environment_variable(ROOT, str(scratch)), warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # that there is no author, code link, ...
                 made = create_dataset_from_buffers(
                     dataset_id,
@@ -118,20 +118,6 @@ def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
     except (OSError, ValueError) as error:
         raise UserError(f"cannot write {target}: {' '.join(str(error).split())}") from error
     return target
-
-
-@contextlib.contextmanager
-def _root_is(folder: str) -> Iterator[None]:
-    """Minari writes below `folder` meanwhile, so that a data set appears in its real root only when complete."""
-    before = os.environ.get(ROOT)
-    os.environ[ROOT] = folder
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[ROOT]
-        else:
-            os.environ[ROOT] = before
 
 
 def _size(folder: Path) -> int:
