@@ -1833,7 +1833,7 @@ MUTANTS = (
         "sums of rewards mix copies of the environment", ("training/test_n_step.py",),
     ),
     Mutant(
-        "n-step-lost-episodes", "online/exploration.py", '            self._cut(lost, int(state["count"]))\n', "",
+        "n-step-lost-episodes", "online/exploration.py", 'self._cut(lost, int(state["count"]))', "pass",
         "an episode that is lost on resuming does not end", ("training/test_n_step.py",),
     ),
     Mutant(
