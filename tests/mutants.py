@@ -237,7 +237,7 @@ MUTANTS = (
         ),
     ),
     Mutant(
-        "awr-window-mask", "agents/awr.py", "[batch.mask[:, 1:], jnp.zeros_like(batch.mask[:, :1])]",
+        "awr-window-mask", "agents/agent.py", "[batch.mask[:, 1:], jnp.zeros_like(batch.mask[:, :1])]",
         "[batch.mask[:, :-1], jnp.zeros_like(batch.mask[:, :1])]", "advantages come from rows beyond an episode's end",
         ("agents/test_rivals.py::test_awr_returns_are_td_lambda_within_episode_and_window",),
     ),
@@ -1843,6 +1843,26 @@ MUTANTS = (
     Mutant(
         "targets-renewed-late", "nets/optim.py", "(step + 1) % period == 0", "step % period == 0",
         "target networks are copied an update late", ("agents/test_d4pg.py",),
+    ),
+    Mutant(
+        "crr-d-present-policy", "agents/d4pg.py", "self.actions(state.target_actor,", "self.actions(state.actor,",
+        "targets value what the present policy does, not its copy", ("agents/test_d4pg.py",),
+    ),
+    Mutant(
+        "crr-d-best-draw", "agents/crr_d.py", "self.support).mean(0)", "self.support).max(0)",
+        "an action has to be better than the best of the policy's draws", ("agents/test_d4pg.py",),
+    ),
+    Mutant(
+        "abm-worse-rows", "agents/abm.py", "following) > 0 if", "following) < 0 if",
+        "the prior imitates what turned out badly", ("agents/test_abm.py",),
+    ),
+    Mutant(
+        "abm-dual-of-sums", "agents/abm.py", " - jnp.log(len(values))", "",
+        "the dual of ABM sums over draws where it should average", ("agents/test_abm.py",),
+    ),
+    Mutant(
+        "control-episodes-mixed", "online/rows.py", "chosen // copies * horizon * copies + chosen % copies",
+        "chosen * horizon", "episodes of a log are put together from several copies", ("collect/test_collect_control.py",),
     ),
     Mutant(
         "control-old-positions", "tasks/control.py",

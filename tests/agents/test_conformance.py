@@ -223,6 +223,8 @@ LEARNERS = {
     "xql": (0.35, {"loss_temperature": 0.3, "beta": 10.0, "actor_decay_steps": 1500.0}),
     "awac": (0.35, {"temperature": 0.1}),
     "crr": (0.35, {}),
+    "crr_d": (0.35, {"v_min": -12.0, "v_max": 2.0, "atoms": 51, "temperature": 0.1}),
+    "abm": (0.35, {"window": 4, "samples": 10, "epsilon": 0.5, "prior_lr": 1e-3, "target_update_period": 25}),
     "rebrac": (0.35, {"actor_penalty": 0.05, "critic_penalty": 0.05}),
     "cql": (0.35, {"temperature": 0.01, "cql_weight": 0.1}),
     "sac_n": (0.25, {"temperature": 0.01, "critics": 4}),

@@ -1,15 +1,15 @@
-"""D4PG against numpy written from the papers, on fixed numbers; what it learns is in the conformance tests."""
+"""D4PG and CRR-D against numpy written from the papers, on fixed numbers; what it learns is in the conformance tests."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from deadreckon.agents import D4PG
+from deadreckon.agents import CRRD, D4PG
 from deadreckon.data.batch import Batch
 from deadreckon.errors import UserError
 from deadreckon.nets.return_distributions import mean, project
-from tests.agents.test_offline import SPEC
+from tests.agents.test_offline import KEY, SPEC, both_likelihoods, drawn_actions, logged_log_prob
 from tests.agents.tiny import LOG
 
 SETTINGS = {"hidden": (8, 6), "critic_hidden": (7, 5), "atoms": 11, "v_min": -2.0, "v_max": 2.0, "batch_size": 6}
@@ -76,7 +76,7 @@ def test_the_target_is_the_projected_distribution_of_the_target_networks(learner
     action = np.tanh(forward(state.target_actor, after))
     future = softmax(forward(state.target_critic, np.concatenate([after, action], -1)))
     by_hand = shared_by_nearness(future, np.asarray(batch.reward), np.asarray(batch.discount), atoms)
-    found = agent.target(state, batch)
+    found = agent.target(state, batch, KEY)
     np.testing.assert_allclose(found, by_hand, atol=2e-5)
     np.testing.assert_allclose(found.sum(-1), 1.0, atol=1e-5)
     ended = np.asarray(batch.discount) == 0.0  # all of it lies at the reward then
@@ -94,7 +94,7 @@ def test_a_projection_keeps_the_mean_of_what_fits_between_the_atoms():
 
 def test_the_critics_loss_is_the_cross_entropy_to_it(learner, batch):
     agent, state = learner
-    target = agent.target(state, batch)
+    target = agent.target(state, batch, KEY)
     loss, metrics = agent.critic_loss(state.critic, batch, target)
     chances = softmax(forward(state.critic, np.concatenate([batch.observation, batch.action], -1)))
     assert loss == pytest.approx(-(np.asarray(target) * np.log(chances)).sum(-1).mean(), rel=1e-5)
@@ -118,10 +118,38 @@ def test_the_actor_follows_the_critics_slope_cut_to_length_one(learner, batch):
     assert length.max() > 1.5
     assert length.min() < 1.0
     cut = slope / np.maximum(length, 1.0)
-    assert agent.actor_loss(state.actor, critic, batch) == pytest.approx(0.5 * np.square(cut).sum(-1).mean(), rel=1e-3)
+    assert agent.actor_loss(state.actor, critic, batch, KEY) == pytest.approx(0.5 * np.square(cut).sum(-1).mean(), rel=1e-3)
     # By the biases of the last layer the action's slope is 1 - tanh^2.
-    found = jax.grad(agent.actor_loss)(state.actor, critic, batch).biases[-1]
+    found = jax.grad(agent.actor_loss)(state.actor, critic, batch, KEY).biases[-1]
     np.testing.assert_allclose(found, -(cut * (1 - action**2)).mean(0), rtol=2e-3, atol=1e-5)
+
+
+@both_likelihoods
+@pytest.mark.parametrize("by", ["exp", "binary"])
+def test_crr_d_imitates_by_the_advantage_of_expected_returns(batch, likelihood, by):
+    fields = SETTINGS | {"hidden": (8,), "filter": by, "likelihood": likelihood, "temperature": 0.02, "max_weight": 2.5}
+    agent = CRRD(**fields, samples=3).resolve(SPEC, 10)
+    state = agent.init(SPEC, jax.random.key(0))
+    state = state._replace(critic=jax.tree.map(lambda w: 2.0 * w, state.critic))
+    atoms, seen = np.linspace(-2.0, 2.0, 11), np.asarray(batch.observation, np.float64)
+    expected = lambda a: (softmax(forward(state.critic, np.concatenate([seen, a], -1))) * atoms).sum(-1)  # noqa: E731
+    drawn = drawn_actions(state.actor, seen, jax.random.normal(KEY, (3, 6, batch.action.shape[-1])))
+    advantage = expected(np.asarray(batch.action)) - np.mean([expected(a) for a in drawn], 0)
+    assert 0 < (advantage > 0).sum() < 6
+    weight = advantage > 0 if by == "binary" else np.minimum(np.exp(advantage / 0.02), 2.5)
+    loss = -(weight * logged_log_prob(state.actor, batch)).mean()
+    assert agent.actor_loss(state.actor, state.critic, batch, KEY) == pytest.approx(loss, rel=1e-3)
+
+
+def test_crr_d_values_draws_of_a_copy_of_the_policy(batch):
+    agent = CRRD(**SETTINGS | {"hidden": (8,)}).resolve(SPEC, 10)
+    state = agent.init(SPEC, jax.random.key(0))
+    state = state._replace(target_actor=jax.tree.map(lambda w: w + 0.2, state.target_actor))
+    after = np.asarray(batch.next_observation, np.float64)
+    action = drawn_actions(state.target_actor, after, jax.random.normal(KEY, batch.action.shape))
+    future = softmax(forward(state.target_critic, np.concatenate([after, action], -1)))
+    by_hand = shared_by_nearness(future, np.asarray(batch.reward), np.asarray(batch.discount), np.linspace(-2.0, 2.0, 11))
+    np.testing.assert_allclose(agent.target(state, batch, KEY), by_hand, atol=2e-5)
 
 
 def test_targets_are_copied_at_the_end_of_every_period_and_rest_in_between(learner, batch):

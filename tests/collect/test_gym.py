@@ -9,7 +9,7 @@ import pytest
 import deadreckon as dr
 from deadreckon.bench.jobs import Job
 from deadreckon.bench.work import source
-from deadreckon.collect import gym, recipe, recipe_names
+from deadreckon.collect import gym, recipe, recipe_names, trained
 from deadreckon.collect.recipes import default_path
 from deadreckon.errors import UserError
 from deadreckon.files import alone
@@ -81,7 +81,7 @@ def test_medium_replay_trains_again_and_goes_on_after_a_kill(monkeypatch, tmp_pa
         "agent": run["agent"] | {"hidden": [8, 8], "batch_size": 16},
         "online": run["online"] | {"explore": 128, "updates_per_step": 0.25},
     }
-    monkeypatch.setattr(gym, "CHUNK", 32)
+    monkeypatch.setattr(trained, "CHUNK", 32)
     monkeypatch.setattr(library, "about", lambda name: about | {"run": small})
     found = recipe("hopper-medium-replay-v2")
 

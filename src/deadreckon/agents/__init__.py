@@ -3,18 +3,16 @@
 Agents of other packages are known by `module:Class`, or by the name of an entry point in the group `deadreckon.agents`.
 """
 
-import functools
 import importlib
 import importlib.metadata
-import importlib.resources
-import json
-import re
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from deadreckon.agents.published import agent_key, preset, preset_for, presets, space
 from deadreckon.errors import UserError, unknown
 from deadreckon.imports import imported
 
 if TYPE_CHECKING:
+    from deadreckon.agents.abm import ABM
     from deadreckon.agents.agent import Agent
     from deadreckon.agents.algae_dice import AlgaeDICE
     from deadreckon.agents.awac import AWAC
@@ -28,6 +26,7 @@ if TYPE_CHECKING:
     from deadreckon.agents.combo import COMBO
     from deadreckon.agents.cql import CQL
     from deadreckon.agents.crr import CRR
+    from deadreckon.agents.crr_d import CRRD
     from deadreckon.agents.d4pg import D4PG
     from deadreckon.agents.dapg import DAPG
     from deadreckon.agents.decision_transformer import DecisionTransformer
@@ -76,6 +75,8 @@ AGENTS = {
     "xql": ("xql", "XQL", "IQL with a soft maximum by Gumbel regression (Garg et al. 2023)"),
     "awac": ("awac", "AWAC", "imitation weighted by how much better than the policy an action is (Nair et al. 2020)"),
     "crr": ("crr", "CRR", "imitation of the logged actions that are better than the policy's (Wang et al. 2020)"),
+    "crr_d": ("crr_d", "CRRD", "CRR with a critic of return distributions, as in RL Unplugged (Wang et al. 2020)"),
+    "abm": ("abm", "ABM", "a policy near a model of what turned out well in the log (Siegel et al. 2020)"),
     "rebrac": ("rebrac", "ReBRAC", "TD3+BC with penalties for actor and critics, normalised critics (Tarasov et al. 2023)"),
     "cql": ("cql", "CQL", "SAC with critics held down on unseen actions (Kumar et al. 2020; thesis 7.4)"),
     "cal_ql": ("cal_ql", "CalQL", "CQL with values no lower than logged returns, to go on online (Nakamoto et al. 2023)"),
@@ -97,6 +98,7 @@ AGENTS = {
     "bear_is": ("bear_is", "ISBEAR", "importance-sampled BEAR (thesis A.3, Algorithm 5)"),
 }
 __all__ = [
+    "ABM",
     "AGENTS",
     "AWAC",
     "AWR",
@@ -107,6 +109,7 @@ __all__ = [
     "COMBO",
     "CQL",
     "CRR",
+    "CRRD",
     "D4PG",
     "DAPG",
     "EDAC",
@@ -143,12 +146,8 @@ __all__ = [
     "preset_for",
     "presets",
     "short_name",
+    "space",
 ]  # fmt: skip
-
-
-def _key(name: str) -> str:
-    """Of `AGENTS`, from a name such as `td3-bc` or `TD3+BC`."""
-    return name.lower().replace("-", "_").replace("+", "_")
 
 
 def agent_class(name: str) -> "type[Agent]":
@@ -159,11 +158,11 @@ def agent_class(name: str) -> "type[Agent]":
     Raises:
         UserError: no agent has this name, or what has it is no agent.
     """
-    key = _key(name)
+    key = agent_key(name)
     if key in AGENTS:
         module, attribute, _ = AGENTS[key]
         return getattr(importlib.import_module(f"deadreckon.agents.{module}"), attribute)
-    path = name if ":" in name else {_key(each): path for each, path in plugins().items()}.get(key)
+    path = name if ":" in name else {agent_key(each): path for each, path in plugins().items()}.get(key)
     if path is None:
         raise unknown("agent", name, [*AGENTS, *plugins()])
     return _imported(path)
@@ -180,47 +179,6 @@ def _imported(path: str) -> "type[Agent]":
         module, _, attribute = path.partition(":")
         raise UserError(f"agent {path}: {module} has no class {attribute} that is a deadreckon.agents.Agent")
     return kind
-
-
-@functools.cache
-def presets() -> dict[str, dict[str, dict[str, Any]]]:
-    """Published settings for single logs or domains: by agent, then by the logs that they are for, then by field.
-
-    A preset's name is the beginning of those logs' names: a task or domain (`maze2d`), or one log of it (`hopper-medium`).
-    """
-    return json.loads(importlib.resources.files(__name__).joinpath("presets.json").read_text())
-
-
-def preset(agent: str, name: str) -> dict[str, Any]:
-    """The fields of one preset: those of its domain, and its own where it has others.
-
-    Raises:
-        UserError: the agent has no preset of this name.
-    """
-    known = presets().get(_key(agent), {})
-    if name not in known:
-        raise unknown(f"preset of {agent}", name, known) if known else UserError(f"{agent} has no presets; leave {name!r} out")
-    fields = known.get(name.partition("-")[0], {}) | known[name]
-    return {field: tuple(value) if isinstance(value, list) else value for field, value in fields.items()}
-
-
-def preset_for(agent: str, log: str) -> str | None:
-    """The preset that was published for a log such as `hopper-medium-v2@dr1`, if there is one: its own, or its task's."""
-    known = presets().get(_key(agent), {})
-    own = re.sub(r"-v\d+(@.*)?$", "", log)
-    return next((name for name in (own, own.partition("-")[0]) if name in known), None)
-
-
-def space(agent: str) -> dict[str, list[Any]]:
-    """Values of an agent's fields that its paper, or papers about it, varied: what to try where nothing else is known.
-
-    Raises:
-        UserError: none are known.
-    """
-    known = json.loads(importlib.resources.files(__name__).joinpath("spaces.json").read_text())
-    if _key(agent) not in known:
-        raise UserError(f"no values to try are known for {agent}; name some, such as --values lr=1e-4,3e-4")
-    return known[_key(agent)]
 
 
 def agent_name(agent: object) -> str:

@@ -181,6 +181,12 @@ def traced_advantage(error: Float[Array, "t *b"], goes_on: Float[Array, "t *b"],
     return jax.lax.scan(back, jnp.zeros(error.shape[1:]), (error, goes_on), reverse=True)[1]
 
 
+def advantage_in_windows(batch: Batch, error: Float[Array, "b w"], decay: Any) -> Float[Array, "b w"]:
+    """`traced_advantage` of rows of windows: each hands its own to the one before it in the same episode and window."""
+    goes_on = jnp.concatenate([batch.mask[:, 1:], jnp.zeros_like(batch.mask[:, :1])], 1)
+    return traced_advantage(error.T, goes_on.T, decay).T
+
+
 def capped_exp(x: Float[Array, "*b"], most: Any) -> Float[Array, "*b"]:
     """exp(x), `most` at most; the exponent is cut, so that no row is infinite."""
     return jnp.exp(jnp.minimum(x, jnp.log(most)))

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
-from deadreckon.agents.agent import Agent, backup, capped_exp, imitation_loss, traced_advantage
+from deadreckon.agents.agent import Agent, advantage_in_windows, backup, capped_exp, imitation_loss
 from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
@@ -66,12 +66,9 @@ class AWR(Agent):
 
     def returns(self, value: MLP, batch: Batch) -> tuple[Float[Array, "b w"], Float[Array, "b w"]]:
         """TD(lambda) returns of all rows of the windows, and their advantages over the values as they are."""
-        assert batch.mask is not None
         now, following = value(batch.observation)[..., 0], value(batch.next_observation)[..., 0]
         error = backup(batch, self.discount, following) - now
-        # A row hands its advantage back to the one before it in the same episode and window.
-        goes_on = jnp.concatenate([batch.mask[:, 1:], jnp.zeros_like(batch.mask[:, :1])], 1)
-        advantage = traced_advantage(error.T, goes_on.T, self.discount * self.td_lambda).T
+        advantage = advantage_in_windows(batch, error, self.discount * self.td_lambda)
         return advantage + now, advantage
 
     def update(self, state, batch, *, step, key):

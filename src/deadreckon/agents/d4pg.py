@@ -9,12 +9,12 @@ and the actor follows the slope of the distribution's mean by its action, each r
 al. 2020). Nothing holds it to a log. Sizes are those of Gulcehre et al. (2020).
 """
 
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.agents.agent import Agent
 from deadreckon.data.batch import Batch, BatchSpec
@@ -32,9 +32,9 @@ SMALL = 0.01  # of the actor's last weights: it begins near the middle of its ac
 class State(NamedTuple):
     """Networks, their targets and optimisers."""
 
-    actor: LayerNormMLP
+    actor: Any  # a LayerNormMLP; of CRR-D the networks of a stochastic policy
     critic: LayerNormMLP
-    target_actor: LayerNormMLP
+    target_actor: Any
     target_critic: LayerNormMLP
     actor_opt: optax.OptState
     critic_opt: optax.OptState
@@ -78,19 +78,27 @@ class D4PG(Agent):
     def init(self, spec, key):
         """Fresh networks; targets are copies."""
         ka, kc = keys(key, "actor", "critic")
-        actor = LayerNormMLP.create((spec.observation_size, *self.hidden, spec.action_size), ka, SMALL)
+        actor = self.create_actor(spec, ka)
         inputs = spec.observation_size + spec.action_size
         critic = LayerNormMLP.create((inputs, *self.critic_hidden, self.atoms), kc)
         return State(actor, critic, copy(actor), copy(critic), init_opt(actor), init_opt(critic))
+
+    def create_actor(self, spec, key) -> Any:
+        """A fresh actor."""
+        return LayerNormMLP.create((spec.observation_size, *self.hidden, spec.action_size), key, SMALL)
+
+    def actions(self, actor, observation: Float[Array, "b o"], key: PRNGKeyArray) -> Float[Array, "b a"]:
+        """What targets value: the actor's."""
+        return jnp.tanh(actor(observation))
 
     @property
     def support(self) -> Float[Array, "z"]:
         """(atoms,) the returns that have a probability."""
         return support(self.v_min, self.v_max, self.atoms)
 
-    def target(self, state: State, batch: Batch) -> Float[Array, "b z"]:
+    def target(self, state: State, batch: Batch, key: PRNGKeyArray) -> Float[Array, "b z"]:
         """The distribution of the rewards and of what the target networks expect behind them, on the atoms."""
-        action = jnp.tanh(state.target_actor(batch.next_observation))
+        action = self.actions(state.target_actor, batch.next_observation, key)
         future = jax.nn.softmax(logits(state.target_critic, batch.next_observation, action))
         return project(future, batch.reward, batch.discount, self.support)
 
@@ -100,7 +108,7 @@ class D4PG(Agent):
         loss = cross_entropy(found, target).mean()
         return loss, {"critic_loss": loss, "q": mean(found, self.support).mean()}
 
-    def actor_loss(self, actor: LayerNormMLP, critic: LayerNormMLP, batch: Batch) -> Float[Array, ""]:
+    def actor_loss(self, actor, critic: LayerNormMLP, batch: Batch, key: PRNGKeyArray) -> Float[Array, ""]:
         """1/2 |a + g - a|^2 with a = pi(s) and a + g without a slope: its slope is -g, the critic's, of length one at most."""
         action = jnp.tanh(actor(batch.observation))
         fixed = jax.lax.stop_gradient(action)
@@ -111,8 +119,10 @@ class D4PG(Agent):
 
     def update(self, state, batch, *, step, key):
         """Critic, actor, and at the end of every period the targets."""
-        grads, metrics = jax.grad(self.critic_loss, has_aux=True)(state.critic, batch, self.target(state, batch))
-        loss, slopes = jax.value_and_grad(self.actor_loss)(state.actor, state.critic, batch)  # by the same critic, as published
+        k_target, k_actor = keys(key, "target", "actor_loss")
+        grads, metrics = jax.grad(self.critic_loss, has_aux=True)(state.critic, batch, self.target(state, batch, k_target))
+        # By the critic as it was, as published.
+        loss, slopes = jax.value_and_grad(self.actor_loss)(state.actor, state.critic, batch, k_actor)
         grads, slopes = clip_by_norm(grads, self.max_grad_norm), clip_by_norm(slopes, self.max_grad_norm)
         critic, critic_opt = apply_gradients(state.critic, grads, state.critic_opt, self.critic_lr)
         actor, actor_opt = apply_gradients(state.actor, slopes, state.actor_opt, self.actor_lr)
@@ -121,7 +131,7 @@ class D4PG(Agent):
         state = State(actor, critic, target_actor, target_critic, actor_opt, critic_opt)
         return state, metrics | {"actor_loss": loss}
 
-    def policy(self, state):
+    def policy(self, state) -> Any:
         """The actor."""
         return Deterministic(state.actor)
 
@@ -130,6 +140,7 @@ class D4PG(Agent):
         return mean(logits(state.critic, observation, action), self.support)
 
 
-def logits(critic: LayerNormMLP, observation: Float[Array, "*b o"], action: Float[Array, "*b a"]) -> Float[Array, "*b z"]:
-    """Of the returns after each row's action."""
-    return critic(jnp.concatenate([observation, action], -1))
+def logits(critic: LayerNormMLP, observation: Float[Array, "*#b o"], action: Float[Array, "*b a"]) -> Float[Array, "*b z"]:
+    """Of the returns after each row's action, or after several of them (leading axes of `action`)."""
+    seen = jnp.broadcast_to(observation, (*action.shape[:-1], observation.shape[-1]))
+    return critic(jnp.concatenate([seen, action], -1))

@@ -101,13 +101,14 @@ def _policies(tasks: Sequence) -> None:
         digits = 2 if max(abs(s.sampled.mean) for s in snapshots) < 10 else 1
         short = lambda x, digits=digits: f"{x:,.{digits}f}"  # noqa: E731
         for s in snapshots:
-            scores = [f"{round(task.reference.normalise(r.mean), 1) + 0.0:.1f}" for r in (s.sampled, s.greedy)]
-            drawn = short(s.sampled.mean), short(s.sampled.error), scores[0], short(s.sampled.discounted)
+            score = lambda r, task=task: f"{round(task.reference.normalise(r.mean), 1) + 0.0:.1f}"  # noqa: E731
+            drawn = short(s.sampled.mean), short(s.sampled.error), score(s.sampled), short(s.sampled.discounted)
             at = f"{s.updates:,}", f"{s.environment_steps:,}"
-            policies.append([f"{task.name} {s.name}", *at, *drawn, short(s.greedy.mean), scores[1]])
+            means = (short(s.greedy.mean), score(s.greedy)) if s.greedy else ("", "")
+            policies.append([f"{task.name} {s.name}", *at, *drawn, *means])
     if len(policies) > 1:
         print("\n" + table(policies, right=range(1, 9)))
-        print("\nmeasured with drawn and with mean actions; discounted with 0.995. `dr.load_policies(TASK)` gives the 11.")
+        print("\nmeasured with drawn and with mean actions; discounted with 0.995. `dr.load_policies(TASK)` gives them.")
         for task in (task for task in known if task.name in SHARED):
             print(f"{task.name} has those of {SHARED[task.name]}")
 

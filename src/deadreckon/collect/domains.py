@@ -6,6 +6,7 @@ from typing import Any
 
 from deadreckon.collect.adroit import collect_adroit
 from deadreckon.collect.antmaze import collect_antmaze
+from deadreckon.collect.control import collect_control
 from deadreckon.collect.driving import KINDS as DRIVERS
 from deadreckon.collect.driving import collect_driving
 from deadreckon.collect.flow import collect_flow
@@ -19,7 +20,7 @@ from deadreckon.data.catalogue import entry
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.entries import ENTRIES
 from deadreckon.policies.library import about, library_tasks
-from deadreckon.tasks import adroit, antmaze, driving, flow, gym_mujoco, kitchen, maze2d, registry, town
+from deadreckon.tasks import adroit, antmaze, control, driving, flow, gym_mujoco, kitchen, maze2d, registry, town
 from deadreckon.tasks.maze2d import Maze2D
 from deadreckon.tasks.task import Task
 
@@ -126,3 +127,10 @@ for _task in town.TASKS:
     for _kind, _summary in zip(DRIVERS, _TOWN, strict=True):
         _middle, _make = "" if _kind == "controller" else f"-{_kind}", partial(collect_driving, act=drive, noise=TOWN_NOISE)
         _register(f"{_task.name}{_middle}-v0", _task, partial(_make, _task, _kind), _summary)
+
+
+# ---- dm_control ---------------------------------------------------------------------------------------------------------
+
+for _task in control.TASKS:
+    _summary = "episodes from the whole of a training of D4PG online"
+    _register(f"{_task.name}-full-replay-v0", _task, partial(collect_control, _task), _summary)

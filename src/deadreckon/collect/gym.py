@@ -1,23 +1,19 @@
 """How the Gym-MuJoCo logs are made (thesis 7.3): by the policies of the package, and medium-replay by training again."""
 
-import warnings
 from pathlib import Path
 from typing import Any
 
 from deadreckon.agents.sac import SAC
 from deadreckon.collect.rollouts import Segment, acted_in, collect_rollouts
-from deadreckon.collect.stage import asked_for, same_collection
+from deadreckon.collect.trained import train_for_rows, warn_of_versions
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.entries import VERSION
-from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
-from deadreckon.online import Exploration, Online, replay_log
+from deadreckon.online import Online, replay_log
 from deadreckon.policies import library
 from deadreckon.progress import Progress
 from deadreckon.tasks.gym_mujoco import GymMujoco
 from deadreckon.training.field_names import with_field_names
-from deadreckon.training.fit import Fit
-from deadreckon.versions import differences, versions
 
 UNIFORM = "uniform"  # actions drawn uniformly between the bounds, thesis A.4
 # Who acts in equal parts of each kind of log. "random" is a randomly initialised policy (7.3), which is not uniform.
@@ -29,7 +25,6 @@ KINDS: dict[str, tuple[str, ...]] = {
     "medium-expert": ("medium", "expert"),
     "uniform-expert": (UNIFORM, "expert"),
 }
-CHUNK = 2000  # updates between checkpoints of the training that medium-replay repeats
 
 
 def behavior_return(task: str, kind: str) -> float:
@@ -113,28 +108,13 @@ def collect_replay(
     """
     run = library.about(task.name)["run"]
     settings, agent = Online(**run["online"]), SAC(**with_field_names(SAC, _fields(run["agent"])))
-    spec = Spec.empty(task.observation_shape, task.action_space, task.name)
-    # The last block goes beyond the rows where they do not fill it.
-    updates = settings.updates(max(steps, settings.explore + 1) + settings.block - 1)
-    lanes = [agent.resolve(spec, updates)]
-    folder = scratch / "replay"
-    path = folder / "rows.bin"
-    now = versions()
-    if seed == 0 and (different := differences(run["versions"], now, [*now])):
-        text = f"{name}: not to the bit the run that the policies come from, but the same in kind: {'; '.join(different)}"
-        warnings.warn(text, stacklevel=2)
     extra = {"task": task.name, "training": run["agent"], "online": run["online"], "actions": "drawn, uniform at first",
-             "trained_with": now}  # fmt: skip
+             "trained_with": warn_of_versions(name, seed, run["versions"])}  # fmt: skip
     provenance = acted_in("gymnasium", name, seed, extra)
-    same_collection(folder, asked_for(name, seed, [steps], provenance))
-    experience = Exploration(task, lanes[0], [seed], updates, settings, [path], threads)
-    job = Fit(lanes, experience, [seed], updates, CHUNK, folder / "checkpoints")
-    job.resume()
-    for done in job.chunks():
-        if done.failures[0] is not None:
-            raise UserError(f"{name}: training with seed {seed} failed, {done.failures[0].metric} was not finite")
-        if progress:
-            progress(min(experience.count, steps), steps)
+    path = train_for_rows(
+        task, agent, settings, name=name, steps=steps, seed=seed, folder=scratch / "replay", provenance=provenance,
+        threads=threads, progress=progress,
+    )  # fmt: skip
     return replay_log(path, task, settings.copies, steps, name=f"{name}@{VERSION}", provenance=provenance)
 
 

@@ -153,6 +153,19 @@ def _carla(task: str, kind: str) -> Entry:
     return Entry(name, "carla", *place, file, None, controller=who, elsewhere=bool(file))
 
 
+# Rows of RL Unplugged's logs: thesis Table 8.1. They are not D4RL's, and no file of theirs is read.
+_CONTROL = {
+    "cartpole-swingup": 40_000, "cheetah-run": 300_000, "finger-turn-hard": 500_000, "fish-swim": 200_000,
+    "humanoid-run": 3_000_000, "manipulator-insert-ball": 1_500_000, "manipulator-insert-peg": 1_500_000,
+    "walker-stand": 200_000, "walker-walk": 200_000,
+}  # fmt: skip
+
+
+def _control(task: str) -> Entry:
+    name = f"{task}-full-replay-v0"
+    return Entry(name, "control", task, name, _CONTROL[task], None, None)
+
+
 ENTRIES: dict[str, Entry] = {
     entry.name: entry
     for entry in (
@@ -165,5 +178,6 @@ ENTRIES: dict[str, Entry] = {
         *(_antmaze(maze, kind) for maze, kind in _ANTS),
         *(_carla(f"carla-{place}{seen}", kind) for place in ("lane", "town") for seen in ("-state", "") for kind in _DRIVERS),
         _carla("carla-town", "-full"),
+        *map(_control, _CONTROL),
     )
 }

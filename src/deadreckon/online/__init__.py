@@ -1,7 +1,7 @@
 """Learning online: experience that agents make for themselves, in simulators and in learned models of these."""
 
 from deadreckon.online.exploration import Exploration
-from deadreckon.online.rows import replay_log
+from deadreckon.online.rows import episodes_log, replay_log
 from deadreckon.online.turns import Online
 
-__all__ = ["Exploration", "Online", "replay_log"]
+__all__ = ["Exploration", "Online", "episodes_log", "replay_log"]

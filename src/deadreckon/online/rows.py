@@ -35,9 +35,36 @@ def replay_log(path: Path, task: Task, copies: int, steps: int, *, name: str, pr
     """The first `steps` rows of a replay file as a log: the copies' episodes one after the other, copy by copy."""
     rows = read_rows(path, row_width(task), steps)
     rows = np.concatenate([np.asarray(rows[copy::copies]) for copy in range(copies)])
+    return _log(rows, _last_rows(steps, copies), task, name, provenance)
+
+
+def episodes_log(
+    path: Path, task: Task, copies: int, steps: int, episodes: int, *, name: str, provenance: Provenance
+) -> Dataset:
+    """Whole episodes of a replay file of a task whose episodes only time out, evenly spaced over its first `steps` rows.
+
+    Args:
+        path: of the file.
+        task: where its rows come from.
+        copies: of the environment, whose rows take turns.
+        steps: rows of the file that count: a multiple of the copies' episodes.
+        episodes: how many; the first and the last are among them, in the order in which they were.
+        name: of the log.
+        provenance: of the log.
+    """
+    horizon = task.horizon
+    chosen = np.linspace(0, steps // horizon - 1, episodes).round().astype(int)  # numbered as they came, copies in order
+    first = chosen // copies * horizon * copies + chosen % copies
+    index = (first[:, None] + np.arange(horizon) * copies).reshape(-1)
+    rows = np.asarray(read_rows(path, row_width(task), steps)[index])
+    return _log(rows, np.arange(1, episodes + 1) * horizon - 1, task, name, provenance)
+
+
+def _log(rows: np.ndarray, cut: np.ndarray, task: Task, name: str, provenance: Provenance) -> Dataset:
+    """Of rows that lie one after the other; `cut`: those after which the recording was cut, if no episode ends there."""
     columns = unpacked(rows, row_columns(task))
     terminals, timeouts = columns["terminal"] > 0, columns["timeout"] > 0
-    timeouts[_last_rows(steps, copies)] = True  # an episode that the recording cut
+    timeouts[cut] = True
     timeouts &= ~terminals
     ends = terminals | timeouts
     return Dataset.from_arrays(

@@ -1,7 +1,7 @@
 """The DOPE protocol (thesis 8.3-8.5): logs and policies whose true values are known, and how near estimators come to them.
 
-The policies are the eleven snapshots that come with the package, drawing their actions; their true discounted returns are
-stored beside them (`policies/library.py`). The logs are the package's own (`hopper-medium-v2@dr1`).
+The policies are the snapshots that come with the package, drawing their actions; their true discounted returns are stored
+beside them (`policies/library.py`). The logs are the package's own (`hopper-medium-v2@dr1`).
 """
 
 import dataclasses
@@ -125,7 +125,7 @@ def evaluate_log(
         UserError: an unknown estimator or task, or a file of results that is damaged.
     """
     settings, asked = DopeSettings.of(options), as_estimators(estimators)
-    snapshots = [s for s in library.library(task) if s.name.startswith("snapshot-")]
+    snapshots = library.evaluated(task)
     discount = snapshots[0].sampled.discount
     truth, errors = (np.array([getattr(s.sampled, f) for s in snapshots]) for f in ("discounted", "discounted_error"))
     names = tuple(s.name for s in snapshots)

@@ -1,6 +1,6 @@
-"""The behaviour policies that come with the package: snapshots of one training run a task, and what they are worth.
+"""The policies that come with the package, snapshots of training, and what they are worth.
 
-`library/TASK.json` says how the run was made and, for each snapshot, its returns; `library/TASK/NAME.npz` are the policies,
+`library/TASK.json` says how the runs were made and, for each snapshot, its returns; `library/TASK/NAME.npz` are the policies,
 float16. Made by `deadreckon.runs.publish`.
 """
 
@@ -15,7 +15,8 @@ from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.store import load
 
 ROOT = Path(__file__).parent / "library"
-SNAPSHOTS = 11  # evenly spaced over the run, the first before any update (DOPE), except of a run on a log
+SNAPSHOTS = 11  # evenly spaced over one run, the first before any update (DOPE), except of a run on a log
+OF_LOGS = ("medium", "expert")  # policies that logs are made with: some snapshots once more
 # Tasks whose logs differ while their episodes are the same have the same policies.
 SHARED = {"antmaze-umaze-diverse": "antmaze-umaze", "antmaze-medium-diverse": "antmaze-medium-play",
           "antmaze-large-diverse": "antmaze-large-play"}  # fmt: skip
@@ -48,11 +49,12 @@ class Snapshot:
 
     Attributes:
         task: whose episodes it was measured in, by name.
-        name: `snapshot-00` .. `snapshot-10`, and where logs are made with them `medium` and `expert`.
+        name: of one run `snapshot-00` .. `snapshot-10`, and where logs are made with them `medium` and `expert`; of several
+            runs their agent, seed and updates, such as `d4pg-0-10000`.
         updates: of the run when it was taken.
         environment_steps: likewise.
         sampled: its worth when it draws its actions, which is how logs are made.
-        greedy: its worth when it acts with its mean.
+        greedy: its worth when it acts with its mean; None where that was not measured.
     """
 
     task: str
@@ -60,11 +62,16 @@ class Snapshot:
     updates: int
     environment_steps: int
     sampled: Returns
-    greedy: Returns
+    greedy: Returns | None
 
     def policy(self) -> EnvPolicy:
         """The policy itself."""
-        return load(ROOT / self.task / f"{self.name}.npz")
+        return load(self.file)
+
+    @property
+    def file(self) -> Path:
+        """Where it is saved."""
+        return ROOT / self.task / f"{self.name}.npz"
 
 
 def library_tasks() -> list[str]:
@@ -101,27 +108,33 @@ def snapshot(task: str, name: str) -> Snapshot:
 
 
 def library(task: str) -> list[Snapshot]:
-    """All policies of a task: the 11 snapshots in order of training, then `medium` and `expert` where there are such."""
+    """All policies of a task: those that are to be judged (`evaluated`), then `medium` and `expert` where there are such."""
     own = SHARED.get(task, task)
     return [
-        Snapshot(own, name, e["updates"], e["environment_steps"], Returns(**e["sampled"]), Returns(**e["greedy"]))
+        Snapshot(
+            own, name, e["updates"], e["environment_steps"], Returns(**e["sampled"]),
+            Returns(**e["greedy"]) if "greedy" in e else None,
+        )
         for name, e in about(task)["policies"].items()
-    ]
+    ]  # fmt: skip
+
+
+def evaluated(task: str) -> list[Snapshot]:
+    """The policies of a task whose values estimators are to find (DOPE): the snapshots in order of training."""
+    return [s for s in library(task) if s.name not in OF_LOGS]
 
 
 def load_policies(task: str) -> list[EnvPolicy]:
-    """The 11 policies of a task, evenly spaced over one run to its end (DOPE, thesis 8.4).
+    """The policies of a task whose values estimators are to find (DOPE, thesis 8.4).
 
-    The runs are of SAC in Gym-MuJoCo and of DAPG in Maze2D and Adroit, whose first policies are untrained, and of behaviour
-    cloning in AntMaze, whose first ones are a little trained; `about(task)` says how they were made.
+    In most tasks they are 11, evenly spaced over one run to its end: of SAC in Gym-MuJoCo and of DAPG in Maze2D and Adroit, the
+    first of them untrained, and of behaviour cloning in AntMaze, the first of them a little trained. In tasks of dm_control
+    they are snapshots of several agents and seeds, which learned from the task's log. `about(task)` says how they were made.
 
     Args:
-        task: such as `hopper`, `maze2d-umaze-dense` or `door`.
+        task: such as `hopper`, `maze2d-umaze-dense`, `door` or `walker-stand`.
 
     Raises:
-        UserError: the task has no policies.
+        UserError: the task has no policies, or their files are not there.
     """
-    found = [s.policy() for s in library(task) if s.name.startswith("snapshot-")]
-    if len(found) != SNAPSHOTS:
-        raise UserError(f"{task}: {len(found)} snapshots in {ROOT}, {SNAPSHOTS} are needed; is the installation whole?")
-    return found
+    return [s.policy() for s in evaluated(task)]

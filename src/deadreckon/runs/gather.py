@@ -61,7 +61,7 @@ def gather(given: Any) -> list[Gathered]:
 
     Args:
         given: runs, cross-fits, their folders, policy files (`.npz`, DOPE's `.pkl`), policies, of which nobody knows what they
-            have learned from, or names of tasks whose eleven snapshots are meant; a sequence of these, or one alone.
+            have learned from, or names of tasks whose snapshots are meant; a sequence of these, or one alone.
 
     Raises:
         UserError: none of these.
@@ -90,18 +90,23 @@ def gather(given: Any) -> list[Gathered]:
             ]
         elif path.exists() or path.suffix:
             policy = policy_of_file(path)
-            ours = path.suffix not in PICKLES
-            taught, held = (store.taught(path), store.held(path)) if ours else (None, None)
-            read = Read.of(store.meta(path).get("log"), taught, held) if ours else Read()
+            taught, read = _noted(path) if path.suffix not in PICKLES else (None, Read())
             found.append(Gathered(policy, path.stem, None, taught, None, path, read))
         else:
             if len(path.parts) > 1:
                 raise UserError(f"no folder or file {path}")
-            snapshots = [s for s in library.library(str(each)) if s.name.startswith("snapshot-")]
-            found += [Gathered(s.policy(), f"{each} {s.name}", None, None, task=str(each)) for s in snapshots]
+            for s in library.evaluated(str(each)):
+                taught, read = _noted(s.file)
+                found.append(Gathered(s.policy(), f"{each} {s.name}", None, taught, None, None, read, str(each)))
     if not found:
         raise UserError("no policy to judge")
     return found
+
+
+def _noted(file: Path) -> tuple[np.ndarray | None, Read]:
+    """Which episodes the policy of a file has learned from, and how their log was read."""
+    taught = store.taught(file)
+    return taught, Read.of(store.meta(file).get("log"), taught, store.held(file))
 
 
 def _read(run: Run) -> Read:

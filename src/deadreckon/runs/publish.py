@@ -1,4 +1,4 @@
-"""Makes the behaviour policies that come with the package from runs, and measures what they are worth.
+"""Makes the policies that come with the package from runs, and measures what they are worth.
 
 `python -m deadreckon.runs.publish RUN --medium STEP --expert STEP` writes `policies/library/TASK.json` and `TASK/*.npz`.
 Without these two it ships the eleven snapshots alone, for tasks whose logs others make. What has been measured is kept as it
@@ -6,11 +6,12 @@ goes: after a kill, the same command goes on.
 """
 
 import dataclasses
+import itertools
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -30,23 +31,47 @@ from deadreckon.tasks.registry import task as find_task
 DISCOUNT = 0.995  # DOPE's
 
 
-@dataclass
-class Publish:
-    """Ship the policies of a run, with their true returns."""
+@dataclass(kw_only=True)
+class Measuring:
+    """How policies are measured, and where they are shipped."""
 
-    run: str  # folder of a run with seed 0 alone, online or on a log
-    medium: int | None = None  # updates after which the policy was medium; None: ship none, and make no medium-replay
-    expert: int | None = None  # updates after which it was best; None: ship none
-    updates: int | None = None  # of the run, over which the snapshots are spread; None: all
-    episodes: int = 1000  # a policy, each with drawn and with mean actions
+    episodes: int = 1000  # a policy, in each way of acting that is measured
     error: float = 0.666  # standard error of the discounted return below which measuring stops (thesis 8.2)
     most: int = 1000  # episodes at most, whatever the error
     out: str = str(library.ROOT)  # folder of the library
     seed: int = 1_000_000  # of the episodes; training evaluates on others
 
 
+@dataclass
+class Publish(Measuring):
+    """Ship the policies of a run, with their true returns."""
+
+    run: str  # folder of a run with seed 0 alone, online or on a log
+    medium: int | None = None  # updates after which the policy was medium; None: ship none, and make no medium-replay
+    expert: int | None = None  # updates after which it was best; None: ship none
+    updates: int | None = None  # of the run, over which the snapshots are spread; None: all
+
+
+class Kept(NamedTuple):
+    """A policy of a run.
+
+    Attributes:
+        file: where it is.
+        updates: after which it was kept.
+        environment_steps: likewise.
+        agent: that it is of.
+        key: what measurements are kept under.
+    """
+
+    file: Path
+    updates: int
+    environment_steps: int
+    agent: str
+    key: str
+
+
 def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) -> Path:
-    """Writes the policies and measures them.
+    """Writes the policies of one run and measures them.
 
     Returns:
         The JSON file about them.
@@ -69,27 +94,80 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
     wanted = {f"snapshot-{i:02d}": step for i, step in enumerate(spaced)}
     chosen = {"medium": options.medium, "expert": options.expert}
     wanted |= {name: step for name, step in chosen.items() if step is not None}
-    kept = folder.policy_steps()
-    if missing := [step for step in wanted.values() if step not in kept]:
-        raise UserError(f"{options.run}: no policy was kept after {missing[0]} updates; those kept are {kept}")
+    _check_kept(folder, options.run, wanted.values())
     if 0 in (options.medium, options.expert):
         raise UserError("medium and expert are updates after which a policy was kept, above 0")
     steps = Online(**online).steps if online else lambda updates: 0
-
-    # The library that is there stays whole until the new one is.
-    out, work = Path(options.out), Path(options.out) / f".{task}.part"
-    state, published = work / "about.json", out / f"{task}.json"
-    about = read_json(state if state.exists() else published, dict) if state.exists() or published.exists() else {}
     run = {"agent": config["agent"]["fields"], "online": online, "seed": 0, "updates": total,
            "environment_steps": steps(total), "versions": config["versions"]}  # fmt: skip
     run |= {} if online else {"data": {key: config["data"][key] for key in ("name", "fingerprint")}}
     run |= {key: config[key] for key in ("demonstrations",) if key in config}
-    measured: dict[str, dict[str, Any]] = about.get("measured") or _by_updates(about)
-    if about.get("run", run) != run:
-        measured = {}
-    made: dict[str, Any] = {"task": task, "agent": config["agent"]["name"], "run": run}
+    agent = config["agent"]["name"]
+    made: dict[str, Any] = {"task": task, "agent": agent, "run": run}
     if online and options.medium is not None:
         made["medium_replay"] = _replay(folder, task, online["copies"], steps(options.medium))
+    # Medium and expert may be snapshots too, which are measured once.
+    kept = {name: Kept(folder.policy(0, step), step, steps(step), agent, str(step)) for name, step in wanted.items()}
+    return _ship(task, made, kept, ("sampled", "greedy"), options, watch)
+
+
+def publish_runs(
+    runs: Mapping[str, Path], steps: Sequence[int], options: Measuring, watch: Callable[[str], None] = lambda line: None
+) -> Path:
+    """Writes policies of several runs on one log and measures them, drawing their actions.
+
+    Args:
+        runs: folders by what the policies are called; the seeds of each are shipped.
+        steps: updates after which policies were kept.
+        options: of measuring.
+        watch: called with a line for each measurement.
+
+    Returns:
+        The JSON file about them.
+
+    Raises:
+        UserError: no policy was kept after those updates, or the runs are of several logs.
+    """
+    folders = {name: Folder(Path(path)) for name, path in runs.items()}
+    configs = {name: folder.read_config() for name, folder in folders.items()}
+    logs = {(c["task"], c["data"]["name"], c["data"]["fingerprint"]) for c in configs.values()}
+    if len(logs) != 1:
+        raise UserError(f"runs on one log are needed, these are on {len(logs)}: {', '.join(sorted(log[1] for log in logs))}")
+    [(called, log, fingerprint)] = logs
+    for name, folder in folders.items():
+        _check_kept(folder, str(runs[name]), steps)
+    task = safe_name(str(called), f"{next(iter(runs.values()))}: task")
+    run = {
+        "data": {"name": log, "fingerprint": fingerprint}, "versions": next(iter(configs.values()))["versions"],
+        "agents": {name: config["agent"] for name, config in configs.items()},
+    }  # fmt: skip
+    kept = {}
+    for (name, config), step in itertools.product(configs.items(), steps):
+        for seed in config["seeds"]:
+            key = f"{name}-{seed}-{step}"
+            kept[key] = Kept(folders[name].policy(seed, step), step, 0, config["agent"]["name"], key)
+    return _ship(task, {"task": task, "run": run}, kept, ("sampled",), options, watch)
+
+
+def _check_kept(folder: Folder, run: str, steps: Iterable[int]) -> None:
+    kept = folder.policy_steps()
+    if missing := [step for step in steps if step not in kept]:
+        raise UserError(f"{run}: no policy was kept after {missing[0]} updates; those kept are {kept}")
+
+
+def _ship(
+    task: str, made: dict[str, Any], kept: Mapping[str, Kept], modes: Sequence[str], options: Measuring,
+    watch: Callable[[str], None],
+) -> Path:  # fmt: skip
+    """Writes policies by name, and what they are worth in each mode; `made` is what the JSON file says of their runs."""
+    # The library that is there stays whole until the new one is.
+    out, work = Path(options.out), Path(options.out) / f".{task}.part"
+    state, published = work / "about.json", out / f"{task}.json"
+    about = read_json(state if state.exists() else published, dict) if state.exists() or published.exists() else {}
+    run = made["run"]
+    measured: dict[str, dict[str, Any]] = about.get("measured") or _measured(about, kept)
+    if about.get("run", run) != run:
+        measured = {}
 
     def measure(key: str, mode: str, policy: Any) -> dict[str, Any]:
         found = measured.setdefault(key, {})
@@ -102,13 +180,14 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
 
     uniform = measure("uniform", "sampled", _uniform(task))
     policies = {}
-    for name, step in wanted.items():
+    for name, each in kept.items():
         # What is measured is what is shipped: the policy as it is read back from float16.
-        meta = {"task": task, "name": name, "updates": step, "agent": config["agent"]["name"]}
-        store.save(work / f"{name}.npz", store.load(folder.policy(0, step)), meta, half=True)
+        meta = {"task": task, "name": name, "updates": each.updates, "agent": each.agent}
+        ids = {"taught": store.taught(each.file), "held": store.held(each.file)}
+        store.save(work / f"{name}.npz", store.load(each.file), meta, half=True, **ids)
         policy = store.load(work / f"{name}.npz")
-        worth = {mode: measure(str(step), mode, policy) for mode in ("sampled", "greedy")}
-        policies[name] = {"updates": step, "environment_steps": steps(step), **worth}
+        worth = {mode: measure(each.key, mode, policy) for mode in modes}
+        policies[name] = {"updates": each.updates, "environment_steps": each.environment_steps, **worth}
     (out / task).mkdir(parents=True, exist_ok=True)
     for name in policies:
         (work / f"{name}.npz").replace(out / task / f"{name}.npz")
@@ -117,13 +196,17 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
     return published
 
 
-def _by_updates(about: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """What a published library has measured, by the updates of the policies."""
-    found = {str(each["updates"]): {m: each[m] for m in ("sampled", "greedy")} for each in about.get("policies", {}).values()}
+def _measured(about: dict[str, Any], kept: Mapping[str, Kept]) -> dict[str, dict[str, Any]]:
+    """What a published library has measured, by the keys of the policies."""
+    keys = {each.key for each in kept.values()}
+    found = {
+        name if name in keys else str(each["updates"]): {mode: each[mode] for mode in ("sampled", "greedy") if mode in each}
+        for name, each in about.get("policies", {}).items()
+    }
     return found | ({"uniform": {"sampled": about["uniform"]}} if "uniform" in about else {})
 
 
-def _enough(returns: Returns, options: Publish) -> bool:
+def _enough(returns: Returns, options: Measuring) -> bool:
     small = returns.discounted_error < options.error
     return returns.episodes >= options.episodes and (small or returns.episodes + options.episodes > options.most)
 
@@ -140,7 +223,7 @@ def _replay(folder: Folder, task: str, copies: int, steps: int) -> dict[str, Any
     return {"environment_steps": steps, "episodes": log.episodes, "mean": float(log.returns().mean())}
 
 
-def _measure(policy: Any, task: str, greedy: bool, before: Returns | None, options: Publish) -> Returns:
+def _measure(policy: Any, task: str, greedy: bool, before: Returns | None, options: Measuring) -> Returns:
     """`before` and a batch of episodes more, on starts of their own; at first as many as are missing to one batch."""
     done = before.episodes if before else 0
     batch = options.episodes - done if done < options.episodes else options.episodes

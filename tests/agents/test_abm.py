@@ -1,0 +1,142 @@
+"""ABM against numpy written from the paper's equations, on fixed numbers; what it learns is in the conformance tests."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.special import logsumexp, softmax
+
+from deadreckon.agents import ABM
+from deadreckon.randomness import keys
+from tests.agents.test_actor_critics import q
+from tests.agents.test_offline import KEY, SMALL, both_likelihoods, drawn_actions, logged_log_prob, made, updated
+from tests.agents.test_rivals import windows
+
+K_NOW, K_TARGET, K_PRIOR = keys(KEY, "value", "target", "prior")
+FIELDS = {"discount": 0.9, "window": 3, "batch_size": 6, "samples": 4, "epsilon": 0.2, "eta": 0.5, **SMALL}
+ROWS = np.array([[1.0, 1, 0], [1, 1, 1]]) * 6 / 5  # what a row counts for: the last of the first window is of another episode
+
+
+@pytest.fixture(scope="module")
+def learner():
+    agent, state = made(ABM(**FIELDS))
+    moved = lambda tree, k: jax.tree.map(lambda w: w + 0.3 * jax.random.normal(jax.random.key(k), w.shape), tree)  # noqa: E731
+    nets = {name: moved(getattr(state, name), k) for k, name in enumerate(("prior", "target_actor", "target_critic"))}
+    return agent, state._replace(**nets)
+
+
+def flat(seen):
+    return np.asarray(seen, np.float64).reshape(-1, 1)
+
+
+def expected_value(state, seen, key):
+    noise = jax.random.normal(key, (4, 6, 1))
+    drawn = drawn_actions(state.target_actor, flat(seen), noise)
+    return np.mean([q(state.target_critic, 0, flat(seen), a) for a in drawn], 0).reshape(2, 3)
+
+
+def of_both(state):
+    rows = windows()
+    return expected_value(state, rows.observation, K_NOW), expected_value(state, rows.next_observation, K_TARGET)
+
+
+def test_values_are_means_over_draws_of_the_target_policy_by_the_target_critic(learner):
+    agent, state = learner
+    rows = windows()
+    np.testing.assert_allclose(agent.value(state, rows.observation, K_NOW), of_both(state)[0], atol=1e-5)
+    reward, terminal = np.asarray(rows.reward), np.asarray(rows.terminal)
+    after = of_both(state)[1]
+    np.testing.assert_allclose(agent.target(rows, jnp.asarray(after)), reward + 0.9 * (1 - terminal) * after, atol=1e-5)
+
+
+def test_advantages_are_of_rewards_to_the_end_of_the_window_or_of_the_episode(learner):
+    agent, _ = learner
+    rows = windows()
+    rng = np.random.default_rng(4)
+    now = rng.normal(size=(2, 3))
+    after = np.concatenate([now[:, 1:], rng.normal(size=(2, 1))], 1)  # rows follow each other
+    r = np.asarray(rows.reward)
+    found = agent.advantage(rows, jnp.asarray(now), jnp.asarray(after))
+    ended = [r[0, 0] + 0.9 * r[0, 1], r[0, 1]]  # by a terminal
+    np.testing.assert_allclose(found[0, :2], ended - now[0, :2], atol=1e-5)
+    last = r[1, 2] + 0.9 * after[1, 2]
+    whole = [r[1, 0] + 0.9 * r[1, 1] + 0.81 * last, r[1, 1] + 0.9 * last, last]
+    np.testing.assert_allclose(found[1], whole - now[1], atol=1e-5)
+
+
+@both_likelihoods
+def test_one_update_by_hand(likelihood):
+    agent, state = made(ABM(likelihood=likelihood, **FIELDS))
+    rows = windows()
+    after, metrics = updated(agent, state, rows)
+    now, following = of_both(state)
+    reward, terminal = np.asarray(rows.reward), np.asarray(rows.terminal)
+    target = reward + 0.9 * (1 - terminal) * following
+    own = q(state.critic, 0, flat(rows.observation), flat(rows.action)).reshape(2, 3)
+    assert metrics["critic_loss"] == pytest.approx((ROWS * (own - target) ** 2).mean(), rel=1e-4)
+    good = np.asarray(agent.advantage(rows, jnp.asarray(now), jnp.asarray(following))) > 0
+    assert 0 < (good & (ROWS > 0)).sum() < 5
+    assert metrics["prior_loss"] == pytest.approx(-(ROWS * good * logged_log_prob(state.prior, rows)).mean(), rel=1e-4)
+    # The policy imitates the prior's draws, and the temperature follows its dual.
+    drawn = drawn_actions(state.prior, flat(rows.observation), jax.random.normal(K_PRIOR, (4, 6, 1)))
+    values = np.stack([q(state.target_critic, 0, flat(rows.observation), a) for a in drawn])
+    weight = softmax(values / 0.5, axis=0) * ROWS.reshape(-1)
+    log_probs = [logged_log_prob(state.actor, rows._replace(action=a.reshape(2, 3, 1))).reshape(-1) for a in drawn]
+    assert metrics["actor_loss"] == pytest.approx(-(weight * log_probs).sum(0).mean(), rel=1e-3)
+    assert float(after.log_eta) != float(state.log_eta)
+    for name in ("actor", "prior", "critic"):
+        assert any((a != b).any() for a, b in zip(jax.tree.leaves(getattr(after, name)), jax.tree.leaves(getattr(state, name))))
+
+
+def test_the_temperature_minimises_the_dual_where_the_divergence_is_epsilon():
+    agent = ABM(**FIELDS | {"epsilon": 0.3})
+    rng = np.random.default_rng(0)
+    values, rows = rng.normal(size=(200, 50)), np.ones(50)
+
+    def divergence(eta):  # of the weights over the draws from equal weights
+        w = softmax(values / eta, axis=0)
+        return (w * np.log(w * len(values))).sum(0).mean()
+
+    grid = np.geomspace(0.2, 20, 2000)
+    best = min(grid, key=lambda eta: abs(divergence(eta) - 0.3))
+    dual = [eta * (0.3 + (logsumexp(values / eta, axis=0) - np.log(200)).mean()) for eta in grid]
+    assert grid[np.argmin(dual)] == pytest.approx(best, rel=0.01)
+    loss = agent.eta_loss(jnp.log(best), jnp.asarray(values), jnp.asarray(rows))
+    assert loss == pytest.approx(min(dual), rel=1e-4)
+    slope = jax.grad(agent.eta_loss)(jnp.log(best), jnp.asarray(values), jnp.asarray(rows))
+    assert abs(slope) < 2e-3
+    # Rows that are not there count for nothing.
+    half = jnp.asarray(np.r_[np.zeros(25), 2 * np.ones(25)])
+    only = agent.eta_loss(jnp.log(best), jnp.asarray(values[:, 25:]), jnp.ones(25))
+    assert agent.eta_loss(jnp.log(best), jnp.asarray(values), half) == pytest.approx(float(only), rel=1e-5)
+
+
+def test_targets_are_copied_at_the_end_of_every_period(learner):
+    agent, state = learner
+    agent = agent.replace(target_update_period=2)
+    rows = windows()
+    update = jax.jit(lambda state, step: agent.update(state, rows, step=step, key=KEY)[0])
+    first = update(state, jnp.asarray(0))
+    second = update(first, jnp.asarray(1))
+    for name in ("actor", "critic"):
+        for a, b, c, d in zip(*(jax.tree.leaves(getattr(s, n)) for s, n in (
+            (first, f"target_{name}"), (state, f"target_{name}"), (second, f"target_{name}"), (second, name),
+        )), strict=True):  # fmt: skip
+            np.testing.assert_array_equal(a, b)
+            np.testing.assert_array_equal(c, d)
+
+
+def test_without_a_row_that_is_there_nothing_is_learned():
+    agent, state = made(ABM(**FIELDS))
+    after, metrics = updated(agent, state, windows()._replace(mask=jnp.zeros((2, 3))))
+    assert float(metrics["critic_loss"]) == 0.0
+    for name in ("actor", "prior", "critic"):
+        for a, b in zip(jax.tree.leaves(getattr(after, name)), jax.tree.leaves(getattr(state, name)), strict=True):
+            np.testing.assert_allclose(a, b, atol=1e-6)
+
+
+def test_bm_imitates_all_rows():
+    agent, state = made(ABM(prior="all", **FIELDS))
+    _, metrics = updated(agent, state, windows())
+    assert metrics["imitated"] == pytest.approx(1.0)
+    assert metrics["prior_loss"] == pytest.approx(-(ROWS * logged_log_prob(state.prior, windows())).mean(), rel=1e-4)

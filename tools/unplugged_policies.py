@@ -1,0 +1,109 @@
+"""DOPE's policies of dm_control (thesis 8.4): how they learn from the tasks' logs, and how they are published.
+
+    python tools/unplugged_policies.py --train --only walker-stand --budget cpu       (goes on where it was stopped)
+    python tools/unplugged_policies.py --publish --only walker-stand --budget cpu --episodes 30 --most 30
+    python tools/unplugged_policies.py --table
+
+Four agents learn from each log, three seeds each; some of what they were on the way is published. The log is collected first
+where it is not there yet. A fifth of its episodes is held out, so that policies can be judged on episodes that none has seen.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import tyro
+
+import deadreckon as dr
+from deadreckon.agents import ABM, BC, CRRD, D4PG
+from deadreckon.agents.agent import Agent
+from deadreckon.cli.main import cache_compiled_programs
+from deadreckon.cli.progress import Bar
+from deadreckon.collect import collect
+from deadreckon.policies.library import ROOT, evaluated, library_tasks
+from deadreckon.runs.publish import Measuring, publish_runs
+from deadreckon.tasks.control import TASKS
+
+SEEDS = 3
+HELD_OUT = 0.2
+
+
+class Size(NamedTuple):
+    """What learns, and which policies are kept."""
+
+    agents: dict[str, Agent]
+    snapshots: tuple[int, ...]  # updates; DOPE's are exponentially spaced
+
+
+SIZES = {
+    "full": Size(
+        {
+            "d4pg": D4PG(), "abm": ABM(hidden=(256, 256, 256), batch_size=1024), "bc": BC(model="normal", batch_size=1024),
+            "crr_d": CRRD(hidden=(256, 256, 256), batch_size=1024),
+        },
+        (25_000, 50_000, 100_000, 200_000, 400_000, 800_000, 1_600_000, 3_200_000),
+    ),
+    # Policies with narrower networks, which the package ships; and rates of 3e-4, for updates that are few.
+    "cpu": Size(
+        {
+            "d4pg": D4PG(actor_lr=3e-4, critic_lr=3e-4, hidden=(128, 128)),
+            "abm": ABM(actor_lr=3e-4, prior_lr=3e-4, critic_lr=3e-4, hidden=(128, 128), samples=5),
+            "bc": BC(model="normal", hidden=(128, 128)), "crr_d": CRRD(actor_lr=3e-4, critic_lr=3e-4, hidden=(128, 128)),
+        },
+        (2_000, 10_000),
+    ),
+}  # fmt: skip
+
+
+@dataclass
+class Options:
+    """Policies of dm_control's tasks as DOPE made them."""
+
+    only: tuple[str, ...] = tuple(task.name for task in TASKS)  # of these tasks
+    budget: Literal["full", "cpu"] = "full"  # 3,200,000 updates and eight policies a run, or 10,000 and two
+    train: bool = False  # train what is not trained yet
+    publish: bool = False  # write the library and measure it
+    episodes: int = 1000  # a policy, with drawn actions
+    most: int = 1000  # episodes at most, where the error is still large
+    table: bool = False  # print what the package's policies return
+    out: str = "runs"  # the runs are OUT/unplugged-BUDGET-TASK-AGENT
+    library: str = str(ROOT)  # folder that is published to
+
+
+def main(options: Options) -> None:
+    """Does what is asked for, in this order: train, publish, table."""
+    cache_compiled_programs()
+    size = SIZES[options.budget]
+    every, total = size.snapshots[0], size.snapshots[-1]
+    for task in options.only:
+        folders = {name: Path(options.out) / f"unplugged-{options.budget}-{task}-{name}" for name in size.agents}
+        if options.train:
+            log = dr.load(collect(f"{task}-full-replay-v0"))
+            for name, agent in size.agents.items():
+                with Bar(f"{name} on {task}", total, "updates") as bar:
+                    dr.train(
+                        agent, log, steps=total, seeds=SEEDS, evaluate_every=every, episodes=1, holdout=HELD_OUT,
+                        out=folders[name], resume=True, watch=lambda progress, whole, bar=bar: bar(progress.step, whole),
+                    )  # fmt: skip
+        if options.publish:
+            measuring = Measuring(episodes=options.episodes, most=options.most, out=options.library)
+            print(publish_runs(folders, size.snapshots, measuring, watch=print))
+    if options.table:
+        print(table(options.only))
+
+
+def table(names: tuple[str, ...]) -> str:
+    """Returns of the package's policies with drawn actions, ± one standard error: a row for each task, agent and length."""
+    lines = ["| task | agent | updates | " + " | ".join(f"seed {i}" for i in range(SEEDS)) + " |", "|---|---|" + "---:|" * 4]
+    for name in (name for name in names if name in library_tasks()):
+        rows: dict[tuple[str, int], list[str]] = {}
+        for s in evaluated(name):
+            agent = s.name.split("-")[0]
+            rows.setdefault((agent, s.updates), []).append(f"{s.sampled.mean:,.0f} ± {s.sampled.error:.0f}")
+        for (agent, updates), cells in rows.items():
+            lines.append(f"| `{name}` | {agent} | {updates:,} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options))
