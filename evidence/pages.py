@@ -163,9 +163,9 @@ def _reads(verdict: Verdict) -> str:
 
 def _effect(one: Comparison) -> str:
     test = one.test
-    rival = one.rival or f"{test.than:g}"
+    rival = one.rival or (f"the same on the logs of {test.beside.name}" if test.beside else f"{test.than:g}")
     where = f" on {', '.join(one.on)}" if len(one.on) < len(read(test.suite).on) else ""
-    words = f"{test.metric}{' (less is better)' if test.less else ''}: {test.method} against {rival}{where}"
+    words = f"{test.metric}{' (less is better)' if test.less else ''}: {' and '.join(test.method)} against {rival}{where}"
     margin = f", margin {test.margin:g}" if test.margin else ""
     found = f"gain {one.gain:.3g}{margin}, {one.state}"
     if one.undefined:
@@ -178,9 +178,9 @@ def claimed(name: str, files: dict[str, bytes]) -> str:
     rows = ["| | claim | in the thesis | CPU size | full size |", "|---|---|---|---|---|"]
     details: list[str] = []
     for claim in claims(HERE / "claims.toml"):
-        store = store_of([read(test.suite) for test in claim.tests], HERE) if claim.tests else Store(HERE)
+        store = store_of([read(path) for test in claim.tests for path in test.suites], HERE) if claim.tests else Store(HERE)
         own = verdict(claim, store)
-        sized = any(read(test.suite).full for test in claim.tests)
+        sized = any(read(path).full for test in claim.tests for path in test.suites)
         full = _reads(verdict(claim, store, full=True)) if sized else "the same"
         rows.append(f"| {claim.id} | {claim.says} | {claim.place} | {_reads(own)} | {full if claim.tests else ''} |")
         details += [f"- {claim.id}, {_effect(each)}" for each in own.comparisons]

@@ -70,8 +70,10 @@ def main(options: Options) -> None:
                     watch=lambda progress, updates, bar=bar: bar(progress.step, updates),
                 )  # fmt: skip
         if options.publish:
-            asked = Publish(str(folder), made.medium, made.expert, made.updates, options.episodes, most=options.most,
-                            out=options.library)  # fmt: skip
+            asked = Publish(
+                str(folder), made.medium, made.expert, made.updates, episodes=options.episodes, most=options.most,
+                out=options.library,
+            )  # fmt: skip
             print(publish(asked, watch=print))
     if options.picture:
         panels = {name: [folder] for name, folder in folders.items()}

@@ -20,8 +20,9 @@ from deadreckon.agents.agent import Agent
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.cli.progress import Bar
 from deadreckon.collect import collect
-from deadreckon.policies.library import ROOT, evaluated, library_tasks
+from deadreckon.policies.library import ROOT, Returns, evaluated, library_tasks
 from deadreckon.runs.publish import Measuring, publish_runs
+from deadreckon.stats.comparison import between
 from deadreckon.tasks.control import TASKS
 
 SEEDS = 3
@@ -93,15 +94,22 @@ def main(options: Options) -> None:
 
 
 def table(names: tuple[str, ...]) -> str:
-    """Returns of the package's policies with drawn actions, ± one standard error: a row for each task, agent and length."""
-    lines = ["| task | agent | updates | " + " | ".join(f"seed {i}" for i in range(SEEDS)) + " |", "|---|---|" + "---:|" * 4]
+    """Returns of the package's policies with drawn actions, ± one standard error: a row for each task, agent and length.
+
+    Of the longest runs the last column is the difference to BC of the means over seeds, with Welch's interval.
+    """
+    head = "| task | agent | updates | " + " | ".join(f"seed {i}" for i in range(SEEDS)) + " | above BC |"
+    lines = [head, "|---|---|" + "---:|" * (SEEDS + 2)]
     for name in (name for name in names if name in library_tasks()):
-        rows: dict[tuple[str, int], list[str]] = {}
+        rows: dict[tuple[str, int], list[Returns]] = {}
         for s in evaluated(name):
-            agent = s.name.split("-")[0]
-            rows.setdefault((agent, s.updates), []).append(f"{s.sampled.mean:,.0f} ± {s.sampled.error:.0f}")
-        for (agent, updates), cells in rows.items():
-            lines.append(f"| `{name}` | {agent} | {updates:,} | " + " | ".join(cells) + " |")
+            rows.setdefault((s.name.split("-")[0], s.updates), []).append(s.sampled)
+        last = max(updates for _, updates in rows)
+        clones = rows["bc", last]
+        for (agent, updates), found in rows.items():
+            cells = " | ".join(f"{r.mean:,.0f} ± {r.error:.0f}" for r in found)
+            gain = between([[r.mean] for r in found], [[r.mean] for r in clones]) if updates == last and agent != "bc" else None
+            lines.append(f"| `{name}` | {agent} | {updates:,} | {cells} | {'' if gain is None else f'{gain:.0f}'} |")
     return "\n".join(lines)
 
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import scipy.stats
 
 from deadreckon.bench.claims import verdict
 from deadreckon.bench.claims_file import claims
@@ -170,6 +171,41 @@ def test_the_full_size_of_a_claim_is_that_of_the_suites_that_have_one(folder):
     assert [one.cells for one in verdict(claims("claims.toml")[2], kept({}), full=True).comparisons] == [8, 6]
 
 
+def test_the_same_methods_are_compared_on_the_logs_of_another_suite(folder):
+    """By hand: of both methods means over seeds, a number a log; then Welch's t over the logs of either side."""
+    (folder / "other.toml").write_text(SUITE.partition("[full]")[0].replace("hopper-medium", "walker2d-expert"))
+    text = '''[[claims]]
+id = "E"
+says = "The first suite is easier."
+place = "8.5"
+tests = [{ suite = "suite.toml", method = ["BC", "TD3"], beside = "other.toml" }]
+'''
+    (folder / "claims.toml").write_text(text)
+    [claim] = claims("claims.toml")
+    assert claim.tests[0].method == ("BC", "TD3")
+    suites = read("suite.toml"), read("other.toml")
+    store = store_of(suites, folder)
+    scores = {
+        ("BC", "hopper-medium-v2"): [50.0, 54.0, 50.0, 54.0], ("TD3", "hopper-medium-v2"): [40.0] * 4,
+        ("BC", "walker2d-medium-v2"): [60.0] * 4, ("TD3", "walker2d-medium-v2"): [44.0, 48.0, 44.0, 48.0],
+        ("BC", "walker2d-expert-v2"): [10.0] * 4, ("TD3", "walker2d-expert-v2"): [20.0] * 4,
+    }  # fmt: skip
+    for job in (job for suite in suites for job in plan(suite)):
+        values = scores.get((job.method, job.on))
+        if values is not None:
+            base = {"raw": 0.0, "steps": 100, "seconds": 1.0, "failure": "", "versions": "{}", "more": "{}"}
+            store.keep(job, JobResult([base | {"seed": s, "score": v} for s, v in zip(job.seeds, values)], []))
+    [one] = verdict(claim, store).comparisons
+    ours, theirs = np.array([46.0, 53.0]), np.array([15.0, 53.0])  # the walker on medium is in both
+    error = np.sqrt(ours.var(ddof=1) / 2 + theirs.var(ddof=1) / 2)
+    parts = ours.var(ddof=1) / 2, theirs.var(ddof=1) / 2
+    dof = sum(parts) ** 2 / sum(part**2 for part in parts)
+    assert (one.cells, one.missing, one.rival) == (32, 0, None)
+    assert one.gain.value == pytest.approx(15.5)
+    assert one.gain.high - one.gain.value == pytest.approx(scipy.stats.t.ppf(0.975, dof) * error)
+    assert one.state == "open"
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -179,6 +215,7 @@ def test_the_full_size_of_a_claim_is_that_of_the_suites_that_have_one(folder):
         ('on = ["walker2d-medium-v2"]', 'on = ["ant"]', "claim C: unknown log, task, problem or case of suite.toml 'ant'"),
         ('than = 20.0', 'than = "BC"', "claim C: than must be a list of methods, or a number, got 'BC'"),
         ('on = ["walker2d-medium-v2"]', 'on = "walker2d-medium-v2"', "claim C: on must be a list of names, got 'walker2d-"),
+        ("than = 20.0", 'than = 20.0, beside = "suite.toml"', "claim C: with beside, means over all logs are compared"),
         ("less = true", "less = 1", "claim C: less must be true or false, got 1"),
         ('id = "B"', 'id = "A"', "claims.toml: 2 claims have the id A; give each its own"),
         ("[[claims]]", "[[claim]]", "claims.toml: unknown key 'claim': did you mean claims?"),

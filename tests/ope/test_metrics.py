@@ -115,3 +115,17 @@ def test_published_tables_have_their_printed_medians():
                     checked += 1
     assert checked == 19
     assert published["regret_at_1"]["d4rl"]["hopper-medium"]["IS"] == [0.38, 0.28]
+
+
+def test_published_returns_of_dm_control_are_in_the_ranges_of_dope():
+    found = m.published_returns()
+    assert sum(map(len, found.values())) == 861
+    for task, (least, most) in {
+        "cartpole-swingup": (2, 869), "cheetah-run": (49, 597), "finger-turn-hard": (102, 798), "fish-swim": (73, 547),
+        "humanoid-run": (0.6, 575), "manipulator-insert-ball": (34, 597), "manipulator-insert-peg": (43, 396),
+        "walker-stand": (341, 950), "walker-walk": (28, 956),
+    }.items():  # fmt: skip
+        means = [each.mean for each in found[task]]
+        assert (min(means), max(means)) == pytest.approx((least, most), abs=1.0)
+        assert len({(each.agent, each.seed, each.updates) for each in found[task]}) == len(found[task])
+        assert {each.seed for each in found[task]} == {0, 1, 2}

@@ -13,7 +13,7 @@ from deadreckon.online import Online
 from deadreckon.policies import library, store
 from deadreckon.runs.evaluate import evaluate
 from deadreckon.runs.online import train_online
-from deadreckon.runs.publish import Publish, _joined, publish
+from deadreckon.runs.publish import Measuring, Publish, _joined, publish, publish_runs
 
 
 @pytest.fixture(scope="module")
@@ -160,3 +160,37 @@ def test_runs_on_a_log_are_shipped_from_their_first_eleventh_on(tmp_path):
     assert [each["updates"] for each in about["policies"].values()] == [*range(2, 23, 2)]
     assert {each["environment_steps"] for each in about["policies"].values()} == {0}
     assert about["run"]["data"]["name"] == log.name
+
+
+@pytest.mark.slow
+def test_policies_of_several_runs_keep_what_they_have_learned_from(tmp_path):
+    from deadreckon.agents.bc import BC
+    from deadreckon.collect import generate
+    from deadreckon.runs.train import train
+
+    logs = [generate("hopper-random-v2", steps=400, seed=seed) for seed in (0, 1)]
+    small = {"steps": 4, "evaluate_every": 2, "episodes": 1, "holdout": 0.3}
+    folders = {name: tmp_path / name for name in ("clone", "wide", "other")}
+    train(BC(hidden=(8,), batch_size=16), logs[0], seeds=2, out=folders["clone"], **small)
+    train(BC(hidden=(9,), batch_size=16), logs[0], seeds=1, out=folders["wide"], **small)
+    train(BC(hidden=(8,), batch_size=16), logs[1], seeds=1, out=folders["other"], **small)
+    options = Measuring(episodes=2, most=2, out=str(tmp_path / "library"))
+    told = []
+    path = publish_runs({name: folders[name] for name in ("clone", "wide")}, (2, 4), options, told.append)
+    about = json.loads(path.read_text())
+    names = ["clone-0-2", "clone-1-2", "clone-0-4", "clone-1-4", "wide-0-2", "wide-0-4"]
+    assert list(about["policies"]) == names
+    assert len(told) == 1 + len(names)
+    assert {"sampled", "updates", "environment_steps"} == set(about["policies"]["wide-0-4"])
+    assert about["run"]["agents"]["wide"]["fields"]["hidden"] == [9]
+    kept = store.taught(tmp_path / "library" / "hopper" / "wide-0-4.npz")
+    np.testing.assert_array_equal(kept, store.taught(folders["wide"] / "policies" / "seed0.npz"))
+    assert 0 < len(kept) < logs[0].episodes
+    # Measured once: the same command has nothing to do.
+    told.clear()
+    publish_runs({name: folders[name] for name in ("clone", "wide")}, (2, 4), options, told.append)
+    assert not told
+    with pytest.raises(UserError, match="runs on one log are needed, these are on 2"):
+        publish_runs({name: folders[name] for name in ("clone", "other")}, (2, 4), options)
+    with pytest.raises(UserError, match="no policy was kept after 3 updates; those kept are"):
+        publish_runs({"clone": folders["clone"]}, (3,), options)

@@ -6,6 +6,9 @@ same seed, with Student's interval (`stats.comparison.paired`). It *holds* where
 differences are equal: an interval of no width says that there are too few runs, not that there is no doubt. A claim holds where
 all its comparisons hold. It is contradicted where one of its k comparisons is, whose interval has level 1 - alpha / k then
 (Bonferroni).
+
+Where a test has `beside`, another suite, the same methods are compared on its logs: the gain is the difference of means over
+logs, which are taken as samples, with Welch's interval (`stats.comparison.between`).
 """
 
 import json
@@ -23,7 +26,7 @@ from deadreckon.bench.store import Store
 from deadreckon.bench.suite import read
 from deadreckon.bench.tables import number
 from deadreckon.errors import UserError, unknown
-from deadreckon.stats.comparison import paired
+from deadreckon.stats.comparison import between, paired
 from deadreckon.stats.interval import ALPHA, Interval
 
 State = Literal["holds", "contradicted", "open"]
@@ -35,23 +38,30 @@ class Test:
 
     Attributes:
         suite: its file.
-        method: of the suite.
-        than: methods of the suite, or a number.
+        method: of the suite; of several the mean is taken, run by run.
+        than: methods of the suite, or a number; nothing where there is `beside`.
         on: logs, tasks, problems or cases of the suite.
         metric: a column of results, or a name in their `more`.
         less: whether less is better.
         margin: the gain that is claimed.
         each: whether it is claimed of each of `on`, not of their mean.
+        beside: another suite with the same methods, on whose logs they are claimed to do worse.
     """
 
     suite: Path
-    method: str
+    method: tuple[str, ...]
     than: tuple[str, ...] | float
     on: tuple[str, ...]
     metric: str = "score"
     less: bool = False
     margin: float = 0.0
     each: bool = False
+    beside: Path | None = None
+
+    @property
+    def suites(self) -> tuple[Path, ...]:
+        """Whose cells it needs."""
+        return (self.suite,) if self.beside is None else (self.suite, self.beside)
 
 
 @dataclass(frozen=True)
@@ -79,7 +89,7 @@ class Comparison:
 
     Attributes:
         test: what is compared.
-        rival: method of the suite, or None where it is a number.
+        rival: method of the suite, or None where it is a number or there is another suite.
         on: what it rests on.
         gain: mean difference, more being better, with its interval; NaN where there is nothing.
         strict: the same at the level at which one of many comparisons contradicts the claim.
@@ -152,12 +162,13 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
     pairs = [
         (test, rival, on)
         for test in claim.tests
-        for rival in (test.than if isinstance(test.than, tuple) else (None,))
+        for rival in (test.than if isinstance(test.than, tuple) and not test.beside else (None,))
         for on in ([(each,) for each in test.on] if test.each else [test.on])
     ]
-    plans = {path: plan(read(path, full and read(path).full)) for path in dict.fromkeys(test.suite for test in claim.tests)}
+    paths = dict.fromkeys(path for test in claim.tests for path in test.suites)
+    plans = {path: plan(read(path, full and read(path).full)) for path in paths}
     rows = {row["cell"]: row for row in store.results().to_pylist()}  # the newest last
-    return Verdict(claim, tuple(_compared(*pair, plans[pair[0].suite], rows, len(pairs)) for pair in pairs))
+    return Verdict(claim, tuple(_compared(*pair, plans, rows, len(pairs)) for pair in pairs))
 
 
 def _check_metric(test: Test, jobs: Sequence[Job], rows: Mapping[str, dict[str, Any]]) -> None:
@@ -169,34 +180,41 @@ def _check_metric(test: Test, jobs: Sequence[Job], rows: Mapping[str, dict[str, 
 
 
 def _compared(
-    test: Test, rival: str | None, on: tuple[str, ...], jobs: Sequence[Job], rows: Mapping[str, dict[str, Any]], count: int
-) -> Comparison:
-    """One of `count` comparisons of a claim, from the plan of its suite and all results by cell."""
+    test: Test, rival: str | None, on: tuple[str, ...], plans: Mapping[Path, Sequence[Job]],
+    rows: Mapping[str, dict[str, Any]], count: int,
+) -> Comparison:  # fmt: skip
+    """One of `count` comparisons of a claim, from the plans of its suites and all results by cell."""
 
-    missing = 0
+    missing, seen = 0, []
 
-    def scores(method: str) -> dict[str, np.ndarray]:
-        """A number a seed by log, NaN where there is none."""
+    def scores(path: Path, methods: Sequence[str], logs: Sequence[str]) -> dict[str, np.ndarray]:
+        """A number a seed by log, NaN where there is none; of several methods their mean."""
         nonlocal missing
-        cells = {log: [cell for job in jobs if (job.method, job.on) == (method, log) for cell in job.cells] for log in on}
-        missing += sum(cell not in rows for own in cells.values() for cell in own)
         have = lambda cell: number(rows[cell], test.metric) if cell in rows else math.nan  # noqa: E731
-        return {log: np.array([have(cell) for cell in own]) for log, own in cells.items()}
+        found = {}
+        for log in logs:
+            own = [[cell for job in plans[path] if (job.method, job.on) == (m, log) for cell in job.cells] for m in methods]
+            missing += sum(cell not in rows for cells in own for cell in cells)
+            values = np.array([[have(cell) for cell in cells] for cells in own])
+            seen.append(values.reshape(-1))
+            found[log] = values.mean(0)
+        return found
 
-    ours = scores(test.method)
-    judged = [ours]
-    if rival is None:
+    ours = scores(test.suite, test.method, on)
+    if test.beside is not None:
+        theirs = scores(test.beside, test.method, [*dict.fromkeys(job.on for job in plans[test.beside])])
+    elif rival is None:
         theirs = {log: np.full_like(values, test.than) for log, values in ours.items()}
     else:
-        theirs = scores(rival)
-        judged.append(theirs)
-    _check_metric(test, jobs, rows)
-    values = np.concatenate([each for method in judged for each in method.values()])
+        theirs = scores(test.suite, (rival,), on)
+    for path in test.suites:
+        _check_metric(test, plans[path], rows)
+    values = np.concatenate(seen)
     if lacking := int((~np.isfinite(values)).sum()):
         nothing = Interval(math.nan, math.nan, math.nan)
         return Comparison(test, rival, on, nothing, nothing, len(values), missing, lacking - missing)
     if test.less:
         ours, theirs = theirs, ours
-    gain, strict = (paired(ours, theirs, level) for level in (1.0 - ALPHA, 1.0 - ALPHA / count))
+    compare = paired if test.beside is None else between
+    gain, strict = (compare(ours, theirs, level) for level in (1.0 - ALPHA, 1.0 - ALPHA / count))
     return Comparison(test, rival, on, gain, strict, len(values), 0, 0)
-

@@ -10,13 +10,14 @@
 
     [[claims.tests]]
     suite = "constraint.toml"               # beside this file
-    method = "BEAR"
+    method = "BEAR"                         # or a list, whose mean is taken
     than = ["BC", "TD3"]                    # methods of the suite; or one number
     on = ["walker2d-medium-v2"]             # of the suite's logs, tasks, problems or cases; all where it is absent
     metric = "score"                        # a column of results, or a name in their `more`
     less = false                            # whether less is better
     margin = 0.0                            # the gain that is claimed; below zero where it is "no worse"
     each = false                            # whether it is claimed of each log by itself, and not of their mean
+    beside = "other.toml"                   # in the place of `than`: a suite on whose logs the same methods do worse
 """
 
 from collections import Counter
@@ -86,8 +87,9 @@ def _check_tuned(path: Path, tuned: Mapping[str, Sequence[str]], suites: Iterabl
 
 _TEXT, _NAMES, _TRUTH = (str, "text"), (list, "a list of names"), (bool, "true or false")
 _KINDS: dict[str, tuple[Any, str]] = {
-    "suite": _TEXT, "method": _TEXT, "than": (list | int | float, "a list of methods, or a number"), "on": _NAMES,
-    "metric": _TEXT, "less": _TRUTH, "margin": (int | float, "a number"), "each": _TRUTH,
+    "suite": _TEXT, "beside": _TEXT, "method": (str | list, "a method, or a list of methods"),
+    "than": (list | int | float, "a list of methods, or a number"), "on": _NAMES, "metric": _TEXT, "less": _TRUTH,
+    "margin": (int | float, "a number"), "each": _TRUTH,
 }  # fmt: skip
 
 
@@ -96,28 +98,37 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
     _check_keys(where, said, {f.name for f in fields(Claim)}, ("id", "says", "place"))
     tests = []
     for test in said.get("tests", ()):
-        _check_keys(where, test, {f.name for f in fields(Test)}, ("suite", "method", "than"))
+        _check_keys(where, test, {f.name for f in fields(Test)}, ("suite", "method", "beside" if "beside" in test else "than"))
+        if "beside" in test and ("than" in test or test.get("each", False)):
+            raise UserError(f"{where}: with beside, means over all logs are compared; leave than and each out")
         for key, value in test.items():
             wanted, kind = _KINDS[key]
             texts = not isinstance(value, list) or all(isinstance(each, str) for each in value)
             if not isinstance(value, wanted) or (isinstance(value, bool) and wanted is not bool) or not texts:
                 raise UserError(f"{where}: {key} must be {kind}, got {value!r}")
-        name = test["suite"]
-        suite = suites.setdefault(name, read(path.parent / name))
-        methods = {method.name: method.agent for method in suite.methods}
-        than = test["than"] if isinstance(test["than"], list) else float(test["than"])
-        for method in [test["method"], *(than if isinstance(than, list) else ())]:
-            if method not in methods:
-                raise UserError(f"{where}: {unknown(f'method of {name}', method, methods)}")
+        own: list[str] = [test["method"]] if isinstance(test["method"], str) else test["method"]
+        than: list[str] | float = test.get("than", []) if isinstance(test.get("than", []), list) else float(test["than"])
+        names = [test["suite"], *([test["beside"]] if "beside" in test else [])]
+        agents: dict[str, str] = {}
+        for name in names:
+            suite = suites.setdefault(name, read(path.parent / name))
+            methods = {method.name: method.agent for method in suite.methods}
+            for method in [*own, *(than if isinstance(than, list) else ())]:
+                if method not in methods:
+                    raise UserError(f"{where}: {unknown(f'method of {name}', method, methods)}")
+            agents |= methods
+        suite = suites[test["suite"]]
         for on in test.get("on", ()):
             if on not in suite.on:
-                raise UserError(f"{where}: {unknown(f'log, task, problem or case of {name}', on, suite.on)}")
-        judged = {methods[method] for method in [test["method"], *(than if isinstance(than, list) else ())]}
+                raise UserError(f"{where}: {unknown(f'log, task, problem or case of {suite.name}.toml', on, suite.on)}")
+        judged = {agents[method] for method in [*own, *(than if isinstance(than, list) else ())]}
         void = {log for agent in judged for log in tuned.get(agent, ())}
         left = tuple(on for on in test.get("on", suite.on) if on not in void)
         if not left:
             raise UserError(f"{where}: all its logs are ones on which an agent was tuned, so they decide nothing")
-        given = test | {"suite": path.parent / name, "than": tuple(than) if isinstance(than, list) else than, "on": left}
+        given = test | {"suite": path.parent / names[0], "method": tuple(own), "on": left}
+        given |= {"than": tuple(than) if isinstance(than, list) else than}
+        given |= {"beside": path.parent / names[1]} if "beside" in test else {}
         tests.append(Test(**given))
     return Claim(said["id"], said["says"], said["place"], tuple(tests), said.get("note", ""))
 

@@ -21,8 +21,10 @@ from deadreckon.interrupts import resumable
 class Bench:
     """The DOPE protocol: estimate the package's policies from its logs, and compare with their true values."""
 
-    tasks: Annotated[str, NAMES] = "hopper"  # tasks whose policies and logs are used
-    kinds: Annotated[str, NAMES] = "random,medium,expert,medium-replay,medium-expert"  # kinds of logs of these tasks
+    half: Literal["d4rl", "unplugged"] = "d4rl"
+    """half of DOPE: tasks of Gym-MuJoCo with logs of several kinds (d4rl), or of dm_control, a log each (unplugged)"""
+    tasks: Annotated[str | None, NAMES] = None  # tasks whose policies and logs are used; None: hopper, or all of unplugged
+    kinds: Annotated[str, NAMES] = "random,medium,expert,medium-replay,medium-expert"  # kinds of logs, of half d4rl
     logs: Annotated[str | None, NAMES] = None  # logs instead of --kinds, such as door-human-v1, of any tasks with policies
     estimators: Annotated[str, NAMES] = "fqe,fqe-d,is,dr,dice,vpm,mb-ff,mb-ar"  # names of the estimators to compare
     public: bool = False  # whether to compute weights as the public code: learned behaviour policy, log-ratios in [-6, 2]
@@ -131,20 +133,21 @@ def bench(args: Sequence[str]) -> None:
     found = estimators(options.estimators, options.fits, CPU_BUDGET if options.budget == "cpu" else {})
     if options.public:
         found = [with_fields(estimator, PUBLIC) for estimator in found]
-    tasks, kinds = ([name.strip() for name in names.split(",")] for names in (options.tasks, options.kinds))
-    logs = [name.strip() for name in options.logs.split(",")] if options.logs else ()
+    tasks, kinds, logs = (
+        [name.strip() for name in names.split(",")] if names else None for names in (options.tasks, options.kinds, options.logs)
+    )
     told = lambda r: print(f"{r.log} {titled(r.method)}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
     with resumable(Path(options.out)), Watch() as watch:
         results = protocol.dope(
-            found, tasks, kinds, logs=logs, log_steps=options.log_steps, seeds=options.seeds, seed=options.seed,
-            out=options.out,
-            collecting=lambda name, done, steps: watch(f"collecting {name}", done, steps, "steps"), watch=watch, told=told,
+            found, tasks, kinds or (), half=options.half, logs=logs or (), log_steps=options.log_steps, seeds=options.seeds,
+            seed=options.seed, out=options.out, watch=watch, told=told,
+            collecting=lambda name, done, steps: watch(f"collecting {name}", done, steps, "steps"),
         )  # fmt: skip
     clip = PUBLIC_CLIP if options.clip else None
     if clip is not None:
         print(f"\nnormalised estimates are cut at {clip:g}, as in the public notebook")
-    for metric, words in dope.METRICS.items():
-        print(f"\n{words}\n\n{dope.markdown(results, metric, clip=clip)}")
+    for each in dope.shown(results):
+        print(f"\n{each.title}\n\n{dope.markdown(results, each.metric, clip=clip, k=each.k)}")
     print(f"\nAbsolute error, in discounted returns\n\n{dope.markdown(results, 'absolute_error', normalised=False)}")
     print(f"\nDeploying by estimates: gain for risk, and errors against the behaviour policy\n\n{dope.risks(results)}")
     print(f"\n{write_bench(results, Path(options.out) / 'report.html', clip=clip)}")

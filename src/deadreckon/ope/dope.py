@@ -39,7 +39,8 @@ METRICS = {
     "rank_correlation": "Rank correlation",
     "regret": "Regret@1, in ranges of the true values",
 }
-TRIED = 5  # policies that SharpeRatio@k tries out
+TRIED = 5  # policies that SharpeRatio@k tries out, and thesis E.3's regret on the tasks of dm_control
+UNPLUGGED = "-full-replay-v0"  # behind a task's name: its log in DOPE's half on RL Unplugged
 PRINTED = {"WPDIS": "IS", "WDR": "DR"}  # what thesis E.2 calls methods that have a more exact name here
 
 
@@ -193,6 +194,34 @@ def from_json(fields: Mapping[str, Any]) -> Result:
     return Result(**{**fields, **arrays, **tuples})
 
 
+class Shown(NamedTuple):
+    """A metric that tables show.
+
+    Attributes:
+        metric: among `METRICS`.
+        k: of the regret.
+        title: of the table.
+    """
+
+    metric: str
+    k: int
+    title: str
+
+
+def shown(results: Sequence[Result]) -> list[Shown]:
+    """What the thesis shows: errors, rank correlations and regret@1, and on tasks of dm_control regret@5 too (E.3)."""
+    metrics = [Shown(metric, 1, title) for metric, title in METRICS.items()]
+    if any(of_unplugged(r.log) for r in results):
+        metrics.append(Shown("regret", TRIED, METRICS["regret"].replace("@1", f"@{TRIED}")))
+    return metrics
+
+
+def of_unplugged(log: str) -> str | None:
+    """The task, where a log is one of DOPE's half on RL Unplugged."""
+    name = log.removesuffix(f"@{VERSION}")
+    return name.removesuffix(UNPLUGGED) if name.endswith(UNPLUGGED) else None
+
+
 class Cell(NamedTuple):
     """A metric of one method on one log.
 
@@ -228,17 +257,19 @@ def cells(results: Sequence[Result], metric: str, **options: Any) -> dict[str, d
             good = [r.metrics(**options) for r in own if np.isfinite(r.estimates).all()]
             measured = np.mean([getattr(m, metric) for m in good], 0) if good else np.full(3, np.nan)
             if own:
-                # E.2 prints errors in returns, and regret of one choice in ranges.
-                same = options.get("normalised", True) == (metric != "absolute_error") and options.get("k", 1) == 1
-                theirs = printed(metric, log, method) if same else None
+                # Errors are printed in returns, and regrets in ranges.
+                same = options.get("normalised", True) == (metric != "absolute_error")
+                theirs = printed(metric, log, method, options.get("k", 1)) if same else None
                 table.setdefault(log, {})[method] = Cell(*(float(x) for x in measured), printed=theirs)
     return table
 
 
-def printed(metric: str, log: str, method: str) -> tuple[float, float] | None:
-    """Mean and spread of a metric in thesis E.2, where it prints one for that log and method (its label)."""
-    table = published()[{"regret": "regret_at_1"}.get(metric, metric)]["d4rl"]
-    values = table.get(re.sub(r"-v\d+$", "", log.removesuffix(f"@{VERSION}")), {}).get(PRINTED.get(method, method))
+def printed(metric: str, log: str, method: str, k: int = 1) -> tuple[float, float] | None:
+    """Mean and spread of a metric in thesis E.2, where it prints one for that log and method (its label); `k` of the regret."""
+    task = of_unplugged(log)
+    table = published().get(f"regret_at_{k}", {}) if metric == "regret" else published()[metric]
+    name = task or re.sub(r"-v\d+$", "", log.removesuffix(f"@{VERSION}"))
+    values = table.get("rl_unplugged" if task else "d4rl", {}).get(name, {}).get(PRINTED.get(method, method))
     return None if values is None else (float(values[0]), float(values[1]))
 
 

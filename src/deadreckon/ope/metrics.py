@@ -171,3 +171,30 @@ def published() -> dict[str, Any]:
     What the scan lost is None.
     """
     return json.loads((Path(__file__).parent / "published.json").read_text())
+
+
+class PublishedReturn(NamedTuple):
+    """What one of DOPE's policies of dm_control's tasks returned.
+
+    Attributes:
+        agent: `D4PG`, `ABM`, `CRR` or `BC`; ABM and CRR are recurrent there.
+        seed: of the training.
+        updates: when it was kept.
+        mean, deviation: of undiscounted returns, as DOPE gives them.
+    """
+
+    agent: str
+    seed: int
+    updates: int
+    mean: float
+    deviation: float
+
+
+@lru_cache
+def published_returns() -> dict[str, tuple[PublishedReturn, ...]]:
+    """Returns of DOPE's 861 policies of nine tasks of dm_control, by task. The policies themselves are not in the package."""
+    found = json.loads((Path(__file__).parent / "published_policies.json").read_text())["policies"]
+    return {
+        task: tuple(PublishedReturn(agent, *row) for agent, rows in agents.items() for row in rows)
+        for task, agents in found.items()
+    }

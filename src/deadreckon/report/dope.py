@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from deadreckon.files import replacing
-from deadreckon.ope.dope import METRICS, TRIED, Cell, Result, cells
+from deadreckon.ope.dope import TRIED, Cell, Result, Shown, cells, shown
 from deadreckon.report import charts, forest
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import document
@@ -15,6 +15,7 @@ from deadreckon.report.parts import figure, heads_of, note, scroll
 from deadreckon.report.text import number, words
 from deadreckon.stats.interval import NORMAL, Interval
 
+Tables = dict[Shown, dict[str, dict[str, Cell]]]  # metric -> log -> method
 SLOTS = 8  # colours there are
 REDRAWN = (
     "Each number is of the policies as they are, ± its standard deviation over redrawn ones (a bootstrap). The thesis (E.2) "
@@ -36,10 +37,10 @@ def write_bench(results: Sequence[Result], out: Path | str, *, clip: float | Non
     logs = list(dict.fromkeys(r.log for r in results))
     methods = list(dict.fromkeys(r.method for r in results))
     slots = {method: i % SLOTS for i, method in enumerate(methods)}
-    tables = {metric: cells(results, metric, clip=clip) for metric in METRICS}
+    tables = {each: cells(results, each.metric, clip=clip, k=each.k) for each in shown(results)}
     sections: list[tuple[str, str, Markup | None]] = [
         ("metrics", "How good the estimates are", _metrics(tables, slots)),
-        ("tables", "Log by log", join(*(_table(METRICS[m], found, methods) for m, found in tables.items()), note(REDRAWN))),
+        ("tables", "Log by log", join(*(_table(each.title, found, methods) for each, found in tables.items()), note(REDRAWN))),
         *((f"log-{i}", log, _scatters([r for r in results if r.log == log], slots)) for i, log in enumerate(logs)),
         ("risks", "What choosing by them risks", _risks(results)),
         ("settings", "Settings", _settings(results)),
@@ -61,22 +62,22 @@ def _means(found: dict[str, dict[str, Cell]], method: str) -> Interval:
     return Interval(float(np.mean(values)), min(values), max(values))
 
 
-def _lead(tables: dict[str, dict[str, dict[str, Cell]]]) -> str:
+def _lead(tables: Tables) -> str:
     parts = []
-    for metric, found in tables.items():
+    for each, found in tables.items():
         methods = list(dict.fromkeys(method for row in found.values() for method in row))
         known = {method: _means(found, method).value for method in methods}
         known = {method: value for method, value in known.items() if math.isfinite(value)}
         if known:
-            best = (max if metric == "rank_correlation" else min)(known, key=lambda method: known[method])
-            name = METRICS[metric].split(",")[0]
+            best = (max if each.metric == "rank_correlation" else min)(known, key=lambda method: known[method])
+            name = each.title.split(",")[0]
             parts.append(f"{name[0].lower()}{name[1:]}: {best} ({number(known[best])})")
     return f"Best on average, by {words(parts)}." if parts else "Nothing finite was estimated."
 
 
-def _metrics(tables: dict[str, dict[str, dict[str, Cell]]], slots: dict[str, int]) -> Markup:
+def _metrics(tables: Tables, slots: dict[str, int]) -> Markup:
     drawn, ticks = [], False
-    for metric, found in tables.items():
+    for each, found in tables.items():
         rows = []
         for method, slot in slots.items():
             # The thesis's mean stands beside ours only where it prints every log that ours is a mean of.
@@ -85,7 +86,7 @@ def _metrics(tables: dict[str, dict[str, dict[str, Cell]]], slots: dict[str, int
             other = float(np.mean(printed)) if own and len(printed) == len(own) else None
             ticks = ticks or other is not None
             rows.append((method, slot, _means(found, method), other))
-        drawn.append(figure(forest.bars(rows, METRICS[metric]), METRICS[metric]))
+        drawn.append(figure(forest.bars(rows, each.title), each.title))
     text = "Means over logs; whiskers reach from the least to the greatest. No bar: no finite estimates on some log."
     if ticks:
         text += " Upright ticks: the thesis's mean (E.2) of the original logs and policies of the same names, "

@@ -3,39 +3,43 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Unpack
+from typing import Any, Literal, Unpack
 
 from deadreckon.collect import collect, recipe
 from deadreckon.collect.recipes import default_path
 from deadreckon.data.formats.io import read
 from deadreckon.errors import UserError
-from deadreckon.ope.dope import DopeOptions, DopeSettings, Result, evaluate_log
+from deadreckon.ope.dope import UNPLUGGED, DopeOptions, DopeSettings, Result, evaluate_log
 from deadreckon.ope.registry import as_estimators
 from deadreckon.policies import library
 from deadreckon.progress import Watcher, unwatched
+from deadreckon.tasks.control import TASKS as CONTROL
 
 KINDS = ("random", "medium", "expert", "medium-replay", "medium-expert")
 
 
 def dope(
     estimators: Sequence[Any],
-    tasks: Sequence[str] = ("hopper",),
+    tasks: Sequence[str] | None = None,
     kinds: Sequence[str] = KINDS,
     *,
+    half: Literal["d4rl", "unplugged"] = "d4rl",
     logs: Sequence[str] = (),
     log_steps: int | None = None,
     seeds: int = 1,
     collecting: Watcher = unwatched,
     **options: Unpack[DopeOptions],
 ) -> list[Result]:
-    """Estimates the eleven policies of tasks from logs of theirs, whose true values are known.
+    """Estimates the policies of tasks from logs of theirs; their true values are known.
 
     `deadreckon.ope.dope.markdown(results, "regret")` makes a table of the results, `deadreckon.report.dope.write_bench` a page.
 
     Args:
         estimators: names, `Estimator` objects, or functions `fn(data, policies, discount) -> values`.
-        tasks: whose policies and logs.
-        kinds: of logs.
+        tasks: whose policies and logs; None: hopper, or of `unplugged` all that have policies.
+        kinds: of logs, of half `d4rl`.
+        half: of DOPE: tasks of Gym-MuJoCo with logs of several kinds, or of dm_control, whose policies have learned from their
+            task's one log.
         logs: names of the catalogue such as `maze2d-umaze-dense-v1` or `door-human-v1`, in the place of tasks and kinds.
         log_steps: rows of the logs; None: all.
         seeds: how many fits of each.
@@ -49,7 +53,14 @@ def dope(
     first, estimators = settings.seed, as_estimators(estimators)
     if seeds < 1 or first < 0 or first + seeds > 2**32:
         raise UserError(f"seeds must be 1 or more, and all of them 0 .. 2^32 - 1, got {seeds} from {first}")
-    recipes = [recipe(name) for name in logs or [f"{task}-{kind}-v2" for task in tasks for kind in kinds]]
+    if half == "unplugged":
+        known = [task.name for task in CONTROL if task.name in library.library_tasks()]
+        wanted = [f"{task}{UNPLUGGED}" for task in tasks or known]
+        if not wanted:
+            raise UserError("there are no policies of dm_control's tasks; `python tools/unplugged_policies.py` makes them")
+    else:
+        wanted = [f"{task}-{kind}-v2" for task in tasks or ("hopper",) for kind in kinds]
+    recipes = [recipe(name) for name in logs or wanted]
     for each in recipes:
         library.library(each.task)
     results = []

@@ -1,4 +1,4 @@
-"""Two methods, or all of a table: paired differences with Student's t, and which cells are bold."""
+"""Two methods, all of a table, or two sets of tasks: differences with Student's t, and which cells are bold."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,6 +10,8 @@ from scipy.special import stdtr, stdtrit
 from deadreckon.errors import UserError
 from deadreckon.stats.by_task import Scores, by_task, check_level, pairs_of, same_tasks
 from deadreckon.stats.interval import ALPHA, LEVEL, Interval
+
+_SIDES = "our scores", "their scores"
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,28 @@ def paired(ours: Scores, theirs: Scores, level: float = LEVEL) -> Difference:
     value = float(np.mean([gap[0] for gap in gaps]))
     if min(len(x) for _, x, _ in pairs) < 2:
         return Difference(value, *[math.nan] * 5)
-    error, dof = _pool([(gap[1] / len(pairs) ** 2, len(x) - 1) for gap, (_, x, _) in zip(gaps, pairs)])
+    return _student(value, *_pool([(gap[1] / len(pairs) ** 2, len(x) - 1) for gap, (_, x, _) in zip(gaps, pairs)]), level)
+
+
+def between(ours: Scores, theirs: Scores, level: float = LEVEL) -> Difference:
+    """Mean over our tasks less the mean over theirs, which are other tasks, with Welch's t interval and p.
+
+    Here tasks are what is due to chance, the runs of each being averaged first: it asks whether tasks like ours give more than
+    tasks like theirs. One task on a side makes limits and p NaN.
+
+    Raises:
+        UserError: what `interval` raises.
+    """
+    check_level(level)
+    sides = [np.array([runs.mean() for runs in by_task(scores, name).values()]) for scores, name in zip((ours, theirs), _SIDES)]
+    value = float(sides[0].mean() - sides[1].mean())
+    if min(map(len, sides)) < 2:
+        return Difference(value, *[math.nan] * 5)
+    return _student(value, *_pool([(_moments(side)[1], len(side) - 1) for side in sides]), level)
+
+
+def _student(value: float, error: float, dof: float, level: float) -> Difference:
+    """Of a difference with this standard error and these degrees of freedom; without an error there is no doubt."""
     if error == 0.0:
         return Difference(value, value, value, float(value == 0.0), float(1.0 - np.sign(value)) / 2, dof)
     half, t = error * float(stdtrit(dof, (1 + level) / 2)), value / error
