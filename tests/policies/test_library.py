@@ -10,7 +10,9 @@ from deadreckon.cli.main import main
 from deadreckon.policies import library, store
 from deadreckon.tasks import task
 
-OURS = [name for name in library.library_tasks() if task(name).domain != "gym" and name not in library.SHARED]
+ALL = [name for name in library.library_tasks() if name not in library.SHARED]
+OURS = [name for name in ALL if task(name).domain not in ("gym", "control")]
+OF_SEVERAL_RUNS = [name for name in ALL if task(name).domain == "control"]
 
 
 def test_some_are_shipped():
@@ -42,6 +44,27 @@ def test_snapshots(name):
             assert returns.error > 0 or returns.mean == 0.0
     best, first = max(found, key=lambda s: s.sampled.mean).sampled, found[0].sampled
     assert best.mean - first.mean > 4 * np.hypot(best.error, first.error)
+
+
+@pytest.mark.parametrize("name", OF_SEVERAL_RUNS)
+def test_policies_of_dm_control_are_of_four_agents_and_know_what_they_have_learned_from(name):
+    found, about, world = library.evaluated(name), library.about(name), task(name)
+    made = about["run"]["agents"]
+    assert set(made) == {"d4pg", "abm", "bc", "crr_d"}
+    assert len(found) >= 24
+    assert {s.name for s in found} == {f"{agent}-{seed}-{s.updates}" for s in found for agent in made for seed in range(3)}
+    taught = {store.taught(s.file).tobytes() for s in found}
+    assert len(taught) == 1  # so that one fifth of the episodes is new to all
+    for each in (found[0], found[-1]):
+        meta, policy = store.meta(each.file), each.policy()
+        assert (meta["task"], meta["name"], meta["updates"]) == (name, each.name, each.updates)
+        assert policy(np.zeros((3, *world.observation_shape), np.float32)).shape == (3, world.action_space.size)
+    for each in found:
+        assert each.greedy is None
+        assert each.sampled.discount == 0.995
+        assert each.sampled.episodes >= 30
+        assert each.sampled.length == world.horizon
+    assert np.ptp([s.sampled.mean for s in found]) > 0.5 * max(s.sampled.mean for s in found)
 
 
 def test_tasks_with_the_same_episodes_share_them(capsys):

@@ -11,7 +11,7 @@ from scipy import stats
 
 from deadreckon.errors import UserError
 from deadreckon.stats import scores as s
-from deadreckon.stats.comparison import bold, paired
+from deadreckon.stats.comparison import between, bold, paired
 
 FEW = 200  # resamples
 UNEVEN = [np.array([1.0, 5.0, 2.0]), np.array([10.0]), np.array([-3.0, 4.0, 8.0, 7.0, 90.0])]
@@ -174,6 +174,23 @@ def test_probability_of_improvement_interval_is_the_enumeration():
     found = s.probability_of_improvement([x], [y], level=0.9, resamples=20_000)
     assert (found.value, found.low, found.high) == (pytest.approx(4 / 6), pytest.approx(low), pytest.approx(high))
     assert low < 4 / 6 < high == 1.0
+
+
+def test_sets_of_tasks_are_compared_by_welchs_test_of_their_means():
+    rng = np.random.default_rng(0)
+    ours = {task: rng.normal(task, 1.0, 5) for task in range(6)}
+    theirs = {f"other {task}": rng.normal(0.5 * task, 3.0, 3) for task in range(4)}
+    x, y = (np.array([runs.mean() for runs in side.values()]) for side in (ours, theirs))
+    expected = stats.ttest_ind(x, y, equal_var=False)
+    limits = expected.confidence_interval(0.9)
+    found = between(ours, theirs, 0.9)
+    assert (found.value, found.low, found.high) == pytest.approx((x.mean() - y.mean(), limits.low, limits.high))
+    assert (found.p, found.dof) == pytest.approx((expected.pvalue, expected.df))
+    one = between([[1.0, 2.0]], theirs)
+    assert np.isnan(one.low)
+    assert one.value == pytest.approx(1.5 - y.mean())
+    same = between([[1.0], [1.0]], [[0.0], [0.0]])
+    assert (same.value, same.low, same.p) == (1.0, 1.0, 0.0)
 
 
 def test_paired_is_the_paired_t_test_on_one_task():
