@@ -36,6 +36,7 @@ from deadreckon.bench.tables import tables
 from deadreckon.bench.times import forecast
 from deadreckon.report import charts
 from deadreckon.report.picture import PANEL, sheet
+from deadreckon.report.text import words
 from deadreckon.stats.interval import PERCENT
 from deadreckon.stats.scores import interval, iqm, performance_profile, probability_of_improvement
 
@@ -163,14 +164,15 @@ def _reads(verdict: Verdict) -> str:
 
 def _effect(one: Comparison) -> str:
     test = one.test
-    rival = one.rival or (f"the same on the logs of {test.beside.name}" if test.beside else f"{test.than:g}")
+    rival = one.rival or (f"the same on the tasks of {test.beside.name}" if test.beside else f"{test.than:g}")
+    ours = test.method[0] if len(test.method) == 1 else f"the mean of {words([*test.method])}"
     where = f" on {', '.join(one.on)}" if len(one.on) < len(read(test.suite).on) else ""
-    words = f"{test.metric}{' (less is better)' if test.less else ''}: {' and '.join(test.method)} against {rival}{where}"
+    told = f"{test.metric}{' (less is better)' if test.less else ''}: {ours} against {rival}{where}"
     margin = f", margin {test.margin:g}" if test.margin else ""
     found = f"gain {one.gain:.3g}{margin}, {one.state}"
     if one.undefined:
         found = f"{one.undefined:,} of {one.cells:,} scores are not finite"
-    return f"`{test.suite.name}`, {words}: " + ("not there yet" if one.missing else found)
+    return f"`{test.suite.name}`, {told}: " + ("not there yet" if one.missing else found)
 
 
 def claimed(name: str, files: dict[str, bytes]) -> str:

@@ -63,7 +63,7 @@ def test_dapg_policies_are_trained_published_and_shown(tmp_path, monkeypatch, ca
 
 
 @pytest.mark.slow
-def test_unplugged_policies_learn_from_the_log_and_are_judged_on_what_they_have_not_seen(tmp_path, monkeypatch, capsys):
+def test_unplugged_policies_learn_from_four_fifths_of_the_log_and_are_estimated(tmp_path, monkeypatch, capsys):
     pytest.importorskip("dm_control", reason="dm_control is not installed (extra `control`)")
     monkeypatch.syspath_prepend(str(ROOT / "tools"))
     import unplugged_policies as example
@@ -109,7 +109,7 @@ def test_unplugged_policies_learn_from_the_log_and_are_judged_on_what_they_have_
         log = dr.load("cartpole-swingup-full-replay-v0")
         about = library.about("cartpole-swingup")
         assert about["run"]["data"]["fingerprint"] == log.fingerprint
-        assert about["run"]["agents"]["crr_d"]["fields"]["hidden"] == [8]
+        assert about["run"]["runs"]["crr_d"]["agent"]["fields"]["hidden"] == [8]
         episodes = fresh(gather("cartpole-swingup"), log, unseen=False)
         assert len(episodes.held) == 8  # a fifth of forty
         assert episodes.against == [None] * 8

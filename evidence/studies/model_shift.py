@@ -92,7 +92,7 @@ def error(case: str, *, seed: int, rows: int) -> dict[str, float]:
 def measured(options: Options, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Divergences (shares,) and errors (rows, shares)."""
     own = library.snapshot(options.task, options.policy)
-    later = [s for s in library.library(options.task) if s.name.startswith("snapshot-") and s.updates > own.updates]
+    later = [s for s in library.evaluated(options.task) if s.updates > own.updates]
     if not later:
         raise UserError(f"{options.policy} is the last policy of {options.task}; name an earlier one")
     first, second = own.policy(), later[0].policy()

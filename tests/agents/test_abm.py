@@ -7,85 +7,87 @@ import pytest
 from scipy.special import logsumexp, softmax
 
 from deadreckon.agents import ABM
+from deadreckon.errors import UserError
 from deadreckon.randomness import keys
 from tests.agents.test_actor_critics import q
-from tests.agents.test_offline import KEY, SMALL, both_likelihoods, drawn_actions, logged_log_prob, made, updated
+from tests.agents.test_offline import KEY, SMALL, SPEC, both_likelihoods, drawn_actions, logged_log_prob, made, updated
 from tests.agents.test_rivals import windows
 
-K_NOW, K_TARGET, K_PRIOR = keys(KEY, "value", "target", "prior")
+K_VALUE, K_PRIOR = keys(KEY, "value", "prior")
 FIELDS = {"discount": 0.9, "window": 3, "batch_size": 6, "samples": 4, "epsilon": 0.2, "eta": 0.5, **SMALL}
-ROWS = np.array([[1.0, 1, 0], [1, 1, 1]]) * 6 / 5  # what a row counts for: the last of the first window is of another episode
+# What a row counts for: the last of the first window is of another episode; the first row of an episode is in one window, the
+# second in two, all later ones in three.
+ROWS = np.array([[1.0, 1 / 2, 0], [1 / 3, 1 / 3, 1 / 3]]) / (2.5 / 6)
 
 
 @pytest.fixture(scope="module")
 def learner():
     agent, state = made(ABM(**FIELDS))
     moved = lambda tree, k: jax.tree.map(lambda w: w + 0.3 * jax.random.normal(jax.random.key(k), w.shape), tree)  # noqa: E731
-    nets = {name: moved(getattr(state, name), k) for k, name in enumerate(("prior", "target_actor", "target_critic"))}
-    return agent, state._replace(**nets)
+    names = "actor", "prior", "critic", "target_actor", "target_critic"  # so that no network is another's copy
+    return agent, state._replace(**{name: moved(getattr(state, name), k) for k, name in enumerate(names)})
 
 
 def flat(seen):
     return np.asarray(seen, np.float64).reshape(-1, 1)
 
 
-def expected_value(state, seen, key):
-    noise = jax.random.normal(key, (4, 6, 1))
-    drawn = drawn_actions(state.target_actor, flat(seen), noise)
-    return np.mean([q(state.target_critic, 0, flat(seen), a) for a in drawn], 0).reshape(2, 3)
-
-
 def of_both(state):
+    """V(s) and V(s'): a state between two rows has one value."""
     rows = windows()
-    return expected_value(state, rows.observation, K_NOW), expected_value(state, rows.next_observation, K_TARGET)
+    seen = np.concatenate([rows.observation[:, :1], rows.next_observation], 1)
+    drawn = drawn_actions(state.target_actor, flat(seen), jax.random.normal(K_VALUE, (4, 8, 1)))
+    found = np.mean([q(state.target_critic, 0, flat(seen), a) for a in drawn], 0).reshape(2, 4)
+    return found[:, :-1], found[:, 1:]
+
+
+def whole_advantages(rows, now, after):
+    """R_t - V(s_t), row by row: the first window's episode ends with its second row, by a terminal."""
+    r, last = np.asarray(rows.reward), np.asarray(rows.reward)[1, 2] + 0.9 * after[1, 2]
+    ended = [r[0, 0] + 0.9 * r[0, 1], r[0, 1], 0.0]
+    return np.array([ended, [r[1, 0] + 0.9 * r[1, 1] + 0.81 * last, r[1, 1] + 0.9 * last, last]]) - now
 
 
 def test_values_are_means_over_draws_of_the_target_policy_by_the_target_critic(learner):
     agent, state = learner
     rows = windows()
-    np.testing.assert_allclose(agent.value(state, rows.observation, K_NOW), of_both(state)[0], atol=1e-5)
+    now, following = agent.values(state, rows, K_VALUE)
+    np.testing.assert_allclose(now, of_both(state)[0], atol=1e-5)
+    np.testing.assert_allclose(following, of_both(state)[1], atol=1e-5)
     reward, terminal = np.asarray(rows.reward), np.asarray(rows.terminal)
-    after = of_both(state)[1]
-    np.testing.assert_allclose(agent.target(rows, jnp.asarray(after)), reward + 0.9 * (1 - terminal) * after, atol=1e-5)
+    np.testing.assert_allclose(agent.target(rows, following), reward + 0.9 * (1 - terminal) * following, atol=1e-5)
 
 
 def test_advantages_are_of_rewards_to_the_end_of_the_window_or_of_the_episode(learner):
-    agent, _ = learner
-    rows = windows()
-    rng = np.random.default_rng(4)
-    now = rng.normal(size=(2, 3))
-    after = np.concatenate([now[:, 1:], rng.normal(size=(2, 1))], 1)  # rows follow each other
-    r = np.asarray(rows.reward)
-    found = agent.advantage(rows, jnp.asarray(now), jnp.asarray(after))
-    ended = [r[0, 0] + 0.9 * r[0, 1], r[0, 1]]  # by a terminal
-    np.testing.assert_allclose(found[0, :2], ended - now[0, :2], atol=1e-5)
-    last = r[1, 2] + 0.9 * after[1, 2]
-    whole = [r[1, 0] + 0.9 * r[1, 1] + 0.81 * last, r[1, 1] + 0.9 * last, last]
-    np.testing.assert_allclose(found[1], whole - now[1], atol=1e-5)
+    agent, state = learner
+    now, after = agent.values(state, windows(), K_VALUE)
+    found = agent.advantage(windows(), now, after)
+    there = np.asarray(windows().mask, bool)
+    np.testing.assert_allclose(found[there], whole_advantages(windows(), now, after)[there], atol=1e-5)
 
 
 @both_likelihoods
-def test_one_update_by_hand(likelihood):
-    agent, state = made(ABM(likelihood=likelihood, **FIELDS))
+def test_one_update_by_hand(learner, likelihood):
+    agent, state = learner if likelihood == "normal" else made(ABM(likelihood=likelihood, **FIELDS))
     rows = windows()
     after, metrics = updated(agent, state, rows)
     now, following = of_both(state)
-    reward, terminal = np.asarray(rows.reward), np.asarray(rows.terminal)
-    target = reward + 0.9 * (1 - terminal) * following
+    target = np.asarray(rows.reward) + 0.9 * (1 - np.asarray(rows.terminal)) * following
     own = q(state.critic, 0, flat(rows.observation), flat(rows.action)).reshape(2, 3)
     assert metrics["critic_loss"] == pytest.approx((ROWS * (own - target) ** 2).mean(), rel=1e-4)
-    good = np.asarray(agent.advantage(rows, jnp.asarray(now), jnp.asarray(following))) > 0
+    good = whole_advantages(rows, now, following) > 0
     assert 0 < (good & (ROWS > 0)).sum() < 5
     assert metrics["prior_loss"] == pytest.approx(-(ROWS * good * logged_log_prob(state.prior, rows)).mean(), rel=1e-4)
-    # The policy imitates the prior's draws, and the temperature follows its dual.
+    # The policy imitates the prior's draws, and the temperature follows its dual, by one step of Adam.
     drawn = drawn_actions(state.prior, flat(rows.observation), jax.random.normal(K_PRIOR, (4, 6, 1)))
     values = np.stack([q(state.target_critic, 0, flat(rows.observation), a) for a in drawn])
     weight = softmax(values / 0.5, axis=0) * ROWS.reshape(-1)
     log_probs = [logged_log_prob(state.actor, rows._replace(action=a.reshape(2, 3, 1))).reshape(-1) for a in drawn]
     assert metrics["actor_loss"] == pytest.approx(-(weight * log_probs).sum(0).mean(), rel=1e-3)
-    assert float(after.log_eta) != float(state.log_eta)
-    for name in ("actor", "prior", "critic"):
-        assert any((a != b).any() for a, b in zip(jax.tree.leaves(getattr(after, name)), jax.tree.leaves(getattr(state, name))))
+    dual = lambda eta: eta * (0.2 + (ROWS.reshape(-1) * (logsumexp(values / eta, axis=0) - np.log(4))).mean())  # noqa: E731
+    slope = (dual(0.5 * np.exp(1e-4)) - dual(0.5 * np.exp(-1e-4))) / 2e-4
+    assert after.log_eta == pytest.approx(np.log(0.5) - 0.01 * np.sign(slope), abs=1e-4)
+    assert any((a != b).any() for a, b in zip(jax.tree.leaves(after.actor), jax.tree.leaves(state.actor)))
 
 
 def test_the_temperature_minimises_the_dual_where_the_divergence_is_epsilon():
@@ -140,3 +142,8 @@ def test_bm_imitates_all_rows():
     _, metrics = updated(agent, state, windows())
     assert metrics["imitated"] == pytest.approx(1.0)
     assert metrics["prior_loss"] == pytest.approx(-(ROWS * logged_log_prob(state.prior, windows())).mean(), rel=1e-4)
+
+
+def test_epsilon_is_what_draws_can_diverge_by():
+    with pytest.raises(UserError, match=r"epsilon must be below log\(samples\), the largest divergence of 5 draws, 1.61"):
+        ABM(samples=5, epsilon=2.0).resolve(SPEC, 10)

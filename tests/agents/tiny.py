@@ -16,7 +16,7 @@ OWN = {"cal_ql": {"critic_hidden": (16, 16), "samples": 3}, "rlpd": {"critics": 
        "edac": {"diversity": 0.0}, "bcq": {"behavior_hidden": (16, 16), "test_samples": 10}, "brac": {"behavior_steps": 20},
        "d4pg": {"critic_hidden": (16, 16), "v_min": -5.0, "v_max": 5.0, "target_update_period": 10, "n_step": 2},
        "crr_d": {"critic_hidden": (16, 16), "v_min": -5.0, "v_max": 5.0, "target_update_period": 10},
-       "abm": {"window": 8, "samples": 4, "target_update_period": 10},
+       "abm": {"window": 8, "samples": 4, "epsilon": 0.5, "target_update_period": 10},
        "rem": {"heads": 5}, "kl_control": {"behavior_steps": 20}, "awr": {"window": 8},
        "decision_transformer": {"context_length": 4, "layers": 1, "hidden": (16,), "batch_size": 16}}  # fmt: skip
 

@@ -171,16 +171,22 @@ def test_the_full_size_of_a_claim_is_that_of_the_suites_that_have_one(folder):
     assert [one.cells for one in verdict(claims("claims.toml")[2], kept({}), full=True).comparisons] == [8, 6]
 
 
-def test_the_same_methods_are_compared_on_the_logs_of_another_suite(folder):
-    """By hand: of both methods means over seeds, a number a log; then Welch's t over the logs of either side."""
-    (folder / "other.toml").write_text(SUITE.partition("[full]")[0].replace("hopper-medium", "walker2d-expert"))
-    text = '''[[claims]]
+BESIDE = '''[[claims]]
 id = "E"
 says = "The first suite is easier."
 place = "8.5"
 tests = [{ suite = "suite.toml", method = ["BC", "TD3"], beside = "other.toml" }]
 '''
-    (folder / "claims.toml").write_text(text)
+
+
+@pytest.mark.parametrize("less", [False, True])
+def test_the_same_methods_are_compared_on_the_tasks_of_another_suite(folder, less):
+    """By hand: of both methods means over seeds and the logs of a task; then Welch's t over the tasks of either side."""
+    logs = "ant-medium-v2", "halfcheetah-medium-v2", "ant-expert-v2"
+    listed = f"logs = [{', '.join(repr(log) for log in logs)}]"
+    own = 'logs = ["hopper-medium-v2", "walker2d-medium-v2"]'
+    (folder / "other.toml").write_text(SUITE.partition("[full]")[0].replace(own, listed))
+    (folder / "claims.toml").write_text(BESIDE.replace(" }]", ", less = true }]") if less else BESIDE)
     [claim] = claims("claims.toml")
     assert claim.tests[0].method == ("BC", "TD3")
     suites = read("suite.toml"), read("other.toml")
@@ -188,7 +194,8 @@ tests = [{ suite = "suite.toml", method = ["BC", "TD3"], beside = "other.toml" }
     scores = {
         ("BC", "hopper-medium-v2"): [50.0, 54.0, 50.0, 54.0], ("TD3", "hopper-medium-v2"): [40.0] * 4,
         ("BC", "walker2d-medium-v2"): [60.0] * 4, ("TD3", "walker2d-medium-v2"): [44.0, 48.0, 44.0, 48.0],
-        ("BC", "walker2d-expert-v2"): [10.0] * 4, ("TD3", "walker2d-expert-v2"): [20.0] * 4,
+        ("BC", logs[0]): [10.0] * 4, ("TD3", logs[0]): [20.0] * 4, ("BC", logs[1]): [30.0] * 4, ("TD3", logs[1]): [32.0] * 4,
+        ("BC", logs[2]): [18.0] * 4, ("TD3", logs[2]): [20.0] * 4,
     }  # fmt: skip
     for job in (job for suite in suites for job in plan(suite)):
         values = scores.get((job.method, job.on))
@@ -196,14 +203,26 @@ tests = [{ suite = "suite.toml", method = ["BC", "TD3"], beside = "other.toml" }
             base = {"raw": 0.0, "steps": 100, "seconds": 1.0, "failure": "", "versions": "{}", "more": "{}"}
             store.keep(job, JobResult([base | {"seed": s, "score": v} for s, v in zip(job.seeds, values)], []))
     [one] = verdict(claim, store).comparisons
-    ours, theirs = np.array([46.0, 53.0]), np.array([15.0, 53.0])  # the walker on medium is in both
-    error = np.sqrt(ours.var(ddof=1) / 2 + theirs.var(ddof=1) / 2)
-    parts = ours.var(ddof=1) / 2, theirs.var(ddof=1) / 2
-    dof = sum(parts) ** 2 / sum(part**2 for part in parts)
-    assert (one.cells, one.missing, one.rival) == (32, 0, None)
-    assert one.gain.value == pytest.approx(15.5)
-    assert one.gain.high - one.gain.value == pytest.approx(scipy.stats.t.ppf(0.975, dof) * error)
-    assert one.state == "open"
+    expected = scipy.stats.ttest_ind([46.0, 53.0], [(15.0 + 19.0) / 2, 31.0], equal_var=False)
+    limits = expected.confidence_interval(0.95)
+    assert (one.cells, one.missing, one.rival) == (40, 0, None)
+    found = one.gain.value, one.gain.low, one.gain.high
+    wanted = (-25.5, -limits.high, -limits.low) if less else (25.5, limits.low, limits.high)
+    assert found == pytest.approx(wanted)
+
+
+def test_what_is_compared_across_suites_has_logs_of_its_own(folder):
+    (folder / "other.toml").write_text(SUITE)
+    (folder / "claims.toml").write_text(BESIDE)
+    with pytest.raises(UserError, match="hopper-medium-v2 is in suite.toml and in other.toml, which must have"):
+        claims("claims.toml")
+    (folder / "claims.toml").write_text(BESIDE.replace('["BC", "TD3"]', '["BC", "BC"]'))
+    with pytest.raises(UserError, match="method must be a method, or different ones, got"):
+        claims("claims.toml")
+    tuned = '[tuned]\ntd3 = ["hopper-medium-v2", "walker2d-medium-v2"]\n\n'
+    (folder / "claims.toml").write_text(tuned + BESIDE)
+    with pytest.raises(UserError, match="all its logs are ones on which an agent was tuned"):
+        claims("claims.toml")
 
 
 @pytest.mark.parametrize(

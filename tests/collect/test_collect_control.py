@@ -8,8 +8,9 @@ import pytest
 from deadreckon.agents.d4pg import D4PG
 from deadreckon.collect import control, recipe, recipe_names, trained
 from deadreckon.data.entries import ENTRIES
+from deadreckon.data.provenance import Provenance
 from deadreckon.errors import UserError
-from deadreckon.online import Online
+from deadreckon.online import Online, episodes_log
 from deadreckon.online.rows import row_columns, row_width, unpacked
 from deadreckon.tasks import registry
 from deadreckon.tasks.control import TASKS
@@ -62,7 +63,7 @@ def test_episodes_are_whole_and_evenly_spaced_over_the_training(short, tmp_path)
             np.testing.assert_array_equal(getattr(log, column)[own], turns[name][turn, :, copy])
         np.testing.assert_array_equal(log.final_observations[i], turns["next_observation"][turn, -1, copy])
     assert log.provenance.extra["trained"] == 320
-    assert log.provenance.extra["agent"]["n_step"] == 5
+    assert log.provenance.extra["training"]["n_step"] == 5
 
 
 @pytest.mark.slow
@@ -74,9 +75,23 @@ def test_a_killed_training_goes_on_and_another_log_is_refused(short, tmp_path):
         if done > 200:
             raise Killed
 
+    told = []
     with pytest.raises(Killed):
         collected(tmp_path / "a", progress=kill)
-    assert collected(tmp_path / "a").fingerprint == collected(tmp_path / "b").fingerprint
+    resumed = collected(tmp_path / "a", progress=lambda done, total: told.append(done))
+    assert told[0] > 150  # not from its beginning
+    assert resumed.fingerprint == collected(tmp_path / "b").fingerprint
+    with pytest.raises(UserError, match="holds the beginning of another collection"):
+        control.collect_control(TASK, name=NAME, steps=100, scratch=tmp_path / "a", seed=4, threads=1)
+
+
+def test_episodes_that_do_not_end_together_are_no_log(short, tmp_path):
+    collected(tmp_path)
+    path = tmp_path / "training" / "rows.bin"
+    rows = np.memmap(path, np.float32, "r+", shape=(320, row_width(TASK)))
+    rows[45, -1] = 1.0
+    with pytest.raises(UserError, match="episodes do not all end after 20 steps of their copy"):
+        episodes_log(path, TASK, 4, 320, 5, name=NAME, provenance=Provenance())
 
 
 def test_rows_are_whole_episodes_of_the_training(short, tmp_path):

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from deadreckon.errors import UserError
+from deadreckon.ope import dope
 from deadreckon.ope import metrics as m
+from deadreckon.runs import dope as protocol
 
 
 def test_by_hand():
@@ -129,3 +131,38 @@ def test_published_returns_of_dm_control_are_in_the_ranges_of_dope():
         assert (min(means), max(means)) == pytest.approx((least, most), abs=1.0)
         assert len({(each.agent, each.seed, each.updates) for each in found[task]}) == len(found[task])
         assert {each.seed for each in found[task]} == {0, 1, 2}
+    assert ("ABM", 2, 200_001, 301.47, 212.09) in found["cheetah-run"]
+    assert ("CRR", 2, 800_001, 560.03, 114.97) in found["humanoid-run"]
+    assert ("D4PG", 0, 25_001, 29.36, 0.16) in found["cartpole-swingup"]
+
+
+def test_tables_of_dm_control_are_those_of_the_thesis_for_it():
+    log, d4rl = "walker-stand-full-replay-v0@dr1", "hopper-medium-v2@dr1"
+    assert dope.of_unplugged(log) == "walker-stand"
+    assert dope.of_unplugged(d4rl) is None
+    assert dope.of_unplugged(f"{log}-2000-steps") is None
+    assert dope.printed("rank_correlation", log, "WPDIS") == (0.59, 0.08)
+    assert dope.printed("absolute_error", log, "FQE-L2") == (6.51, 0.71)
+    assert dope.printed("regret", log, "WPDIS") is None  # Table E.3 has regret@5
+    assert dope.printed("regret", log, "WPDIS", 5) == (0.54, 0.11)
+    assert dope.printed("regret", d4rl, "WPDIS", 5) is None
+    assert dope.printed("regret", d4rl, "WPDIS") == (0.38, 0.28)
+    none, some = np.zeros(6), np.arange(6.0)
+    made = [dope.Result(each, "FQE-L2", tuple("abcdef"), 0.0, some, none, some, none, none, 0.0, (), "") for each in (d4rl, log)]
+    assert [(each.metric, each.k) for each in dope.shown_metrics(made[:1])][-1] == ("regret", 1)
+    assert dope.shown_metrics(made)[-1] == ("regret", 5, "Regret@5, in ranges of the true values")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"half": "rlu"}, "unknown half of DOPE 'rlu'"),
+        ({"tasks": ()}, "no log is asked for: name a task"),
+        ({"kinds": ()}, "no log is asked for: name a task"),
+        ({"half": "unplugged", "tasks": ["walker-run"]}, "unknown recipe 'walker-run-full-replay-v0'"),
+        ({"half": "unplugged", "tasks": ["humanoid-run"]}, "there are no policies of 'humanoid-run'"),
+    ],
+)
+def test_what_the_protocol_refuses_before_it_begins(options, message):
+    with pytest.raises(UserError, match=message):
+        protocol.dope(["fqe"], **options)

@@ -294,7 +294,7 @@ def little(rows):
 def test_the_protocol_with_a_function_of_ones_own(tmp_path, monkeypatch):
     """One line for a user's own estimator; what has been computed is not computed again."""
     data = little(200)
-    truth = [s.sampled.discounted for s in library.library("hopper") if s.name.startswith("snapshot-")]
+    truth = [s.sampled.discounted for s in library.evaluated("hopper")]
     calls = []
 
     def perfect(data, policies, discount):

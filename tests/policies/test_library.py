@@ -49,7 +49,7 @@ def test_snapshots(name):
 @pytest.mark.parametrize("name", OF_SEVERAL_RUNS)
 def test_policies_of_dm_control_are_of_four_agents_and_know_what_they_have_learned_from(name):
     found, about, world = library.evaluated(name), library.about(name), task(name)
-    made = about["run"]["agents"]
+    made = about["run"]["runs"]
     assert set(made) == {"d4pg", "abm", "bc", "crr_d"}
     assert len(found) >= 24
     assert {s.name for s in found} == {f"{agent}-{seed}-{s.updates}" for s in found for agent in made for seed in range(3)}

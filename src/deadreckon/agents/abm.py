@@ -11,6 +11,7 @@ temperature eta that minimises eta epsilon + eta E_s[ log E_{a of pi_prior} exp(
 imitates draws of the prior with these weights.
 """
 
+import math
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
@@ -18,13 +19,16 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from deadreckon.agents.agent import Agent, advantage_in_windows, backup, create_critics, imitation_loss
+from deadreckon.agents.agent import Agent, advantage_in_windows, backup, create_critics, imitation_loss, rows_of_windows
 from deadreckon.data.batch import Batch, BatchSpec
+from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.nets.optim import apply_gradients, clip_by_norm, copy, init_opt, renewed
 from deadreckon.policies.kinds import Likelihood, create_imitator, stochastic
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, UnitInterval, static
+
+LEAST = -10.0  # log of the smallest temperature: values that differ by less than rounding have no order
 
 
 class State(NamedTuple):
@@ -50,7 +54,7 @@ class ABM(Agent):
     critic_lr: NonNegative = 1e-4  # learning rate of the critic
     eta_lr: NonNegative = 1e-2  # learning rate of the temperature
     discount: UnitInterval = 0.99  # discount factor per step
-    epsilon: Positive = 0.1  # mean KL divergence of the policy from the prior, in nats
+    epsilon: Positive = 0.1  # mean KL divergence of the improved policy from the prior, in nats
     eta: Positive = 1.0  # first temperature that divides the values
     prior: Literal["advantage", "all"] = static("advantage")
     """what the prior imitates: actions that turned out better than the policy (ABM), or all (BM in the paper)"""
@@ -63,9 +67,21 @@ class ABM(Agent):
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update), in windows of the length above
 
+    def resolve(self, spec, steps):
+        """See `Agent.resolve`; weights of so many draws must be able to diverge by epsilon."""
+        agent = super().resolve(spec, steps)
+        most = math.log(self.samples)  # where one draw has all the weight
+        if not self.epsilon < most:
+            raise UserError(
+                f"{type(self).__name__}: epsilon must be below log(samples), the largest divergence of {self.samples} draws, "
+                f"{most:.3g}, got {self.epsilon:g}"
+            )
+        return agent
+
     def needs(self, spec):
         """Windows of transitions."""
-        return BatchSpec(batch_size=max(self.batch_size // self.window, 1), window=self.window)
+        size = max(self.batch_size // self.window, 1)
+        return BatchSpec((*BatchSpec.columns, "time"), size, window=self.window)
 
     def init(self, spec, key):
         """Fresh networks; targets are copies."""
@@ -75,6 +91,12 @@ class ABM(Agent):
         log_eta = jnp.log(jnp.asarray(self.eta, jnp.float32))
         opts = tuple(init_opt(each) for each in (actor, prior, critic, log_eta))
         return State(actor, prior, critic, copy(actor), copy(critic), log_eta, opts)
+
+    def values(self, state: State, batch: Batch, key: PRNGKeyArray) -> tuple[Float[Array, "b w"], Float[Array, "b w"]]:
+        """V(s) and V(s') of the target networks: of a state between two rows one number, so that sums over rows telescope."""
+        seen = jnp.concatenate([batch.observation[:, :1], batch.next_observation], 1)
+        found = self.value(state, seen, key)
+        return found[:, :-1], found[:, 1:]
 
     def value(self, state: State, observation: Float[Array, "b w o"], key: PRNGKeyArray) -> Float[Array, "b w"]:
         """V(s) of the target networks."""
@@ -111,10 +133,9 @@ class ABM(Agent):
 
     def update(self, state, batch, *, step, key):
         """Critic, prior, temperature, policy, and at the end of every period the targets."""
-        k_now, k_target, k_prior = keys(key, "value", "target", "prior")
-        rows = batch.mask / jnp.maximum(batch.mask.mean(), 1e-12)
-        now = self.value(state, batch.observation, k_now)
-        following = self.value(state, batch.next_observation, k_target)
+        k_value, k_prior = keys(key, "value", "prior")
+        rows = rows_of_windows(batch, self.window)
+        now, following = self.values(state, batch, k_value)
         target = self.target(batch, following)
         slopes, metrics = jax.grad(self.critic_loss, has_aux=True)(state.critic, batch, target, rows)
         good = self.advantage(batch, now, following) > 0 if self.prior == "advantage" else jnp.ones_like(rows)
@@ -136,6 +157,7 @@ class ABM(Agent):
             for (net, slope, lr), opt in zip(steps, state.opts, strict=True)
         ]
         (actor, prior, critic, log_eta), opts = zip(*made)
+        log_eta = jnp.maximum(log_eta, LEAST)
         before = state.target_actor, state.target_critic
         target_actor, target_critic = renewed(before, (actor, critic), step, self.target_update_period)
         more = {"actor_loss": actor_loss, "prior_loss": prior_loss, "eta": jnp.exp(log_eta), "imitated": (rows * good).mean()}

@@ -187,6 +187,15 @@ def advantage_in_windows(batch: Batch, error: Float[Array, "b w"], decay: Any) -
     return traced_advantage(error.T, goes_on.T, decay).T
 
 
+def rows_of_windows(batch: Batch, window: int) -> Float[Array, "b w"]:
+    """What a row of a window counts for, of mean one: nothing beyond the episode's end.
+
+    A row early in its episode is in fewer windows than others, and counts for more in them.
+    """
+    share = batch.mask / jnp.minimum(batch.time + 1.0, window)
+    return share / jnp.maximum(share.mean(), 1e-12)
+
+
 def capped_exp(x: Float[Array, "*b"], most: Any) -> Float[Array, "*b"]:
     """exp(x), `most` at most; the exponent is cut, so that no row is infinite."""
     return jnp.exp(jnp.minimum(x, jnp.log(most)))

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
-from deadreckon.agents.agent import Agent, advantage_in_windows, backup, capped_exp, imitation_loss
+from deadreckon.agents.agent import Agent, advantage_in_windows, backup, capped_exp, imitation_loss, rows_of_windows
 from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
@@ -73,9 +73,7 @@ class AWR(Agent):
 
     def update(self, state, batch, *, step, key):
         """Values, then the actor by the advantages over them."""
-        # A row early in its episode is in fewer windows than others, and counts for more in them.
-        mask = batch.mask / jnp.minimum(batch.time + 1.0, self.window)
-        mask = mask / jnp.maximum(mask.mean(), 1e-12)
+        mask = rows_of_windows(batch, self.window)
         target, _ = self.returns(state.value, batch)
         value_loss, grads = jax.value_and_grad(
             lambda value: (mask * jnp.square(value(batch.observation)[..., 0] - target)).mean()

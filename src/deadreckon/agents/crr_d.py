@@ -19,9 +19,9 @@ class CRRD(D4PG):
 
     revision: ClassVar[int] = 1
     online: ClassVar[bool] = False
-    exploration_noise: ClassVar[float] = 0.0
     other_names: ClassVar[dict[str, str]] = D4PG.other_names | {"beta": "temperature", "ratio_upper_bound": "max_weight"}
 
+    n_step: Count = static(1)  # rewards of the log summed before the value that follows
     v_min: Number = 0.0  # smallest return that has a probability
     v_max: Number = 100.0  # largest return that has a probability
     atoms: Count = static(21)  # number of returns that have a probability

@@ -8,7 +8,7 @@ all its comparisons hold. It is contradicted where one of its k comparisons is, 
 (Bonferroni).
 
 Where a test has `beside`, another suite, the same methods are compared on its logs: the gain is the difference of means over
-logs, which are taken as samples, with Welch's interval (`stats.comparison.between`).
+tasks, which are taken as samples, with Welch's interval (`stats.comparison.between`). Logs of one task are averaged first.
 """
 
 import json
@@ -28,6 +28,7 @@ from deadreckon.bench.tables import number
 from deadreckon.errors import UserError, unknown
 from deadreckon.stats.comparison import between, paired
 from deadreckon.stats.interval import ALPHA, Interval
+from deadreckon.tasks.registry import of_log
 
 State = Literal["holds", "contradicted", "open"]
 
@@ -45,7 +46,8 @@ class Test:
         less: whether less is better.
         margin: the gain that is claimed.
         each: whether it is claimed of each of `on`, not of their mean.
-        beside: another suite with the same methods, on whose logs they are claimed to do worse.
+        beside: another suite with the same methods, on whose tasks they are claimed to do worse.
+        beside_on: its logs.
     """
 
     suite: Path
@@ -57,6 +59,7 @@ class Test:
     margin: float = 0.0
     each: bool = False
     beside: Path | None = None
+    beside_on: tuple[str, ...] = ()
 
     @property
     def suites(self) -> tuple[Path, ...]:
@@ -171,12 +174,12 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
     return Verdict(claim, tuple(_compared(*pair, plans, rows, len(pairs)) for pair in pairs))
 
 
-def _check_metric(test: Test, jobs: Sequence[Job], rows: Mapping[str, dict[str, Any]]) -> None:
+def _check_metric(test: Test, suite: Path, jobs: Sequence[Job], rows: Mapping[str, dict[str, Any]]) -> None:
     """Refuses a metric that no sound result of the suite has: it would be open for ever."""
     sound = [rows[cell] for job in jobs for cell in job.cells if cell in rows and not rows[cell]["failure"]]
     known = {name for row in sound for name in (*row, *json.loads(row["more"] or "{}"))}
     if sound and test.metric not in known:
-        raise UserError(f"{test.suite}: {unknown('metric', test.metric, known)}")
+        raise UserError(f"{suite}: {unknown('metric', test.metric, known)}")
 
 
 def _compared(
@@ -202,19 +205,30 @@ def _compared(
 
     ours = scores(test.suite, test.method, on)
     if test.beside is not None:
-        theirs = scores(test.beside, test.method, [*dict.fromkeys(job.on for job in plans[test.beside])])
+        theirs = scores(test.beside, test.method, test.beside_on)
     elif rival is None:
         theirs = {log: np.full_like(values, test.than) for log, values in ours.items()}
     else:
         theirs = scores(test.suite, (rival,), on)
     for path in test.suites:
-        _check_metric(test, plans[path], rows)
+        _check_metric(test, path, plans[path], rows)
     values = np.concatenate(seen)
     if lacking := int((~np.isfinite(values)).sum()):
         nothing = Interval(math.nan, math.nan, math.nan)
         return Comparison(test, rival, on, nothing, nothing, len(values), missing, lacking - missing)
     if test.less:
         ours, theirs = theirs, ours
+    if test.beside is not None:
+        ours, theirs = _by_task(ours), _by_task(theirs)
     compare = paired if test.beside is None else between
     gain, strict = (compare(ours, theirs, level) for level in (1.0 - ALPHA, 1.0 - ALPHA / count))
     return Comparison(test, rival, on, gain, strict, len(values), 0, 0)
+
+
+def _by_task(scores: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Means over the logs of each task, which are no samples of their own."""
+    logs: dict[str, list[np.ndarray]] = {}
+    for log, values in scores.items():
+        task = of_log(log)
+        logs.setdefault(log if task is None else task.name, []).append(values)
+    return {task: np.mean(values, 0) for task, values in logs.items()}

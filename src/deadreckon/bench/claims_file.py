@@ -17,7 +17,7 @@
     less = false                            # whether less is better
     margin = 0.0                            # the gain that is claimed; below zero where it is "no worse"
     each = false                            # whether it is claimed of each log by itself, and not of their mean
-    beside = "other.toml"                   # in the place of `than`: a suite on whose logs the same methods do worse
+    beside = "other.toml"                   # in the place of `than`: a suite on whose tasks the same methods do worse
 """
 
 from collections import Counter
@@ -98,7 +98,8 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
     _check_keys(where, said, {f.name for f in fields(Claim)}, ("id", "says", "place"))
     tests = []
     for test in said.get("tests", ()):
-        _check_keys(where, test, {f.name for f in fields(Test)}, ("suite", "method", "beside" if "beside" in test else "than"))
+        known = {f.name for f in fields(Test)} - {"beside_on"}
+        _check_keys(where, test, known, ("suite", "method", "beside" if "beside" in test else "than"))
         if "beside" in test and ("than" in test or test.get("each", False)):
             raise UserError(f"{where}: with beside, means over all logs are compared; leave than and each out")
         for key, value in test.items():
@@ -108,6 +109,8 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
                 raise UserError(f"{where}: {key} must be {kind}, got {value!r}")
         own: list[str] = [test["method"]] if isinstance(test["method"], str) else test["method"]
         than: list[str] | float = test.get("than", []) if isinstance(test.get("than", []), list) else float(test["than"])
+        if not own or len(set(own)) < len(own):
+            raise UserError(f"{where}: method must be a method, or different ones, got {own!r}")
         names = [test["suite"], *([test["beside"]] if "beside" in test else [])]
         agents: dict[str, str] = {}
         for name in names:
@@ -120,15 +123,18 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
         suite = suites[test["suite"]]
         for on in test.get("on", ()):
             if on not in suite.on:
-                raise UserError(f"{where}: {unknown(f'log, task, problem or case of {suite.name}.toml', on, suite.on)}")
+                raise UserError(f"{where}: {unknown(f'log, task, problem or case of {names[0]}', on, suite.on)}")
         judged = {agents[method] for method in [*own, *(than if isinstance(than, list) else ())]}
         void = {log for agent in judged for log in tuned.get(agent, ())}
         left = tuple(on for on in test.get("on", suite.on) if on not in void)
-        if not left:
+        other = tuple(on for on in suites[names[1]].on if on not in void) if "beside" in test else ()
+        if not left or ("beside" in test and not other):
             raise UserError(f"{where}: all its logs are ones on which an agent was tuned, so they decide nothing")
+        if both := set(left) & set(other):
+            raise UserError(f"{where}: {min(both)} is in {names[0]} and in {names[1]}, which must have logs of their own")
         given = test | {"suite": path.parent / names[0], "method": tuple(own), "on": left}
         given |= {"than": tuple(than) if isinstance(than, list) else than}
-        given |= {"beside": path.parent / names[1]} if "beside" in test else {}
+        given |= {"beside": path.parent / names[1], "beside_on": other} if "beside" in test else {}
         tests.append(Test(**given))
     return Claim(said["id"], said["says"], said["place"], tuple(tests), said.get("note", ""))
 

@@ -22,7 +22,7 @@ class Bench:
     """The DOPE protocol: estimate the package's policies from its logs, and compare with their true values."""
 
     half: Literal["d4rl", "unplugged"] = "d4rl"
-    """half of DOPE: tasks of Gym-MuJoCo with logs of several kinds (d4rl), or of dm_control, a log each (unplugged)"""
+    """half of DOPE: tasks of Gym-MuJoCo with logs of several kinds (d4rl; others by --logs), or of dm_control (unplugged)"""
     tasks: Annotated[str | None, NAMES] = None  # tasks whose policies and logs are used; None: hopper, or all of unplugged
     kinds: Annotated[str, NAMES] = "random,medium,expert,medium-replay,medium-expert"  # kinds of logs, of half d4rl
     logs: Annotated[str | None, NAMES] = None  # logs instead of --kinds, such as door-human-v1, of any tasks with policies
@@ -134,7 +134,8 @@ def bench(args: Sequence[str]) -> None:
     if options.public:
         found = [with_fields(estimator, PUBLIC) for estimator in found]
     tasks, kinds, logs = (
-        [name.strip() for name in names.split(",")] if names else None for names in (options.tasks, options.kinds, options.logs)
+        None if names is None else [name.strip() for name in names.split(",")]
+        for names in (options.tasks, options.kinds, options.logs)
     )
     told = lambda r: print(f"{r.log} {titled(r.method)}: {r.seconds:,.0f} s", flush=True)  # noqa: E731
     with resumable(Path(options.out)), Watch() as watch:
@@ -146,7 +147,7 @@ def bench(args: Sequence[str]) -> None:
     clip = PUBLIC_CLIP if options.clip else None
     if clip is not None:
         print(f"\nnormalised estimates are cut at {clip:g}, as in the public notebook")
-    for each in dope.shown(results):
+    for each in dope.shown_metrics(results):
         print(f"\n{each.title}\n\n{dope.markdown(results, each.metric, clip=clip, k=each.k)}")
     print(f"\nAbsolute error, in discounted returns\n\n{dope.markdown(results, 'absolute_error', normalised=False)}")
     print(f"\nDeploying by estimates: gain for risk, and errors against the behaviour policy\n\n{dope.risks(results)}")

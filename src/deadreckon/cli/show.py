@@ -108,7 +108,8 @@ def _policies(tasks: Sequence) -> None:
             policies.append([f"{task.name} {s.name}", *at, *drawn, *means])
     if len(policies) > 1:
         print("\n" + table(policies, right=range(1, 9)))
-        print("\nmeasured with drawn and with mean actions; discounted with 0.995. `dr.load_policies(TASK)` gives them.")
+        print("\nmeasured with drawn actions, and where there is a number with mean ones; discounted with 0.995.")
+        print("`dr.load_policies(TASK)` gives the policies.")
         for task in (task for task in known if task.name in SHARED):
             print(f"{task.name} has those of {SHARED[task.name]}")
 

@@ -62,10 +62,9 @@ def collect_control(
     if steps % task.horizon or steps > trained:
         most = f"a multiple of {task.horizon:,}, {trained:,} at most"
         raise UserError(f"{name} has whole episodes of its training: steps must be {most}, got {steps:,}")
-    fields = {key: value for key, value in vars(AGENT).items() if value != getattr(D4PG(), key)}
     extra = {
-        "task": task.name, "agent": {"name": "d4pg", **fields}, "online": dataclasses.asdict(ONLINE), "trained": trained,
-        "actions": "with noise, uniform at first",
+        "task": task.name, "training": vars(AGENT), "revision": AGENT.revision, "online": dataclasses.asdict(ONLINE),
+        "trained": trained, "actions": "with noise, uniform at first",
     }  # fmt: skip
     provenance = acted_in("dm_control", name, seed, extra)
     path = train_for_rows(

@@ -1,11 +1,12 @@
 """How the Gym-MuJoCo logs are made (thesis 7.3): by the policies of the package, and medium-replay by training again."""
 
+import warnings
 from pathlib import Path
 from typing import Any
 
 from deadreckon.agents.sac import SAC
 from deadreckon.collect.rollouts import Segment, acted_in, collect_rollouts
-from deadreckon.collect.trained import train_for_rows, warn_of_versions
+from deadreckon.collect.trained import train_for_rows
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.entries import VERSION
 from deadreckon.errors import UserError
@@ -14,6 +15,7 @@ from deadreckon.policies import library
 from deadreckon.progress import Progress
 from deadreckon.tasks.gym_mujoco import GymMujoco
 from deadreckon.training.field_names import with_field_names
+from deadreckon.versions import differences, versions
 
 UNIFORM = "uniform"  # actions drawn uniformly between the bounds, thesis A.4
 # Who acts in equal parts of each kind of log. "random" is a randomly initialised policy (7.3), which is not uniform.
@@ -108,8 +110,12 @@ def collect_replay(
     """
     run = library.about(task.name)["run"]
     settings, agent = Online(**run["online"]), SAC(**with_field_names(SAC, _fields(run["agent"])))
+    now = versions()
+    if seed == 0 and (different := differences(run["versions"], now, [*now])):
+        text = f"{name}: not to the bit the run that the policies come from, but the same in kind: {'; '.join(different)}"
+        warnings.warn(text, stacklevel=2)
     extra = {"task": task.name, "training": run["agent"], "online": run["online"], "actions": "drawn, uniform at first",
-             "trained_with": warn_of_versions(name, seed, run["versions"])}  # fmt: skip
+             "trained_with": now}  # fmt: skip
     provenance = acted_in("gymnasium", name, seed, extra)
     path = train_for_rows(
         task, agent, settings, name=name, steps=steps, seed=seed, folder=scratch / "replay", provenance=provenance,

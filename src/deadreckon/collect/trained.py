@@ -1,8 +1,6 @@
 """Rows of a training online, which logs are made of."""
 
-import warnings
 from pathlib import Path
-from typing import Any
 
 from deadreckon.agents.agent import Agent
 from deadreckon.collect.stage import asked_for, same_collection
@@ -13,7 +11,6 @@ from deadreckon.online import Exploration, Online
 from deadreckon.progress import Progress
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Fit
-from deadreckon.versions import differences, versions
 
 CHUNK = 2000  # updates between checkpoints
 
@@ -62,18 +59,3 @@ def train_for_rows(
         if progress:
             progress(min(experience.count, steps), steps)
     return path
-
-
-def warn_of_versions(name: str, seed: int, made_with: dict[str, Any]) -> dict[str, Any]:
-    """The versions here; warns where a training that others were made from cannot be the same to the bit.
-
-    Args:
-        name: of the recipe.
-        seed: of the training; others than 0 are nobody's.
-        made_with: versions of the training that is repeated.
-    """
-    now = versions()
-    if seed == 0 and (different := differences(made_with, now, [*now])):
-        text = f"{name}: not to the bit the run that the policies come from, but the same in kind: {'; '.join(different)}"
-        warnings.warn(text, stacklevel=3)
-    return now

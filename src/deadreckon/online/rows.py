@@ -8,6 +8,7 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Discrete
+from deadreckon.errors import UserError
 from deadreckon.tasks.task import Task
 from deadreckon.training.replay import read_rows
 
@@ -41,18 +42,25 @@ def replay_log(path: Path, task: Task, copies: int, steps: int, *, name: str, pr
 def episodes_log(
     path: Path, task: Task, copies: int, steps: int, episodes: int, *, name: str, provenance: Provenance
 ) -> Dataset:
-    """Whole episodes of a replay file of a task whose episodes only time out, evenly spaced over its first `steps` rows.
+    """Whole episodes of a replay file, evenly spaced over its first `steps` rows: of a task whose episodes only time out.
 
     Args:
         path: of the file.
         task: where its rows come from.
         copies: of the environment, whose rows take turns.
         steps: rows of the file that count: a multiple of the copies' episodes.
-        episodes: how many; the first and the last are among them, in the order in which they were.
+        episodes: how many, in the order in which they were; the first and the last are among two or more.
         name: of the log.
         provenance: of the log.
+
+    Raises:
+        UserError: episodes of the file do not end together, each at the horizon.
     """
     horizon = task.horizon
+    marked = unpacked(read_rows(path, row_width(task), steps), row_columns(task))
+    ended = (np.asarray(marked["timeout"]) + np.asarray(marked["terminal"]) > 0).reshape(-1, horizon, copies)
+    if not ended[:, -1].all() or ended[:, :-1].any():
+        raise UserError(f"{path}: episodes do not all end after {horizon} steps of their copy, so none can be taken out of it")
     chosen = np.linspace(0, steps // horizon - 1, episodes).round().astype(int)  # numbered as they came, copies in order
     first = chosen // copies * horizon * copies + chosen % copies
     index = (first[:, None] + np.arange(horizon) * copies).reshape(-1)

@@ -39,7 +39,7 @@ METRICS = {
     "rank_correlation": "Rank correlation",
     "regret": "Regret@1, in ranges of the true values",
 }
-TRIED = 5  # policies that SharpeRatio@k tries out, and thesis E.3's regret on the tasks of dm_control
+TRIED = 5  # policies that SharpeRatio@k tries out, and of the regret in Table E.3
 UNPLUGGED = "-full-replay-v0"  # behind a task's name: its log in DOPE's half on RL Unplugged
 PRINTED = {"WPDIS": "IS", "WDR": "DR"}  # what thesis E.2 calls methods that have a more exact name here
 
@@ -208,8 +208,8 @@ class Shown(NamedTuple):
     title: str
 
 
-def shown(results: Sequence[Result]) -> list[Shown]:
-    """What the thesis shows: errors, rank correlations and regret@1, and on tasks of dm_control regret@5 too (E.3)."""
+def shown_metrics(results: Sequence[Result]) -> list[Shown]:
+    """What the thesis shows: errors, rank correlations and regret@1, and on tasks of dm_control regret@5 too (Table E.3)."""
     metrics = [Shown(metric, 1, title) for metric, title in METRICS.items()]
     if any(of_unplugged(r.log) for r in results):
         metrics.append(Shown("regret", TRIED, METRICS["regret"].replace("@1", f"@{TRIED}")))

@@ -177,7 +177,7 @@ class PublishedReturn(NamedTuple):
     """What one of DOPE's policies of dm_control's tasks returned.
 
     Attributes:
-        agent: `D4PG`, `ABM`, `CRR` or `BC`; ABM and CRR are recurrent there.
+        agent: `D4PG`, `ABM`, `CRR` (with exponential weights) or `BC`.
         seed: of the training.
         updates: when it was kept.
         mean, deviation: of undiscounted returns, as DOPE gives them.

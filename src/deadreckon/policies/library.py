@@ -120,7 +120,7 @@ def library(task: str) -> list[Snapshot]:
 
 
 def evaluated(task: str) -> list[Snapshot]:
-    """The policies of a task whose values estimators are to find (DOPE): the snapshots in order of training."""
+    """The policies of a task whose values estimators are to find (DOPE): of one run in order of training."""
     return [s for s in library(task) if s.name not in OF_LOGS]
 
 

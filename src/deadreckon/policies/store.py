@@ -3,7 +3,7 @@
 import dataclasses
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -79,7 +79,31 @@ def save(
         write(file, **{"policy.json": text}, **arrays, **noted)  # pyright: ignore[reportArgumentType]
 
 
+class Saved(NamedTuple):
+    """What a policy file holds.
+
+    Attributes:
+        policy: the policy.
+        meta: the JSON values beside it.
+        taught, held: see `save`.
+    """
+
+    policy: EnvPolicy
+    meta: dict[str, Any]
+    taught: np.ndarray | None
+    held: np.ndarray | None
+
+
 def load(path: Path | str) -> EnvPolicy:
+    """Reads the policy of a file.
+
+    Raises:
+        UserError: the file is missing, broken or not a policy file.
+    """
+    return load_all(path).policy
+
+
+def load_all(path: Path | str) -> Saved:
     """Reads a policy file.
 
     Raises:
@@ -105,7 +129,7 @@ def load(path: Path | str) -> EnvPolicy:
     if not isinstance(policy, EnvPolicy):
         raise UserError(f"{path} does not hold a policy")
     check_whole(path, policy)
-    return policy
+    return Saved(policy, tree["meta"], arrays.get(_TAUGHT), arrays.get(_HELD))
 
 
 def meta(path: Path | str) -> dict[str, Any]:

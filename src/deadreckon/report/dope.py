@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from deadreckon.files import replacing
-from deadreckon.ope.dope import TRIED, Cell, Result, Shown, cells, shown
+from deadreckon.ope.dope import TRIED, Cell, Result, Shown, cells, shown_metrics
 from deadreckon.report import charts, forest
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import document
@@ -37,7 +37,7 @@ def write_bench(results: Sequence[Result], out: Path | str, *, clip: float | Non
     logs = list(dict.fromkeys(r.log for r in results))
     methods = list(dict.fromkeys(r.method for r in results))
     slots = {method: i % SLOTS for i, method in enumerate(methods)}
-    tables = {each: cells(results, each.metric, clip=clip, k=each.k) for each in shown(results)}
+    tables = {each: cells(results, each.metric, clip=clip, k=each.k) for each in shown_metrics(results)}
     sections: list[tuple[str, str, Markup | None]] = [
         ("metrics", "How good the estimates are", _metrics(tables, slots)),
         ("tables", "Log by log", join(*(_table(each.title, found, methods) for each, found in tables.items()), note(REDRAWN))),
@@ -45,8 +45,9 @@ def write_bench(results: Sequence[Result], out: Path | str, *, clip: float | Non
         ("risks", "What choosing by them risks", _risks(results)),
         ("settings", "Settings", _settings(results)),
     ]
-    count = len(results[0].names)
-    facts = [("logs", str(len(logs))), ("policies a task", str(count)), ("estimators", ", ".join(methods))]
+    counts = sorted({len(r.names) for r in results})
+    many = " to ".join(str(n) for n in dict.fromkeys((counts[0], counts[-1])))
+    facts = [("logs", str(len(logs))), ("policies a task", many), ("estimators", ", ".join(methods))]
     facts += [] if clip is None else [("normalised estimates", f"cut at {clip:g}")]
     text = document("Off-policy evaluation, the DOPE protocol", _lead(tables), facts, sections)
     with replacing(out) as temporary:

@@ -1,20 +1,23 @@
 """The DOPE protocol over tasks and logs, which are collected where they are not there yet."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Literal, Unpack
+from typing import Any, Literal, Unpack, get_args
 
 from deadreckon.collect import collect, recipe
 from deadreckon.collect.recipes import default_path
+from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.io import read
-from deadreckon.errors import UserError
-from deadreckon.ope.dope import UNPLUGGED, DopeOptions, DopeSettings, Result, evaluate_log
+from deadreckon.errors import UserError, unknown
+from deadreckon.ope.dope import UNPLUGGED, DopeOptions, DopeSettings, Result, evaluate_log, of_unplugged
 from deadreckon.ope.registry import as_estimators
 from deadreckon.policies import library
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.tasks.control import TASKS as CONTROL
 
+Half = Literal["d4rl", "unplugged"]
 KINDS = ("random", "medium", "expert", "medium-replay", "medium-expert")
 
 
@@ -23,7 +26,7 @@ def dope(
     tasks: Sequence[str] | None = None,
     kinds: Sequence[str] = KINDS,
     *,
-    half: Literal["d4rl", "unplugged"] = "d4rl",
+    half: Half = "d4rl",
     logs: Sequence[str] = (),
     log_steps: int | None = None,
     seeds: int = 1,
@@ -38,8 +41,8 @@ def dope(
         estimators: names, `Estimator` objects, or functions `fn(data, policies, discount) -> values`.
         tasks: whose policies and logs; None: hopper, or of `unplugged` all that have policies.
         kinds: of logs, of half `d4rl`.
-        half: of DOPE: tasks of Gym-MuJoCo with logs of several kinds, or of dm_control, whose policies have learned from their
-            task's one log.
+        half: of DOPE, `d4rl` (here tasks of Gym-MuJoCo with logs of several kinds; others by `logs`) or `unplugged`
+            (dm_control: one log a task, from which its policies have learned).
         logs: names of the catalogue such as `maze2d-umaze-dense-v1` or `door-human-v1`, in the place of tasks and kinds.
         log_steps: rows of the logs; None: all.
         seeds: how many fits of each.
@@ -47,20 +50,15 @@ def dope(
         **options: `seed` (of several fits the first), `out`, `watch` and `told`; see `ope.dope.DopeSettings`.
 
     Raises:
-        UserError: unknown estimators, tasks, kinds or logs, or seeds out of range, before anything is begun.
+        UserError: unknown estimators, tasks, kinds, halves or logs, no log at all, or seeds out of range, before all else.
     """
     settings = DopeSettings.of(options)
     first, estimators = settings.seed, as_estimators(estimators)
     if seeds < 1 or first < 0 or first + seeds > 2**32:
         raise UserError(f"seeds must be 1 or more, and all of them 0 .. 2^32 - 1, got {seeds} from {first}")
-    if half == "unplugged":
-        known = [task.name for task in CONTROL if task.name in library.library_tasks()]
-        wanted = [f"{task}{UNPLUGGED}" for task in tasks or known]
-        if not wanted:
-            raise UserError("there are no policies of dm_control's tasks; `python tools/unplugged_policies.py` makes them")
-    else:
-        wanted = [f"{task}-{kind}-v2" for task in tasks or ("hopper",) for kind in kinds]
-    recipes = [recipe(name) for name in logs or wanted]
+    recipes = [recipe(name) for name in logs or _logs_of(half, tasks, kinds)]
+    if not recipes:
+        raise UserError("no log is asked for: name a task, and of half d4rl a kind of its logs")
     for each in recipes:
         library.library(each.task)
     results = []
@@ -68,6 +66,28 @@ def dope(
         if not path.exists():
             collect(name, steps=log_steps, out=path, progress=partial(collecting, name))
         data = read(path)
+        _check_taught(task, data, log_steps)
         for seed in range(first, first + seeds):
             results += evaluate_log(data, task, estimators, **vars(replace(settings, seed=seed)))
     return results
+
+
+def _logs_of(half: str, tasks: Sequence[str] | None, kinds: Sequence[str]) -> list[str]:
+    if half not in get_args(Half):
+        raise unknown("half of DOPE", half, get_args(Half))
+    if half == "d4rl":
+        return [f"{task}-{kind}-v2" for task in (("hopper",) if tasks is None else tasks) for kind in kinds]
+    known = [task.name for task in CONTROL if task.name in library.library_tasks()]
+    if tasks is None and not known:
+        raise UserError("there are no policies of dm_control's tasks; `python tools/unplugged_policies.py` makes them")
+    return [f"{task}{UNPLUGGED}" for task in (known if tasks is None else tasks)]
+
+
+def _check_taught(task: str, data: Dataset, log_steps: int | None) -> None:
+    """Warns where policies that learned from a log of this name have learned from another one than this."""
+    taught = library.about(task)["run"].get("data")
+    if taught and log_steps is None and of_unplugged(data.name) and taught["fingerprint"] != data.fingerprint:
+        warnings.warn(
+            f"{data.name} is not to the bit the log that the policies of {task} have learned from, but the same in kind",
+            stacklevel=3,
+        )

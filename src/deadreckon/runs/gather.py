@@ -10,8 +10,9 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.ope.case import CrossFitted
 from deadreckon.policies import library, store
+from deadreckon.policies.dope import load_dope
 from deadreckon.policies.policy import Policy
-from deadreckon.policies.resolve import PICKLES, policy_of_file
+from deadreckon.policies.resolve import PICKLES
 from deadreckon.runs.crossfit import NAME as CROSS_FIT
 from deadreckon.runs.crossfit import CrossFit, load_cross_fit
 from deadreckon.runs.folder import Folder
@@ -89,24 +90,23 @@ def gather(given: Any) -> list[Gathered]:
                 for policy, seed in zip(run.policies, run.seeds)
             ]
         elif path.exists() or path.suffix:
-            policy = policy_of_file(path)
-            taught, read = _noted(path) if path.suffix not in PICKLES else (None, Read())
-            found.append(Gathered(policy, path.stem, None, taught, None, path, read))
+            theirs = path.suffix in PICKLES
+            found.append(Gathered(load_dope(path), path.stem, None, None, file=path) if theirs else _saved(path, path.stem))
         else:
             if len(path.parts) > 1:
                 raise UserError(f"no folder or file {path}")
             for s in library.evaluated(str(each)):
-                taught, read = _noted(s.file)
-                found.append(Gathered(s.policy(), f"{each} {s.name}", None, taught, None, None, read, str(each)))
+                found.append(_saved(s.file, f"{each} {s.name}")._replace(file=None, task=str(each)))
     if not found:
         raise UserError("no policy to judge")
     return found
 
 
-def _noted(file: Path) -> tuple[np.ndarray | None, Read]:
-    """Which episodes the policy of a file has learned from, and how their log was read."""
-    taught = store.taught(file)
-    return taught, Read.of(store.meta(file).get("log"), taught, store.held(file))
+def _saved(file: Path, name: str) -> Gathered:
+    """The policy of a file of ours."""
+    saved = store.load_all(file)
+    read = Read.of(saved.meta.get("log"), saved.taught, saved.held)
+    return Gathered(saved.policy, name, None, saved.taught, file=file, read=read)
 
 
 def _read(run: Run) -> Read:

@@ -126,7 +126,8 @@ def publish_runs(
         The JSON file about them.
 
     Raises:
-        UserError: no policy was kept after those updates, or the runs are of several logs.
+        UserError: no policy was kept after those updates, the runs are of several logs, have held out other episodes than each
+            other, or are online.
     """
     folders = {name: Folder(Path(path)) for name, path in runs.items()}
     configs = {name: folder.read_config() for name, folder in folders.items()}
@@ -136,17 +137,28 @@ def publish_runs(
     [(called, log, fingerprint)] = logs
     for name, folder in folders.items():
         _check_kept(folder, str(runs[name]), steps)
+    for name, config in configs.items():
+        if config.get("online"):
+            raise UserError(f"{runs[name]} learned online; runs on a log are needed")
     task = safe_name(str(called), f"{next(iter(runs.values()))}: task")
+    facts = "agent", "seeds", "steps", "versions"
     run = {
-        "data": {"name": log, "fingerprint": fingerprint}, "versions": next(iter(configs.values()))["versions"],
-        "agents": {name: config["agent"] for name, config in configs.items()},
+        "data": {"name": log, "fingerprint": fingerprint, "holdout": next(iter(configs.values()))["data"].get("holdout")},
+        "runs": {name: {fact: config[fact] for fact in facts} for name, config in configs.items()},
     }  # fmt: skip
     kept = {}
     for (name, config), step in itertools.product(configs.items(), steps):
         for seed in config["seeds"]:
             key = f"{name}-{seed}-{step}"
             kept[key] = Kept(folders[name].policy(seed, step), step, 0, config["agent"]["name"], key)
+    if len({tuple(sorted(_taught(each.file))) for each in kept.values()}) > 1:
+        raise UserError("the runs have learned from different episodes of their log; train them with the same holdout")
     return _ship(task, {"task": task, "run": run}, kept, ("sampled",), options, watch)
+
+
+def _taught(file: Path) -> list[int]:
+    ids = store.taught(file)
+    return [] if ids is None else ids.tolist()
 
 
 def _check_kept(folder: Folder, run: str, steps: Iterable[int]) -> None:

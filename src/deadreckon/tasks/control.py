@@ -1,4 +1,4 @@
-"""Nine tasks of dm_control's suite: the half of DOPE whose policies learned online (thesis 8.4; Tassa et al. 2018).
+"""Nine tasks of dm_control's suite: those of DOPE's half on RL Unplugged (thesis 8.4; Tassa et al. 2018).
 
 Bodies, starts, observations and rewards are the package's own code, called copy by copy (extra `control`); physics and random
 numbers are those that its environments would have. Observations are its entries in its order, flat. Episodes only time out.
