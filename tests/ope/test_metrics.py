@@ -148,7 +148,8 @@ def test_tables_of_dm_control_are_those_of_the_thesis_for_it():
     assert dope.printed("regret", d4rl, "WPDIS", 5) is None
     assert dope.printed("regret", d4rl, "WPDIS") == (0.38, 0.28)
     none, some = np.zeros(6), np.arange(6.0)
-    made = [dope.Result(each, "FQE-L2", tuple("abcdef"), 0.0, some, none, some, none, none, 0.0, (), "") for each in (d4rl, log)]
+    numbers = 0.0, some, none, some, none, none, 0.0, (), ""
+    made = [dope.Result(each, "FQE-L2", tuple("abcdef"), *numbers) for each in (d4rl, log)]
     assert [(each.metric, each.k) for each in dope.shown_metrics(made[:1])][-1] == ("regret", 1)
     assert dope.shown_metrics(made)[-1] == ("regret", 5, "Regret@5, in ranges of the true values")
 
