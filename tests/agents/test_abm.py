@@ -10,7 +10,7 @@ from deadreckon.agents import ABM
 from deadreckon.errors import UserError
 from deadreckon.randomness import keys
 from tests.agents.test_actor_critics import q
-from tests.agents.test_offline import KEY, SMALL, SPEC, both_likelihoods, drawn_actions, logged_log_prob, made, updated
+from tests.agents.test_offline import KEY, SMALL, SPEC, drawn_actions, logged_log_prob, made, updated
 from tests.agents.test_rivals import windows
 
 K_VALUE, K_PRIOR = keys(KEY, "value", "prior")
@@ -66,7 +66,7 @@ def test_advantages_are_of_rewards_to_the_end_of_the_window_or_of_the_episode(le
     np.testing.assert_allclose(found[there], whole_advantages(windows(), now, after)[there], atol=1e-5)
 
 
-@both_likelihoods
+@pytest.mark.parametrize("likelihood", ["normal", pytest.param("tanh_normal", marks=pytest.mark.slow)])
 def test_one_update_by_hand(learner, likelihood):
     agent, state = learner if likelihood == "normal" else made(ABM(likelihood=likelihood, **FIELDS))
     rows = windows()
@@ -113,6 +113,7 @@ def test_the_temperature_minimises_the_dual_where_the_divergence_is_epsilon():
     assert agent.eta_loss(jnp.log(best), jnp.asarray(values), half) == pytest.approx(float(only), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_targets_are_copied_at_the_end_of_every_period(learner):
     agent, state = learner
     agent = agent.replace(target_update_period=2)
@@ -128,6 +129,7 @@ def test_targets_are_copied_at_the_end_of_every_period(learner):
             np.testing.assert_array_equal(c, d)
 
 
+@pytest.mark.slow
 def test_without_a_row_that_is_there_nothing_is_learned():
     agent, state = made(ABM(**FIELDS))
     after, metrics = updated(agent, state, windows()._replace(mask=jnp.zeros((2, 3))))
@@ -137,6 +139,7 @@ def test_without_a_row_that_is_there_nothing_is_learned():
             np.testing.assert_allclose(a, b, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_bm_imitates_all_rows():
     agent, state = made(ABM(prior="all", **FIELDS))
     _, metrics = updated(agent, state, windows())

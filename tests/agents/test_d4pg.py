@@ -9,7 +9,7 @@ from deadreckon.agents import CRRD, D4PG
 from deadreckon.data.batch import Batch
 from deadreckon.errors import UserError
 from deadreckon.nets.return_distributions import mean, project
-from tests.agents.test_offline import KEY, SPEC, both_likelihoods, drawn_actions, logged_log_prob
+from tests.agents.test_offline import KEY, SPEC, drawn_actions, logged_log_prob
 from tests.agents.tiny import LOG
 
 SETTINGS = {"hidden": (8, 6), "critic_hidden": (7, 5), "atoms": 11, "v_min": -2.0, "v_max": 2.0, "batch_size": 6}
@@ -124,8 +124,13 @@ def test_the_actor_follows_the_critics_slope_cut_to_length_one(learner, batch):
     np.testing.assert_allclose(found, -(cut * (1 - action**2)).mean(0), rtol=2e-3, atol=1e-5)
 
 
-@both_likelihoods
-@pytest.mark.parametrize("by", ["exp", "binary"])
+SLOW = pytest.mark.slow
+
+
+OTHERS = [pytest.param(*each, marks=SLOW) for each in (("binary", "normal"), ("exp", "tanh_normal"))]
+
+
+@pytest.mark.parametrize(("by", "likelihood"), [("exp", "normal"), *OTHERS])
 def test_crr_d_imitates_by_the_advantage_of_expected_returns(batch, likelihood, by):
     fields = SETTINGS | {"hidden": (8,), "filter": by, "likelihood": likelihood, "temperature": 0.02, "max_weight": 2.5}
     agent = CRRD(**fields, samples=3).resolve(SPEC, 10)

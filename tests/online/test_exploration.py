@@ -12,7 +12,7 @@ import pytest
 import deadreckon as dr
 from deadreckon import agents, tasks
 from deadreckon.agents.agent import Agent
-from deadreckon.collect import gym
+from deadreckon.collect import gym, trained
 from deadreckon.data.batch import BatchSpec
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box
@@ -428,7 +428,7 @@ def test_a_replay_file_that_is_too_short_for_the_log_is_told(run, tmp_path):
 def hopper(monkeypatch):
     """Hopper, as if its policies had been made by a run of `Little`."""
     monkeypatch.setattr(gym, "SAC", Little)
-    monkeypatch.setattr(gym, "CHUNK", 8)
+    monkeypatch.setattr(trained, "CHUNK", 8)
     online = {"copies": 4, "explore": 16, "updates_per_step": 0.5, "block": 16}
     about = {"run": {"agent": {"lr": 0.01, "hidden": [4], "batch_size": 8}, "online": online, "versions": versions()}}
     monkeypatch.setattr(library, "about", lambda name: about)

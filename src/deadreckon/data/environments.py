@@ -38,7 +38,11 @@ IDS = {
 
 
 _LOG = re.compile(r"(?P<whole>[a-z\d-]+)-v\d")
-_KIND = re.compile(r"-(random|uniform|noisy|medium|expert|medium-replay|medium-expert|uniform-expert|controller|human|cloned)$")
+_KINDS = (
+    "random", "uniform", "noisy", "medium", "expert", "medium-replay", "medium-expert", "uniform-expert", "controller", "human",
+    "cloned", "full-replay",
+)  # fmt: skip
+_KIND = re.compile(f"-({'|'.join(_KINDS)})$")
 
 
 class Environment(NamedTuple):
