@@ -2,9 +2,9 @@
 
 With V(s) the mean of Q'(s, a_i) over draws a_i of a copy of the policy, and windows of the log that end with the state s_N,
 
-    L_critic = E[ (r + gamma V(s') - Q(s, a))^2 ]                                                            (eq. 1)
-    L_prior  = -E[ f(R_t - V(s_t)) log pi_prior(a_t|s_t) ],   R_t = r_t + ... + gamma^(N-t) V(s_N),   f = 1_{> 0}   (eq. 3)
-    pi       = argmax E[ Q(s, a), a of pi ]   with   E[ KL(pi || pi_prior) ] <= epsilon                      (eq. 2)
+    L_critic = E[ (r + gamma V(s') - Q(s, a))^2 ]                                                            (1)
+    L_prior  = -E[ f(R_t - V(s_t)) log pi_prior(a_t|s_t) ],   R_t = r_t + ... + gamma^(N-t) V(s_N),   f = 1_{> 0}   (2)
+    pi       = argmax E[ Q(s, a), a of pi ]   with   E[ KL(pi || pi_prior) ] <= epsilon                      (3)
 
 The last in two steps, as in MPO (Abdolmaleki et al. 2018): what solves it has the density pi_prior exp(Q / eta), with the
 temperature eta that minimises eta epsilon + eta E_s[ log E_{a of pi_prior} exp(Q(s, a) / eta) ]; and the network of the policy
@@ -119,7 +119,7 @@ class ABM(Agent):
         return loss, {"critic_loss": loss, "q": (rows * q).mean()}
 
     def eta_loss(self, log_eta: Array, values: Float[Array, "m n"], rows: Float[Array, "n"]) -> Float[Array, ""]:
-        """The dual of (eq. 2), of draws of the prior."""
+        """The dual of (3), of draws of the prior."""
         eta = jnp.exp(log_eta)
         free = jax.nn.logsumexp(values / eta, axis=0) - jnp.log(len(values))
         return eta * (self.epsilon + (rows * free).mean())
