@@ -180,6 +180,9 @@ def test_rows_are_of_n_steps_and_say_what_multiplies_the_value_behind_them():
 def test_what_it_refuses():
     with pytest.raises(UserError, match="v_min must be below v_max, got 3.0 and 3.0"):
         D4PG(v_min=3.0, v_max=3.0).resolve(SPEC, 10)
+    for kind in (D4PG, CRRD):
+        with pytest.raises(UserError, match=rf"{kind.__name__}.atoms takes a whole number >= 2, got 1"):
+            kind(atoms=1).resolve(SPEC, 10)
     with pytest.raises(UserError, match="D4PG.v_min takes a finite number"):
         D4PG(v_min=-np.inf).resolve(SPEC, 10)
 

@@ -6,8 +6,8 @@ With V(s) the mean of Q'(s, a_i) over draws a_i of a copy of the policy, and win
     L_prior  = -E[ f(R_t - V(s_t)) log pi_prior(a_t|s_t) ],   R_t = r_t + ... + gamma^(N-t) V(s_N),   f = 1_{> 0}   (2)
     pi       = argmax E[ Q(s, a), a of pi ]   with   E[ KL(pi || pi_prior) ] <= epsilon                      (3)
 
-The last in two steps, as in MPO (Abdolmaleki et al. 2018): what solves it has the density pi_prior exp(Q / eta), with the
-temperature eta that minimises eta epsilon + eta E_s[ log E_{a of pi_prior} exp(Q(s, a) / eta) ]; and the network of the policy
+The last in two steps, as in MPO (Abdolmaleki et al. 2018): what solves it has the density pi_prior exp(Q' / eta), with the
+temperature eta that minimises eta epsilon + eta E_s[ log E_{a of pi_prior} exp(Q'(s, a) / eta) ]; and the network of the policy
 imitates draws of the prior with these weights.
 """
 

@@ -11,7 +11,7 @@ from deadreckon.agents.crr import Filter, filtered
 from deadreckon.agents.d4pg import D4PG, logits
 from deadreckon.nets.return_distributions import mean
 from deadreckon.policies.kinds import Likelihood, create_imitator, stochastic
-from deadreckon.training.hyperparameters import Count, Number, Positive, Sizes, static
+from deadreckon.training.hyperparameters import Count, Number, Positive, Sizes, TwoOrMore, static
 
 
 class CRRD(D4PG):
@@ -24,7 +24,7 @@ class CRRD(D4PG):
     n_step: Count = static(1)  # rewards of the log summed before the value that follows
     v_min: Number = 0.0  # smallest return that has a probability
     v_max: Number = 100.0  # largest return that has a probability
-    atoms: Count = static(21)  # number of returns that have a probability
+    atoms: TwoOrMore = static(21)  # number of returns that have a probability
     temperature: Positive = 1.0  # temperature that divides the advantage, with filter="exp" (beta in the paper)
     samples: Count = static(4)  # actions sampled from the policy to estimate its value
     max_weight: Positive = 20.0  # largest weight of a transition in the loss of the actor, with filter="exp"

@@ -9,7 +9,7 @@ and the actor follows the slope of the distribution's mean by its action, each r
 al. 2020). Nothing holds it to a log. Sizes are those of Gulcehre et al. (2020).
 """
 
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +24,7 @@ from deadreckon.nets.optim import apply_gradients, clip_by_norm, copy, init_opt,
 from deadreckon.nets.return_distributions import cross_entropy, mean, project, support
 from deadreckon.policies.kinds import Deterministic
 from deadreckon.randomness import keys
-from deadreckon.training.hyperparameters import Count, NonNegative, Number, Positive, Range, Sizes, UnitInterval, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Number, Positive, Sizes, TwoOrMore, UnitInterval, static
 
 SMALL = 0.01  # of the actor's last weights: it begins near the middle of its actions
 
@@ -56,7 +56,7 @@ class D4PG(Agent):
     n_step: Count = static(1)  # rewards summed before the value that follows (published for learning online: 5)
     v_min: Number = -150.0  # smallest return that has a probability
     v_max: Number = 150.0  # largest return that has a probability
-    atoms: Annotated[int, Range(ge=2)] = static(51)  # number of returns that have a probability
+    atoms: TwoOrMore = static(51)  # number of returns that have a probability
     target_update_period: Count = static(100)  # updates between copies of the networks to their targets
     max_grad_norm: Positive = 40.0  # norm above which the gradients of a network are clipped
     hidden: Sizes = static((300, 200))  # width of each hidden layer of the actor

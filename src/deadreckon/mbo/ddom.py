@@ -8,7 +8,7 @@ highest score that was seen, with classifier-free guidance:
 
 from dataclasses import replace
 from functools import partial
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -21,7 +21,7 @@ from deadreckon.mbo.surrogate import Surrogate, counts
 from deadreckon.nets.mlp import MLP, ensemble
 from deadreckon.nets.optim import init_opt
 from deadreckon.randomness import key_for, keys
-from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Range, Sizes, UnitInterval, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, TwoOrMore, UnitInterval, static
 
 WAVES = 8  # pairs of a sine and a cosine that tell the time
 BETA = 0.1, 20.0  # of the variance-preserving diffusion (Song et al. 2021)
@@ -92,7 +92,7 @@ class DDOM(Designer):
     steps: Count = static(10_000)  # updates of the model
     batch_size: Count = static(128)  # batch size (designs per update)
     lr: NonNegative = 1e-3  # learning rate of the model
-    bins: Annotated[int, Range(ge=2)] = static(64)  # bins of the scores that weights are computed in
+    bins: TwoOrMore = static(64)  # bins of the scores that weights are computed in
     smoothing: UnitInterval = 0.01  # smoothing of the bins' counts, as a share of the designs (K)
     temperature: Positive = 0.1  # temperature of the bins' weights, in ranges of the scores (T)
     guidance: NonNegative = 2.0  # weight of classifier-free guidance

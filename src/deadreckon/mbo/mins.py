@@ -8,7 +8,7 @@ agrees: by ascent on
 """
 
 from functools import partial
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -23,7 +23,7 @@ from deadreckon.mbo.surrogate import counts
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.randomness import key_for, keys
-from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Range, Sizes, UnitInterval, host, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, TwoOrMore, UnitInterval, host, static
 
 PENALTY = 10.0  # of the gradient's norm
 
@@ -103,7 +103,7 @@ class MINs(Designer):
     critic_updates: Count = static(5)  # critic updates per generator update
     batch_size: Count = static(128)  # batch size (designs per update)
     lr: NonNegative = 2e-4  # learning rate of generator and critic
-    bins: Annotated[int, Range(ge=2)] = static(64)  # bins of the scores that weights are computed in
+    bins: TwoOrMore = static(64)  # bins of the scores that weights are computed in
     smoothing: UnitInterval = 0.01  # smoothing of the bins' counts, as a share of the designs
     temperature: Positive = 0.1  # temperature of the bins' weights, in ranges of the scores
     forward_hidden: Sizes = static((256, 256))  # width of each hidden layer of the forward model

@@ -18,7 +18,7 @@ deviations on the method's page.
 import hashlib
 import warnings
 from collections.abc import Callable
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -39,8 +39,8 @@ from deadreckon.training.hyperparameters import (
     CountOrZero,
     NonNegative,
     Positive,
-    Range,
     Sizes,
+    TwoOrMore,
     UnitInterval,
     host,
     static,
@@ -162,7 +162,7 @@ class NEMO(Designer):
     revision: ClassVar[int] = 2
     other_names: ClassVar[dict[str, str]] = {"weight": "label_weight", "ratio": "model_updates"}
 
-    bins: Annotated[int, Range(ge=2)] = static(40)  # bins of the score, and models (K)
+    bins: TwoOrMore = static(40)  # bins of the score, and models (K)
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     architecture: Literal["logistic", "categorical"] = static("logistic")
     """output of a model: discretised logistic (6.3), or K logits"""

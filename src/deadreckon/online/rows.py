@@ -57,15 +57,15 @@ def episodes_log(
         UserError: episodes of the file do not end together, each at the horizon.
     """
     horizon = task.horizon
-    marked = unpacked(read_rows(path, row_width(task), steps), row_columns(task))
+    rows = read_rows(path, row_width(task), steps)
+    marked = unpacked(rows, row_columns(task))
     ended = (np.asarray(marked["timeout"]) + np.asarray(marked["terminal"]) > 0).reshape(-1, horizon, copies)
     if not ended[:, -1].all() or ended[:, :-1].any():
         raise UserError(f"{path}: episodes do not all end after {horizon} steps of their copy, so none can be taken out of it")
     chosen = np.linspace(0, steps // horizon - 1, episodes).round().astype(int)  # numbered as they came, copies in order
     first = chosen // copies * horizon * copies + chosen % copies
     index = (first[:, None] + np.arange(horizon) * copies).reshape(-1)
-    rows = np.asarray(read_rows(path, row_width(task), steps)[index])
-    return _log(rows, np.arange(1, episodes + 1) * horizon - 1, task, name, provenance)
+    return _log(np.asarray(rows[index]), np.arange(1, episodes + 1) * horizon - 1, task, name, provenance)
 
 
 def _log(rows: np.ndarray, cut: np.ndarray, task: Task, name: str, provenance: Provenance) -> Dataset:

@@ -4,7 +4,7 @@ Each critic gives probabilities of `atoms` returns, evenly spaced over what is p
 is the distribution of r + discount Z(s', a'), put back on the atoms, from a copy of the critics that is renewed every so often.
 """
 
-from typing import Annotated, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -24,7 +24,7 @@ from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import Scale
 from deadreckon.stats.bootstrap import ensemble_interval
-from deadreckon.training.hyperparameters import Count, NonNegative, Range, Sizes, host, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, TwoOrMore, host, static
 
 
 class State(NamedTuple):
@@ -120,7 +120,7 @@ class FQED(Estimator):
 
     members: Count = static(3)  # critics per policy, each fitted on a bootstrap resample of the episodes
     hidden: Sizes = static((512, 512, 256))  # width of each hidden layer
-    atoms: Annotated[int, Range(ge=2)] = static(51)  # number of returns that have a probability
+    atoms: TwoOrMore = static(51)  # number of returns that have a probability
     steps: Count = host(100_000)  # updates of the critics
     batch_size: Count = static(1024)  # batch size (transitions per update)
     lr: NonNegative = 1e-4  # learning rate of the critics

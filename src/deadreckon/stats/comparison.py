@@ -62,7 +62,8 @@ def between(ours: Scores, theirs: Scores, level: float = LEVEL) -> Difference:
     """Mean over our tasks less the mean over theirs, which are other tasks, with Welch's t interval and p.
 
     Here tasks are what is due to chance, the runs of each being averaged first: it asks whether tasks like ours give more than
-    tasks like theirs. One task on a side makes limits and p NaN.
+    tasks like theirs. One task on a side makes limits and p NaN. Of two sets of runs, with each run given as a task of its own,
+    it is Welch's test.
 
     Raises:
         UserError: what `interval` raises.

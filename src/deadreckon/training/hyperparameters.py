@@ -41,6 +41,7 @@ NonNegative = Annotated[float, Range(ge=0)]
 Positive = Annotated[float, Range(gt=0)]
 UnitInterval = Annotated[float, Range(ge=0, le=1)]
 Count = Annotated[int, Range(ge=1)]
+TwoOrMore = Annotated[int, Range(ge=2)]
 CountOrZero = Annotated[int, Range(ge=0)]
 Fraction = Annotated[float, Range(gt=0, le=1)]
 Sizes = Annotated[tuple[int, ...], Range(ge=1)]  # widths of hidden layers
