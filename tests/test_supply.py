@@ -44,10 +44,10 @@ def test_links_of_each_kind(text, alone):
     assert for_an_index(text, "", "1") == alone
 
 
-def test_shipped_data_leave_room_for_code_in_a_wheel_of_20_mb():
+def test_shipped_data_leave_room_for_code_in_a_wheel_of_25_mb():
     """The wheel itself is built and measured in `test_wheel.py`."""
     files = [path for path in (ROOT / "src" / "deadreckon").rglob("*") if path.is_file() and "__pycache__" not in path.parts]
-    assert sum(path.stat().st_size for path in files if path.suffix != ".py") < 18_000_000
+    assert sum(path.stat().st_size for path in files if path.suffix != ".py") < 23_000_000
 
 
 def test_hosted_checks_run_on_every_python_that_the_package_names():

@@ -12,8 +12,9 @@ from deadreckon.errors import UserError
 from deadreckon.online import Online
 from deadreckon.policies import library, store
 from deadreckon.runs.evaluate import evaluate
+from deadreckon.runs.measuring import Measuring, _joined
 from deadreckon.runs.online import train_online
-from deadreckon.runs.publish import Measuring, Publish, _joined, publish, publish_runs
+from deadreckon.runs.publish import Publish, publish, publish_runs
 
 
 @pytest.fixture(scope="module")
@@ -113,6 +114,12 @@ def test_more_episodes_are_measured_when_asked_for(run, tmp_path):
     publish(dataclasses.replace(options, episodes=3, most=7, error=0.0))
     about = json.loads(path.read_text())
     assert {each["greedy"]["episodes"] for each in about["policies"].values()} == {6}
+
+
+@pytest.mark.slow
+def test_processes_measure_the_same(run, shipped, tmp_path):
+    publish(Publish(str(run), medium=24, expert=80, episodes=4, most=4, out=str(tmp_path), processes=2))
+    assert json.loads((tmp_path / "hopper.json").read_text()) == json.loads((shipped / "hopper.json").read_text())
 
 
 @pytest.mark.slow

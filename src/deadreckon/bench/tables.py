@@ -28,7 +28,7 @@ from deadreckon.training.field_names import with_field_names
 SOURCES = {
     "learn": "Table 7.1, after 500,000 updates on D4RL's logs: not the same data, not the same simulator",
     "design": "Tables 6.1 and 6.2, 16 trials of 128 designs on Design-Bench's data and judges",
-    "ope": "appendix E.2, on D4RL's logs and DOPE's policies, means over redrawn ones: neither the same data nor policies",
+    "ope": "appendix E.2, on the original logs, means over redrawn policies of DOPE: neither data nor policies are the same",
 }
 SHOWN = ("deadreckon", "jax", "numpy", "mujoco", "python", "device")  # versions under a table
 # Agents in the thesis's Table 7.1; BRAC has a name for each form.

@@ -7,6 +7,8 @@ this: whole episodes, evenly spaced over it.
 import dataclasses
 from pathlib import Path
 
+import jax
+
 from deadreckon.agents.d4pg import D4PG
 from deadreckon.collect.rollouts import acted_in
 from deadreckon.collect.trained import train_for_rows
@@ -23,9 +25,9 @@ ONLINE = Online(copies=8, explore=1_000, updates_per_step=0.125, block=64)
 # Environment steps of the training from which the episodes come: enough for D4PG to learn the task, where it does.
 TRAINED = {
     "cartpole-swingup": 400_000,
-    "cheetah-run": 600_000,
+    "cheetah-run": 2_000_000,
     "finger-turn-hard": 600_000,
-    "fish-swim": 600_000,
+    "fish-swim": 1_200_000,
     "humanoid-run": 20_000_000,
     "manipulator-insert-ball": 20_000_000,
     "manipulator-insert-peg": 20_000_000,
@@ -64,7 +66,7 @@ def collect_control(
         raise UserError(f"{name} has whole episodes of its training: steps must be {most}, got {steps:,}")
     extra = {
         "task": task.name, "training": vars(AGENT), "revision": AGENT.revision, "online": dataclasses.asdict(ONLINE),
-        "trained": trained, "actions": "with noise, uniform at first",
+        "trained": trained, "actions": "with noise, uniform at first", "device": jax.default_backend(),
     }  # fmt: skip
     provenance = acted_in("dm_control", name, seed, extra)
     path = train_for_rows(

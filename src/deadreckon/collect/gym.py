@@ -4,6 +4,8 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+import jax
+
 from deadreckon.agents.sac import SAC
 from deadreckon.collect.rollouts import Segment, acted_in, collect_rollouts
 from deadreckon.collect.trained import train_for_rows
@@ -115,7 +117,7 @@ def collect_replay(
         text = f"{name}: not to the bit the run that the policies come from, but the same in kind: {'; '.join(different)}"
         warnings.warn(text, stacklevel=2)
     extra = {"task": task.name, "training": run["agent"], "online": run["online"], "actions": "drawn, uniform at first",
-             "trained_with": now}  # fmt: skip
+             "trained_with": now, "device": jax.default_backend()}  # fmt: skip
     provenance = acted_in("gymnasium", name, seed, extra)
     path = train_for_rows(
         task, agent, settings, name=name, steps=steps, seed=seed, folder=scratch / "replay", provenance=provenance,

@@ -280,6 +280,9 @@ def column_kinds(task: Task, policy: Any) -> dict[str, tuple[tuple[int, ...], An
 
 
 def acted_in(body: str, name: str, seed: int, extra: dict[str, Any]) -> Provenance:
-    """Where a log comes from in which policies act, on the processor, in a body of the package `body` and MuJoCo."""
+    """Where a log comes from in which policies act in a body of the package `body` and MuJoCo.
+
+    They act on the processor, unless `extra` names another `device`.
+    """
     versions = {each: metadata.version(each) for each in ("mujoco", body, "numpy", "jax")} | {"deadreckon": __version__}
-    return Provenance("collected", name, seed, versions, extra=extra | {"device": acting_platform()})
+    return Provenance("collected", name, seed, versions, extra={"device": acting_platform()} | extra)

@@ -128,9 +128,9 @@ def load_policies(task: str) -> list[EnvPolicy]:
     """The policies of a task whose values estimators are to find (DOPE, thesis 8.4).
 
     In most tasks they are 11, evenly spaced over one run to its end: of SAC in Gym-MuJoCo and of DAPG in Maze2D and Adroit, the
-    first of them untrained, and of behaviour cloning in AntMaze, the first of them a little trained. Of dm_control, whose
-    policies have to be made (`tools/unplugged_policies.py`), they are snapshots of several agents and seeds, which learned from
-    the task's log. `about(task)` says how they were made.
+    first of them untrained, and of behaviour cloning in AntMaze, the first of them a little trained. Of dm_control they are 24,
+    two snapshots of four agents and three seeds, which learned from the task's log; those of some tasks have to be made first
+    (`tools/unplugged_policies.py`). `about(task)` says how they were made.
 
     Args:
         task: such as `hopper`, `maze2d-umaze-dense`, `walker-stand` or `door`.

@@ -13,33 +13,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from deadreckon.data.provenance import Provenance
-from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
 from deadreckon.names import safe_name
 from deadreckon.online import Online, replay_log
 from deadreckon.policies import library, store
 from deadreckon.policies.library import Returns
-from deadreckon.policies.policy import BlackBoxPolicy
-from deadreckon.runs.evaluate import evaluate
 from deadreckon.runs.folder import Folder
+from deadreckon.runs.measuring import Measuring, measured_enough
 from deadreckon.tasks.registry import task as find_task
-
-DISCOUNT = 0.995  # DOPE's
-
-
-@dataclass(kw_only=True)
-class Measuring:
-    """How policies are measured, and where they are shipped."""
-
-    episodes: int = 1000  # a policy, in each way of acting that is measured
-    error: float = 0.666  # standard error of the discounted return below which measuring stops (thesis 8.2)
-    most: int = 1000  # episodes at most, whatever the error
-    out: str = str(library.ROOT)  # folder of the library
-    seed: int = 1_000_000  # of the episodes; training evaluates on others
 
 
 @dataclass
@@ -181,25 +164,27 @@ def _ship(
     if about.get("run", run) != run:
         measured = {}
 
-    def measure(key: str, mode: str, policy: Any) -> dict[str, Any]:
-        found = measured.setdefault(key, {})
-        while mode not in found or not _enough(Returns(**found[mode]), options):
-            before = Returns(**found[mode]) if mode in found else None
-            found[mode] = dataclasses.asdict(_measure(policy, task, mode == "greedy", before, options))
-            write_json(state, {"run": run, "measured": measured})
-            watch(f"{task} {key} {mode}: {found[mode]['mean']:.1f} +- {found[mode]['error']:.1f}")
-        return found[mode]
-
-    uniform = measure("uniform", "sampled", _uniform(task))
-    policies = {}
+    wanted: dict[tuple[str, str], Path | None] = {("uniform", "sampled"): None}
     for name, each in kept.items():
         # What is measured is what is shipped: the policy as it is read back from float16.
         meta = {"task": task, "name": name, "updates": each.updates, "agent": each.agent}
         ids = {"taught": store.taught(each.file), "held": store.held(each.file)}
         store.save(work / f"{name}.npz", store.load(each.file), meta, half=True, **ids)
-        policy = store.load(work / f"{name}.npz")
-        worth = {mode: measure(each.key, mode, policy) for mode in modes}
-        policies[name] = {"updates": each.updates, "environment_steps": each.environment_steps, **worth}
+        wanted |= {(each.key, mode): work / f"{name}.npz" for mode in modes}
+
+    def keep(key: str, mode: str, returns: Returns) -> None:
+        measured.setdefault(key, {})[mode] = dataclasses.asdict(returns)
+        write_json(state, {"run": run, "measured": measured})
+        watch(f"{task} {key} {mode}: {returns.mean:.1f} +- {returns.error:.1f}")
+
+    known = {(key, mode): Returns(**found) for key, modes_of in measured.items() for mode, found in modes_of.items()}
+    worth = measured_enough(task, wanted, known, options, keep)
+    uniform = dataclasses.asdict(worth["uniform", "sampled"])
+    policies = {
+        name: {"updates": each.updates, "environment_steps": each.environment_steps}
+        | {mode: dataclasses.asdict(worth[each.key, mode]) for mode in modes}
+        for name, each in kept.items()
+    }
     (out / task).mkdir(parents=True, exist_ok=True)
     for name in policies:
         (work / f"{name}.npz").replace(out / task / f"{name}.npz")
@@ -218,43 +203,10 @@ def _measured(about: dict[str, Any], kept: Mapping[str, Kept]) -> dict[str, dict
     return found | ({"uniform": {"sampled": about["uniform"]}} if "uniform" in about else {})
 
 
-def _enough(returns: Returns, options: Measuring) -> bool:
-    small = returns.discounted_error < options.error
-    return returns.episodes >= options.episodes and (small or returns.episodes + options.episodes > options.most)
-
-
-def _uniform(task: str) -> BlackBoxPolicy:
-    space = find_task(task).action_space
-    assert isinstance(space, Box)
-    return BlackBoxPolicy(lambda seen, rng: rng.uniform(space.low, space.high, (len(seen), space.size)))
-
-
 def _replay(folder: Folder, task: str, copies: int, steps: int) -> dict[str, Any]:
     """Length and mean return of the log that the run's first `steps` environment steps make."""
     log = replay_log(folder.replay(0), find_task(task), copies, steps, name=task, provenance=Provenance())
     return {"environment_steps": steps, "episodes": log.episodes, "mean": float(log.returns().mean())}
-
-
-def _measure(policy: Any, task: str, greedy: bool, before: Returns | None, options: Measuring) -> Returns:
-    """`before` and a batch of episodes more, on starts of their own; at first as many as are missing to one batch."""
-    done = before.episodes if before else 0
-    batch = options.episodes - done if done < options.episodes else options.episodes
-    found = evaluate(policy, find_task(task), episodes=batch, seed=options.seed + done, greedy=greedy, discount=DISCOUNT)
-    mean, error = _joined(done, (before.mean, before.error) if before else (0.0, 0.0), found.returns[0])
-    known = (before.discounted, before.discounted_error) if before else (0.0, 0.0)
-    worth, worth_error = _joined(done, known, found.discounted[0])
-    count, steps = done + batch, found.lengths.sum() + (before.length * done if before else 0.0)
-    return Returns(count, mean, error, worth, worth_error, DISCOUNT, float(steps / count))
-
-
-def _joined(done: int, before: tuple[float, float], more: np.ndarray) -> tuple[float, float]:
-    """Mean and standard error of `done` numbers, known by theirs, and of more."""
-    mean, error = before
-    count = done + len(more)
-    shift = float(more.mean()) - mean
-    within = error**2 * done * max(done - 1, 0) + float(np.square(more - more.mean()).sum())
-    squares = within + shift**2 * done * len(more) / count
-    return mean + shift * len(more) / count, float(np.sqrt(squares / (count - 1) / count))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,111 @@
+"""Measures what policies are worth: episodes in batches until the error is small, policies side by side."""
+
+from collections.abc import Callable, Mapping
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from deadreckon.data.spec import Box
+from deadreckon.policies import library, store
+from deadreckon.policies.library import Returns
+from deadreckon.policies.policy import BlackBoxPolicy
+from deadreckon.runs.evaluate import evaluate
+from deadreckon.tasks.registry import task as find_task
+
+DISCOUNT = 0.995  # DOPE's
+
+
+@dataclass(kw_only=True)
+class Measuring:
+    """How policies are measured, and where they are shipped."""
+
+    episodes: int = 1000  # a policy, in each way of acting that is measured
+    error: float = 0.666  # standard error of the discounted return below which measuring stops (thesis 8.2)
+    most: int = 1000  # episodes at most, whatever the error
+    out: str = str(library.ROOT)  # folder of the library
+    seed: int = 1_000_000  # of the episodes; training evaluates on others
+    processes: int = 1  # that measure policies side by side; numbers do not depend on it
+
+
+def measured_enough(
+    task: str, wanted: Mapping[tuple[str, str], Path | None], known: Mapping[tuple[str, str], Returns], options: Measuring,
+    keep: Callable[[str, str, Returns], None],
+) -> dict[tuple[str, str], Returns]:  # fmt: skip
+    """What policies return in a task.
+
+    Args:
+        task: where.
+        wanted: files of policies by (key, mode), with mode `sampled` or `greedy`; None as a file: uniform actions.
+        known: what has been measured before, which is gone on with.
+        options: of measuring.
+        keep: called with key, mode and what is known so far, after each batch of episodes.
+
+    Returns:
+        Of all that is wanted, by (key, mode).
+    """
+    found = dict(known)
+    pending: dict[Future[Returns], tuple[str, str]] = {}
+    pool = _pool(options.processes)
+
+    def ask(which: tuple[str, str]) -> None:
+        before = found.get(which)
+        if before is None or not _enough(before, options):
+            pending[pool.submit(_measure, wanted[which], task, which[1] == "greedy", before, options)] = which
+
+    try:
+        for each in wanted:
+            ask(each)
+        while pending:
+            for done in wait(pending, return_when=FIRST_COMPLETED).done:
+                which = pending.pop(done)
+                found[which] = done.result()
+                keep(*which, found[which])
+                ask(which)
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return {which: found[which] for which in wanted}
+
+
+def _pool(processes: int) -> Executor:
+    """What measures: processes of their own, or this one."""
+    return ThreadPoolExecutor(1) if processes == 1 else ProcessPoolExecutor(processes, get_context("spawn"))
+
+
+def _enough(returns: Returns, options: Measuring) -> bool:
+    small = returns.discounted_error < options.error
+    return returns.episodes >= options.episodes and (small or returns.episodes + options.episodes > options.most)
+
+
+def _uniform(task: str) -> BlackBoxPolicy:
+    space = find_task(task).action_space
+    assert isinstance(space, Box)
+    return BlackBoxPolicy(lambda seen, rng: rng.uniform(space.low, space.high, (len(seen), space.size)))
+
+
+def _measure(file: Path | None, task: str, greedy: bool, before: Returns | None, options: Measuring) -> Returns:
+    """`before` and a batch of episodes more, on starts of their own; at first as many as are missing to one batch.
+
+    Without a file actions are uniform.
+    """
+    policy = _uniform(task) if file is None else store.load(file)
+    done = before.episodes if before else 0
+    batch = options.episodes - done if done < options.episodes else options.episodes
+    found = evaluate(policy, find_task(task), episodes=batch, seed=options.seed + done, greedy=greedy, discount=DISCOUNT)
+    mean, error = _joined(done, (before.mean, before.error) if before else (0.0, 0.0), found.returns[0])
+    known = (before.discounted, before.discounted_error) if before else (0.0, 0.0)
+    worth, worth_error = _joined(done, known, found.discounted[0])
+    count, steps = done + batch, found.lengths.sum() + (before.length * done if before else 0.0)
+    return Returns(count, mean, error, worth, worth_error, DISCOUNT, float(steps / count))
+
+
+def _joined(done: int, before: tuple[float, float], more: np.ndarray) -> tuple[float, float]:
+    """Mean and standard error of `done` numbers, known by theirs, and of more."""
+    mean, error = before
+    count = done + len(more)
+    shift = float(more.mean()) - mean
+    within = error**2 * done * max(done - 1, 0) + float(np.square(more - more.mean()).sum())
+    squares = within + shift**2 * done * len(more) / count
+    return mean + shift * len(more) / count, float(np.sqrt(squares / (count - 1) / count))
