@@ -470,3 +470,12 @@ def test_pure_noise_is_never_praised():
         assert LOGGED in case.names
         deployed += decide(case, [DR], alpha=0.025, model=BehaviorModel(hidden=(4,), steps=50, lr=1e-2)).choice.deploy
     assert deployed <= 2
+
+
+def test_an_estimator_that_cannot_answer_is_told_before_anything_is_fitted(monkeypatch):
+    def never(*given):
+        raise AssertionError("support was looked at")
+
+    monkeypatch.setattr("deadreckon.ope.decide.support", never)
+    with pytest.raises(UserError, match="MB-FF does not take a horizon"):
+        decide(by_hand(horizon=2), ["is", "mb-ff"])

@@ -9,6 +9,7 @@ import pytest
 from run_folders import TASK, write_run
 
 from deadreckon.errors import UserError
+from deadreckon.files import write_json
 from deadreckon.report import axes, maze, spacetime, table, write
 from deadreckon.report.entries import read
 from deadreckon.report.page import render
@@ -141,6 +142,29 @@ def test_command_to_reproduce(runs):
         f"deadreckon train --agent td3_bc --data '/logs/some log.hdf5' --task {TASK} --steps 200 --seeds 2 "
         f"--evaluate-every 100 --episodes 6 --agent.hidden 64 64 --out {runs[1]}"
     )
+
+
+@pytest.mark.parametrize(
+    ("changes", "options"),
+    [
+        ({"history": 3}, "--history 3"),
+        ({"encoder": "drq", "shift": 2}, "--encoder drq --shift 2"),
+        ({"holdout": {"share": 0.3, "by": "time", "seed": 0, "held": 3}}, "--holdout 0.3 --holdout-by time"),
+        ({"holdout": {"share": 0.2, "by": "random", "seed": 0, "held": 2}}, "--holdout 0.2 --holdout-by random"),
+        ({"holdout": {"share": 0.2, "by": "random", "seed": 0, "held": 2}, "task": None}, ""),
+        ({"holdout": {"fold": 1, "folds": 5, "by": "random", "seed": 0, "held": 2}, "task": None}, ""),
+        ({"task": None}, "--holdout 0"),
+    ],
+)  # fmt: skip
+def test_command_says_what_is_not_the_default(changes, options, tmp_path):
+    path = write_run(tmp_path / "run", "bc")
+    folder = Folder(path)
+    config = folder.read_config()
+    config["data"] |= {"holdout": changes.pop("holdout", None)}
+    write_json(folder.config, config | changes)
+    text = command(read([path]).entries[0])
+    before, after = text.split(" --episodes 6")
+    assert after.split(" --agent.")[0].split(" --out ")[0].strip() == options
 
 
 @pytest.mark.parametrize("name", ["maze2d-umaze", "maze2d-medium", "maze2d-large"])

@@ -112,6 +112,13 @@ def test_a_finished_run_made_longer_equals_one_that_was_long_from_the_beginning(
         dr.train(agent(), log, out=tmp_path / "r", resume=True, **SETTINGS)
 
 
+@pytest.mark.parametrize(("asked", "words"), [({"encoder": "drq"}, "encoder"), ({"shift": 2}, "shift")])
+def test_a_log_without_pictures_takes_nothing_that_sees(asked, words, log, tmp_path):
+    with pytest.raises(dr.UserError, match=f"has no pictures: leave {words} out"):
+        dr.train(agent(), log, out=tmp_path / "r", **SETTINGS, **asked)
+    assert not (tmp_path / "r").exists()
+
+
 def test_other_versions_are_told_on_resume(run, log, tmp_path):
     import shutil
 

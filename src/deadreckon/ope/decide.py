@@ -81,6 +81,8 @@ def decide(
         raise UserError(f"alpha, the share of logs for which an interval may miss, must lie between 0 and 1, got {alpha}")
     auto = isinstance(estimators, str) and estimators == "auto"
     asked = automatic(case, model, accept_model_based) if auto else as_estimators(estimators)
+    for each in asked:
+        each.check(case)
     checked = support(case, model)
     estimates = [each.on(case) for each in asked]
     costs = costs_of(case, asked[0], checked, limits_of(settings.cost_limit, case.given), alpha)

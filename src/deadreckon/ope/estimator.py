@@ -39,8 +39,12 @@ class Estimator(eqx.Module):
         """The value of each policy, from the log alone; see `OPEInput` for the options."""
         return self.on(OPEInput(data, policies, **options))
 
-    def on(self, case: OPEInput) -> Estimates:
-        """The same on a case that several estimators share."""
+    def check(self, case: OPEInput) -> None:
+        """Refuses settings out of range, and cases that this estimator cannot answer.
+
+        Raises:
+            UserError: in one line.
+        """
         for each in (self, *vars(self).values()):
             if isinstance(each, eqx.Module):
                 check_fields(each)
@@ -50,6 +54,10 @@ class Estimator(eqx.Module):
             raise UserError(f"{self.label} needs a discount below 1, got 1")
         if case.crossed and not self.takes_crossed:
             raise UserError(f"{self.label} {APART}")
+
+    def on(self, case: OPEInput) -> Estimates:
+        """The same on a case that several estimators share."""
+        self.check(case)
         begun = time.perf_counter()
         found = self.solve(case)
         warnings = (*found.warnings, *case.actor.warnings())

@@ -62,7 +62,7 @@ def render(page: Page, title: str | None = None) -> str:
     sections = [
         ("decision", "Decision", decision.card(page)),
         ("estimates", "From the log alone", estimated.section(page)),
-        ("simulator", "In the simulator" if told is None else "Checked in the simulator", simulated.section(page, found)),
+        ("simulator", f"{'Checked in' if told and told['truth'] else 'In'} the simulator", simulated.section(page, found)),
         ("scores", "Scores" if found else "Runs", scores(page)),
         ("learning", "Learning curves", curves.learning(page)),
         ("values", "Estimated and realised return", curves.values(page)),

@@ -7,6 +7,7 @@ from typing import Any
 
 from deadreckon.agents import AGENTS, agent_class
 from deadreckon.agents.agent import Agent
+from deadreckon.data.split import Holdout
 from deadreckon.online import Online
 from deadreckon.report.entries import Entry, Page
 from deadreckon.report.markup import Markup, join, tag
@@ -44,7 +45,18 @@ def _from_log(entry: Entry, seeds: list[int]) -> list[Any]:
     words += ["--steps", config["steps"], *_seeds(seeds)]
     if every.get("every") not in (None, max(config["steps"] // 10, 1)):
         words += ["--evaluate-every", every["every"]]
-    return words + (["--episodes", every["episodes"]] if every.get("episodes") not in (None, 20) else [])
+    words += ["--episodes", every["episodes"]] if every.get("episodes") not in (None, 20) else []
+    words += _holdout(data.get("holdout"), config["task"] is not None)
+    return words + [word for name in ("history", "encoder", "shift") if name in config for word in (f"--{name}", config[name])]
+
+
+def _holdout(told: dict[str, Any] | None, simulated: bool) -> list[Any]:
+    """What has to be said for the same episodes to be held out; a run by folds names none."""
+    if told is None:
+        return [] if simulated else ["--holdout", 0]  # where no simulator judges, a fifth is held out unasked
+    if "fold" in told or (told["share"] == Holdout.share and not simulated):
+        return []
+    return ["--holdout", told["share"], "--holdout-by", told["by"]]
 
 
 def _online(entry: Entry, turns: Online, seeds: list[int]) -> list[Any]:
@@ -115,8 +127,12 @@ def _run(entry: Entry) -> Markup:
         ("settings", ", ".join(f"{name} = {value}" for name, value in changed.items()) or "all as by default"),
     ]
     if entry.online is None:
+        held = f", {data['holdout']['held']:,} of them held out" if data.get("holdout") else ""
+        sees = f"pictures by {config['encoder']}, moved by {config['shift']} pixels at most" if "encoder" in config else ""
+        last = f"the last {config['history']} observations, with the actions between them" if "history" in config else ""
         facts += [
-            ("log", f"{data['name']}, {data.get('rows', 0):,} rows, {data.get('episodes', 0):,} episodes"),
+            ("acts on", sees or last),
+            ("log", f"{data['name']}, {data.get('rows', 0):,} rows, {data.get('episodes', 0):,} episodes{held}"),
             ("fingerprint", tag("code", data["fingerprint"])),
             ("collected with", _made(data.get("provenance") or {})),
             ("warnings", join(*(tag("div", w) for w in data.get("warnings", []))) or "none"),

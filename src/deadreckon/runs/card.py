@@ -111,6 +111,8 @@ def _agent(one: Subject) -> list[str]:
         return [policy, "", "No run says how it was made."]
     head = f"{config['agent']['name']}, seed {one.seed}, {config['steps']:,} updates."
     fields = [f"| {name} | {value} |" for name, value in config["agent"].get("fields", {}).items()]
+    if "encoder" in config:
+        head += f" Pictures are seen by {config['encoder']}, moved by {config['shift']} pixels at most while it learned."
     return [head, "", policy, "", "| setting | value |", "|---|---|", *fields]
 
 

@@ -230,7 +230,7 @@ def checked(results: dict[str, Any]) -> str:
     """What the simulator says to the choice, in one line: its regret is what the best policy would have had beyond it."""
     truth = results["truth"]
     if truth is None:
-        return "not checked: no simulator was named"
+        return "not checked: no simulator was named for the estimates"
     means = np.asarray(truth["mean"])
     names = [each["name"] for each in results["policies"]]
     chosen = names.index(results["choice"]["name"])
@@ -251,7 +251,7 @@ def supports(results: dict[str, Any]) -> str:
     names = [each["name"] for each in results["policies"]]
     width = max(map(len, names))
     shares = ["not known" if share is None else f"{100 * share:.0f} %" for share in results["support"]["missing"]]
-    words = "mean weight per step {:.2f} (1 where there is support)"
+    words = "mean weight per step {:.3g} (1 where there is support)"
     weights = ["" if mean is None else f", {words.format(mean)}" for mean in results["support"]["ratio"]]
     lines = [f"  {name:<{width}}  {share}{weight}" for name, share, weight in zip(names, shares, weights)]
     return "\n".join(["share of each policy's actions without support in the log", *lines])
