@@ -235,3 +235,10 @@ def test_an_ant_maze_is_drawn_as_its_layout_is_written():
     # From the top left free cell two cells to the right.
     assert [float(x) for x in start] == [48.0, 48.0]
     assert [float(x) for x in finish] == [168.0, 48.0]
+
+
+@pytest.mark.parametrize(("log", "again"), [("maze2d-umaze-v1@dr1", True), ("walker-stand-full-replay-v0@dr1", False)])
+def test_a_log_without_an_original_is_not_called_collected_again(log, again, tmp_path):
+    text = write([write_run(tmp_path / "run", name=log)], tmp_path / "page.html").read_text()
+    assert (f"{log}</code>: collected again by this package" in text) is again
+    assert (f"{log}</code>: collected by this package; there is no original." in text) is not again

@@ -181,3 +181,8 @@ ENTRIES: dict[str, Entry] = {
         *map(_control, _CONTROL),
     )
 }
+
+
+def is_original(name: str) -> bool:
+    """Whether a log that we collect is the only one of its name: no benchmark has files of it."""
+    return name in ENTRIES and not ENTRIES[name].sources

@@ -8,6 +8,7 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
+from deadreckon.data.entries import is_original
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
 from deadreckon.report import curves, decision, explained, provenance, simulated
@@ -19,7 +20,8 @@ from deadreckon.report.scores import scores
 from deadreckon.runs.offline import read_estimates
 from deadreckon.runs.train import Run
 
-AGAIN = " means: collected again by this package, after the original's recipe, on today's simulator; not the original file."
+OWN = ": collected by this package; there is no original."
+AGAIN = ": collected again by this package, after the original's recipe, on today's simulator; not the original file."
 
 
 def write(
@@ -72,8 +74,15 @@ def render(page: Page, title: str | None = None) -> str:
         ("mazes", "Trajectories", curves.trajectories(page)),
         ("provenance", "Provenance", provenance.section(page)),
     ]
-    again = sorted({"@" + name.partition("@")[2].split("-")[0] for name in logs if "@dr" in name})
-    return document(title, lead, _facts(page, logs), sections, note(tag("code", ", ".join(again)), AGAIN) if again else None)
+    return document(title, lead, _facts(page, logs), sections, _collected(logs))
+
+
+def _collected(logs: Sequence[str]) -> Markup | None:
+    """Which logs are this package's: collected after a benchmark's recipes, or by its own."""
+    ours = [name for name in logs if "@dr" in name]
+    parts = ([name for name in ours if is_original(name.partition("@")[0]) == own] for own in (False, True))
+    lines = [note(tag("code", ", ".join(names)), words) for names, words in zip(parts, (AGAIN, OWN)) if names]
+    return join(*lines) if lines else None
 
 
 def document(
