@@ -479,3 +479,17 @@ def test_an_estimator_that_cannot_answer_is_told_before_anything_is_fitted(monke
     monkeypatch.setattr("deadreckon.ope.decide.support", never)
     with pytest.raises(UserError, match="MB-FF does not take a horizon"):
         decide(by_hand(horizon=2), ["is", "mb-ff"])
+
+
+@pytest.mark.filterwarnings("error")
+def test_weights_that_overflow_are_told_and_leave_an_endless_interval():
+    # Two episodes of 400 rare actions that pay 1 and -1: the policy takes them 99 times as often, and 99^400 is no float64.
+    log = Dataset.from_arrays(
+        observations=np.zeros((800, 1)), actions=np.zeros(800, int), rewards=np.repeat([1.0, -1.0], 400),
+        terminals=np.arange(800) % 400 == 399, timeouts=np.zeros(800, bool), action_space=Discrete(2),
+        behavior_log_probs=np.full(800, np.log(0.01)),
+    )  # fmt: skip
+    found = ImportanceSampling(normalised=False).on(OPEInput(log, constant([0.99, 0.01]), discount=1.0))
+    assert np.isnan(found.value[0])
+    assert (found.low[0], found.high[0]) == (-np.inf, np.inf)
+    assert any("no finite estimate of" in text for text in found.warnings)
