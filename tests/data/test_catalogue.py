@@ -66,6 +66,13 @@ def test_how_a_log_can_be_had(version, how):
         load(f"hopper-medium-v2{version}")
 
 
+def test_a_log_of_another_length_is_named(home):
+    (home / "data").mkdir(parents=True)
+    (home / "data" / "hopper-medium-v2@dr1-5000-steps.hdf5").touch()
+    with pytest.raises(UserError, match="the original; under other names there is hopper-medium-v2@dr1-5000-steps$"):
+        load("hopper-medium-v2")
+
+
 def test_the_cache(home):
     path = cached_path("maze2d-umaze-v1")
     assert path == home / "data" / "maze2d-umaze-v1@dr1.hdf5" == cached_path("maze2d-umaze-v1@dr1")

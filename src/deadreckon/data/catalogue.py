@@ -130,7 +130,9 @@ def _how(found: Entry, version: str) -> str:
     if version in found.sources:
         return f"{found.name}@{version} is not here yet: {gets[0]}, or {collect} {found.collected} offline"
     name = f"{found.name}@{version}" if version else found.name
-    return f"{name} is not here yet: {', or '.join([f'{collect} it offline', *gets])}"
+    parts = sorted(each.stem for each in (home() / "data").glob(f"{found.collected}-*.hdf5"))  # of other lengths or seeds
+    beside = f"; under other names there is {', '.join(parts)}" if parts and not version else ""
+    return f"{name} is not here yet: {', or '.join([f'{collect} it offline', *gets])}{beside}"
 
 
 def _with_record(log: Dataset, path: Path) -> Dataset:
