@@ -22,6 +22,14 @@ def versions() -> dict[str, Any]:
     }
 
 
+def installed(package: str) -> dict[str, str]:
+    """The version of an optional package by its name; empty where it is not installed."""
+    try:
+        return {package: metadata.version(package)}
+    except metadata.PackageNotFoundError:
+        return {}
+
+
 def differences(before: Any, now: Any, keys: Sequence[str] | None = None, prefix: str = "") -> list[str]:
     """One line for each value that differs between two nested notes; of these keys, or of all.
 

@@ -1,6 +1,7 @@
 """Nine tasks beside dm_control's own environments, step by step, to the last bit."""
 
 import importlib.util
+from importlib import metadata
 
 import numpy as np
 import pytest
@@ -86,11 +87,11 @@ def test_without_the_package_one_line_says_how_to_get_it(monkeypatch):
 
 def test_runs_note_the_packages_version_where_it_is_there(monkeypatch):
     def absent(name):
-        raise control.metadata.PackageNotFoundError(name)
+        raise metadata.PackageNotFoundError(name)
 
     seen = tasks.task("fish-swim:pixels")
     assert seen.versions == tasks.task("fish-swim").versions
-    monkeypatch.setattr(control.metadata, "version", absent)
+    monkeypatch.setattr(metadata, "version", absent)
     assert tasks.task("fish-swim").versions == {}
 
 

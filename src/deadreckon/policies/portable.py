@@ -251,14 +251,12 @@ class NumpyPolicy:
             elif i < last:
                 x = _ACTIVATIONS[net["activation"]](x)
                 if net.get("normalise", False):
-                    x = x - x.mean(-1, keepdims=True)
-                    x = x / np.sqrt(np.square(x).mean(-1, keepdims=True) + 1e-6)
+                    x = _standardised(x, 1e-6)
         return np.where(seen[..., -mask:] > 0.5, x, _ILLEGAL) if mask else x
 
     def _normalised(self, net, x):
         """The first layer of a network that normalises it."""
-        x = x - x.mean(-1, keepdims=True)
-        x = x / np.sqrt(np.square(x).mean(-1, keepdims=True) + 1e-5)
+        x = _standardised(x, 1e-5)
         return np.tanh(x * self._array(net["gain"]) + self._array(net["shift"]))
 
     def _chosen(self, node, x, rng, greedy):
@@ -328,6 +326,12 @@ def check_size(x, size, mask):
         raise ValueError(f"an observation has {x.shape[-1]} numbers, {size} are needed{parts}")
     if mask and not (some := (x[..., -mask:] > 0.5).any(-1)).all():
         raise ValueError(f"no action is legal in row {int(np.argmin(some))}; at least one must be")
+
+
+def _standardised(x, epsilon):
+    """Rows with mean zero and variance one."""
+    x = x - x.mean(-1, keepdims=True)
+    return x / np.sqrt(np.square(x).mean(-1, keepdims=True) + epsilon)
 
 
 def _beside(x, many):

@@ -9,7 +9,6 @@ import weakref
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from importlib import metadata
 from typing import Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from deadreckon.tasks.carla_scenes import SCENES
 from deadreckon.tasks.carla_server import SIZE, Server
 from deadreckon.tasks.gymnasium_names import options_of
 from deadreckon.tasks.task import Reference, Starts, Task, checked_actions
+from deadreckon.versions import installed
 
 PREFIX = "carla:"
 TIMEOUT = 20.0  # s that a server may take for an answer; loading a map can take most of it
@@ -61,10 +61,7 @@ class CarlaTask(Task):
     @property
     def versions(self) -> Mapping[str, str]:
         """See `Task.versions`: of the client, which a server's is the same as."""
-        try:
-            return {"carla": metadata.version("carla")}
-        except metadata.PackageNotFoundError:
-            return {}
+        return installed("carla")
 
 
 def named(name: str) -> CarlaTask:

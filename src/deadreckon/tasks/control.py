@@ -9,7 +9,6 @@ import importlib.util
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib import metadata
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,6 +18,7 @@ from deadreckon.errors import UserError
 from deadreckon.imports import environment_variable
 from deadreckon.tasks.copies import MujocoCopies, bindings
 from deadreckon.tasks.task import Reference, Task
+from deadreckon.versions import installed
 
 HORIZON = 1_000
 
@@ -49,10 +49,7 @@ class Control(Task):
     @property
     def versions(self) -> dict[str, str]:
         """See `Task.versions`."""
-        try:
-            return {"dm_control": metadata.version("dm_control")}
-        except metadata.PackageNotFoundError:
-            return {}
+        return installed("dm_control")
 
     def environment(self) -> Any:
         """The package's own environment, such as `dm_control.suite.load` gives.
