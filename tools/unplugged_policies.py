@@ -22,8 +22,7 @@ from deadreckon.cli.progress import Bar
 from deadreckon.collect import collect
 from deadreckon.ope.metrics import published_returns
 from deadreckon.policies.library import ROOT, Returns, evaluated, library_tasks
-from deadreckon.runs.measuring import Measuring
-from deadreckon.runs.publish import publish_runs
+from deadreckon.runs.publish import Shipping, publish_runs
 from deadreckon.stats.comparison import between
 from deadreckon.tasks.control import TASKS
 
@@ -64,7 +63,8 @@ class Options:
     """Policies of dm_control's tasks as DOPE made them."""
 
     only: tuple[str, ...] = tuple(task.name for task in TASKS)  # of these tasks
-    agents: tuple[str, ...] = tuple(_NARROW)  # that are trained; what is published is of all
+    agents: tuple[Literal["d4pg", "abm", "bc", "crr_d"], ...] = ("d4pg", "abm", "bc", "crr_d")
+    """that are trained; a task's policies can be published once all four are"""
     budget: Literal["full", "package", "cpu"] = "full"
     """3,200,000 updates and eight policies a run; 100,000 and two, with narrower networks; or 25,000 and two"""
     train: bool = False  # train what is not trained yet
@@ -94,10 +94,10 @@ def main(options: Options) -> None:
                         out=folders[name], resume=True, watch=lambda progress, whole, bar=bar: bar(progress.step, whole),
                     )  # fmt: skip
         if options.publish:
-            measuring = Measuring(
+            shipping = Shipping(
                 episodes=options.episodes, most=options.most, processes=options.processes, out=options.library
             )  # fmt: skip
-            print(publish_runs(folders, size.snapshots, measuring, watch=print))
+            print(publish_runs(folders, size.snapshots, shipping, watch=print))
     if options.table:
         print(table(options.only))
 
@@ -105,12 +105,12 @@ def main(options: Options) -> None:
 def table(names: tuple[str, ...]) -> str:
     """What the package's policies return with drawn actions, ± one standard error, by seed: a row for each task and agent.
 
-    Of the last snapshot stands the difference to BC of the means over seeds, with Welch's interval. Below stands from where to
-    where the policies of a task reach, and those that DOPE published.
+    The last column is the difference to BC of the last snapshots' means over seeds, with Welch's interval. Below the table:
+    the range of the returns of the package's policies, and of DOPE's.
     """
     published, ranges = published_returns(), []
     lines = ["| task | agent | updates | first snapshot | last snapshot | above BC |", "|---|---|---:|---|---|---:|"]
-    for name in (name for name in names if name in library_tasks()):
+    for name in (name for name in names if name in published and name in library_tasks()):
         found: dict[str, dict[int, list[Returns]]] = {}
         for s in evaluated(name):
             found.setdefault(s.name.split("-")[0], {}).setdefault(s.updates, []).append(s.sampled)

@@ -1,6 +1,8 @@
 """Logs of dm_control's tasks: a part of the episodes of a training online."""
 
 import dataclasses
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -98,3 +100,10 @@ def test_rows_are_whole_episodes_of_the_training(short, tmp_path):
     for steps in (30, 340):
         with pytest.raises(UserError, match=f"steps must be a multiple of 20, 320 at most, got {steps}"):
             collected(tmp_path, steps)
+
+
+def test_the_page_has_the_sizes_of_the_recipes():
+    page = (Path(__file__).parents[2] / "docs" / "tasks" / "control.md").read_text()
+    rows = re.findall(r"^\| `([a-z-]+)-full-replay-v0` \| ([\d,]+) \| ([\d,]+) \|$", page, re.M)
+    said = {name: (int(kept.replace(",", "")), int(steps.replace(",", ""))) for name, kept, steps in rows}
+    assert said == {name: (recipe(f"{name}-full-replay-v0").steps, steps) for name, steps in control.TRAINED.items()}

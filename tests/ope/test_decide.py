@@ -12,6 +12,8 @@ from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import CrossFitted
 from deadreckon.ope.decide import automatic, decide
+from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.support import support
 from deadreckon.policies import BlackBoxPolicy
 from deadreckon.stats import inference
@@ -493,3 +495,20 @@ def test_weights_that_overflow_are_told_and_leave_an_endless_interval():
     assert np.isnan(found.value[0])
     assert (found.low[0], found.high[0]) == (-np.inf, np.inf)
     assert any("no finite estimate of" in text for text in found.warnings)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_no_inflation_brings_an_interval_back(value):
+    class Overflowing(Estimator):
+        @property
+        def label(self):
+            return "overflowing"
+
+        def solve(self, case):
+            ends = np.array([value, 1.0])
+            return Estimates("overflowing", ("a", "b"), ends, ends - 1, ends + 1, case.estimand, inflation=np.array([2.0, 2.0]))
+
+    found = Overflowing().on(by_hand())
+    assert (found.low.tolist(), found.high.tolist()) == ([-np.inf, -1.0], [np.inf, 3.0])
+    assert found.warnings == ("no finite estimate of a",)

@@ -152,6 +152,7 @@ def test_command_to_reproduce(runs):
         ({"holdout": {"share": 0.3, "by": "time", "seed": 0, "held": 3}}, "--holdout 0.3 --holdout-by time"),
         ({"holdout": {"share": 0.2, "by": "random", "seed": 0, "held": 2}}, "--holdout 0.2 --holdout-by random"),
         ({"holdout": {"share": 0.2, "by": "random", "seed": 0, "held": 2}, "task": None}, ""),
+        ({"holdout": {"share": 0.2, "by": "user", "seed": 0, "held": 2}, "task": None}, "--holdout 0.2 --holdout-by user"),
         ({"holdout": {"fold": 1, "folds": 5, "by": "random", "seed": 0, "held": 2}, "task": None}, ""),
         ({"task": None}, "--holdout 0"),
     ],
@@ -242,3 +243,13 @@ def test_a_log_without_an_original_is_not_called_collected_again(log, again, tmp
     text = write([write_run(tmp_path / "run", name=log)], tmp_path / "page.html").read_text()
     assert (f"{log}</code>: collected again by this package" in text) is again
     assert (f"{log}</code>: collected by this package; there is no original." in text) is not again
+
+
+def test_the_page_says_what_the_policy_sees_and_what_was_held_out(tmp_path):
+    folder = Folder(write_run(tmp_path / "run", "bc"))
+    config = folder.read_config() | {"encoder": "drq", "shift": 2}
+    config["data"]["holdout"] = {"share": 0.25, "by": "user", "seed": 3, "held": 1200}
+    write_json(folder.config, config)
+    text = write([folder.path], tmp_path / "page.html").read_text()
+    assert "<dd>encoder drq, random shifts of up to 2 pixels during training</dd>" in text
+    assert "<dd>1,200 episodes, 0.25 of all, by user, seed 3</dd>" in text

@@ -12,9 +12,8 @@ from deadreckon.errors import UserError
 from deadreckon.online import Online
 from deadreckon.policies import library, store
 from deadreckon.runs.evaluate import evaluate
-from deadreckon.runs.measuring import Measuring, _joined
 from deadreckon.runs.online import train_online
-from deadreckon.runs.publish import Publish, publish, publish_runs
+from deadreckon.runs.publish import Publish, Shipping, publish, publish_runs
 
 
 @pytest.fixture(scope="module")
@@ -91,16 +90,6 @@ def test_measuring_goes_on_where_it_was_stopped(run, shipped, tmp_path):
 def test_episodes_are_added_until_the_error_is_small(run, tmp_path):
     path = publish(Publish(str(run), medium=24, expert=80, episodes=4, most=12, error=0.0, out=str(tmp_path)))
     assert json.loads(path.read_text())["policies"]["snapshot-01"]["sampled"]["episodes"] == 12
-
-
-def test_batches_join_to_the_mean_and_error_of_all():
-    rng = np.random.default_rng(0)
-    x = rng.normal(5.0, 2.0, 60)
-    parts, done, known = np.split(x, [7, 25]), 0, (0.0, 0.0)
-    for part in parts:
-        known = _joined(done, known, part)
-        done += len(part)
-    assert known == pytest.approx((x.mean(), x.std(ddof=1) / 60**0.5))
 
 
 @pytest.mark.slow
@@ -181,7 +170,7 @@ def test_policies_of_several_runs_keep_what_they_have_learned_from(tmp_path):
     train(BC(hidden=(8,), batch_size=16), logs[0], seeds=2, out=folders["clone"], **small)
     train(BC(hidden=(9,), batch_size=16), logs[0], seeds=1, out=folders["wide"], **small)
     train(BC(hidden=(8,), batch_size=16), logs[1], seeds=1, out=folders["other"], **small)
-    options = Measuring(episodes=2, most=2, out=str(tmp_path / "library"))
+    options = Shipping(episodes=2, most=2, out=str(tmp_path / "library"))
     told = []
     path = publish_runs({name: folders[name] for name in ("clone", "wide")}, (2, 4), options, told.append)
     about = json.loads(path.read_text())

@@ -13,7 +13,7 @@ from deadreckon.bench import published
 from deadreckon.bench.jobs import Job
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Metric, Suite
-from deadreckon.data.entries import is_original
+from deadreckon.data.entries import has_original
 from deadreckon.mbo.protocol import published as designs_published
 from deadreckon.ope.dope import METRICS as OPE_METRICS
 from deadreckon.ope.dope import printed as ope_printed
@@ -188,7 +188,7 @@ def _notes(jobs: Sequence[Job], missing: Sequence[tuple[Job, int]], store: Store
     notes = []
     again = sorted({job.on for job in jobs if "@dr" in job.data})
     if again:
-        own = [on for on in again if is_original(on)]
+        own = [on for on in again if not has_original(on)]
         if remade := [on for on in again if on not in own]:
             notes.append(f"collected again by this package, not the original files: {', '.join(remade)}")
         if own:

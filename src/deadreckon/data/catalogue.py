@@ -131,7 +131,7 @@ def _how(found: Entry, version: str) -> str:
         return f"{found.name}@{version} is not here yet: {gets[0]}, or {collect} {found.collected} offline"
     name = f"{found.name}@{version}" if version else found.name
     parts = sorted(each.stem for each in (home() / "data").glob(f"{found.collected}-*.hdf5"))  # of other lengths or seeds
-    beside = f"; under other names there is {', '.join(parts)}" if parts and not version else ""
+    beside = f"; in the cache under other names: {', '.join(parts)}" if parts and version in ("", found.version) else ""
     return f"{name} is not here yet: {', or '.join([f'{collect} it offline', *gets])}{beside}"
 
 

@@ -183,6 +183,6 @@ ENTRIES: dict[str, Entry] = {
 }
 
 
-def is_original(name: str) -> bool:
-    """Whether a log that we collect is the only one of its name: no benchmark has files of it."""
-    return name in ENTRIES and not ENTRIES[name].sources
+def has_original(name: str) -> bool:
+    """Whether a benchmark has published files of this log, or nobody knows since it is not in the catalogue."""
+    return name not in ENTRIES or bool(ENTRIES[name].sources)

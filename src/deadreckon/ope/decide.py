@@ -21,7 +21,7 @@ from deadreckon.ope.guarantee import guaranteed, refuse
 from deadreckon.ope.importance import ImportanceSampling, log_ratios
 from deadreckon.ope.linear import Fit, LinearFQE
 from deadreckon.ope.registry import as_estimators
-from deadreckon.ope.select import MANY, SHARE, Choice, endless_where_unsupported, select
+from deadreckon.ope.select import MANY, SHARE, Choice, select, unbounded_where_unsupported
 from deadreckon.ope.settings import DecisionOptions, DecisionSettings
 from deadreckon.ope.support import Support, support
 from deadreckon.ope.tail import tails
@@ -107,7 +107,7 @@ def decide(
     if settings.tail is not None:
         more["tail"], line = _tail(case, which, settings.tail, model, alpha, endless)
         choice = replace(choice, evidence=(*choice.evidence, line))
-    return Decision([endless_where_unsupported(each, checked) for each in estimates], checked, choice, more)
+    return Decision([unbounded_where_unsupported(each, checked) for each in estimates], checked, choice, more)
 
 
 def check(case: OPEInput, settings: DecisionSettings, groups: Groups | None) -> None:

@@ -80,6 +80,7 @@ class DoublyRobust(Estimator):
         name = {"dr": "DR", "wdr": "WDR", "magic": "MAGIC"}[self.kind]
         return f"{name}-linear" if isinstance(self.fqe, LinearFQE) else name
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # products of weights overflow; `Estimator.on` tells of it
     def solve(self, case: OPEInput) -> Estimates:
         """Adds the corrections to the mean value of the initial observations."""
         if self.kind == "marginal":

@@ -1,6 +1,6 @@
 """What every estimator answers."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -89,6 +89,10 @@ class Estimates(Shown):
     def discount(self) -> float:
         """Of the returns."""
         return self.estimand.discount
+
+    def unbounded(self, where: np.ndarray) -> "Estimates":
+        """The same with intervals that have no bounds for the policies `where` (policies,) is true."""
+        return replace(self, low=np.where(where, -np.inf, self.low), high=np.where(where, np.inf, self.high))
 
     @property
     def average(self) -> np.ndarray:

@@ -60,15 +60,19 @@ class Estimator(eqx.Module):
         """The same on a case that several estimators share."""
         self.check(case)
         begun = time.perf_counter()
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what becomes of it is told, by policy
-            found = endless_where_unknown(self.solve(case))
+        found = self.solve(case)
         warnings = (*found.warnings, *case.actor.warnings())
         if getattr(self, "members", None) == 1:
             warnings = (*warnings, f"{found.method} has one member, which gives no interval; more members do")
         if case.crossed or found.inflation is not None:
-            more, middle = case.inflation * (1.0 if found.inflation is None else found.inflation), found.value
+            more = case.inflation * (1.0 if found.inflation is None else found.inflation)
+            middle = np.where(np.isfinite(found.value), found.value, np.nan)
             low, high = middle - more * (middle - found.low), middle + more * (found.high - middle)
             found = dataclasses.replace(found, low=low, high=high, inflation=more)
+        if (lost := ~np.isfinite(found.value)).any():
+            found = found.unbounded(lost)
+            names = [name for name, gone in zip(found.names, lost) if gone]
+            warnings = (*warnings, f"no finite estimate of {names[0]}{f' and {len(names) - 1} more' if names[1:] else ''}")
         return dataclasses.replace(found, warnings=warnings, seconds=time.perf_counter() - begun)
 
     @property
@@ -83,15 +87,3 @@ class Estimator(eqx.Module):
     def replace(self, **changes: Any) -> Any:
         """The same estimator with some fields changed."""
         return dataclasses.replace(self, **changes)
-
-
-def endless_where_unknown(found: Estimates) -> Estimates:
-    """An estimate whose intervals have no ends for policies without a number, such as where products of weights overflow."""
-    lost = ~np.isfinite(found.value)
-    if not lost.any():
-        return found
-    names = [name for name, gone in zip(found.names, lost) if gone]
-    more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-    told = f"no finite estimate of {names[0]}{more}: weights that multiply along an episode can leave the range of numbers"
-    low, high = np.where(lost, -np.inf, found.low), np.where(lost, np.inf, found.high)
-    return dataclasses.replace(found, low=low, high=high, warnings=(*found.warnings, told))

@@ -46,6 +46,7 @@ class ImportanceSampling(Estimator):
     """smallest and largest return of an episode, for hoeffding and bernstein"""
     max_weight: Positive | None = static(None)  # largest weight of an episode or of its steps, for hoeffding and bernstein
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # products of weights overflow; `Estimator.on` tells of it
     def solve(self, case: OPEInput) -> Estimates:
         """Weighted sums of the logged rewards."""
         episodes = case.episodes

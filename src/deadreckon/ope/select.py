@@ -6,7 +6,7 @@ be checked from a log is whether something that was not recorded made the logged
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -220,10 +220,9 @@ def supported(found: Estimates, support: Support | None) -> np.ndarray:
     return known
 
 
-def endless_where_unsupported(found: Estimates, support: Support | None) -> Estimates:
-    """An estimate whose intervals have no ends for policies that the log cannot speak for: nothing else would be true."""
-    known = supported(found, support)
-    return replace(found, low=np.where(known, found.low, -np.inf), high=np.where(known, found.high, np.inf))
+def unbounded_where_unsupported(found: Estimates, support: Support | None) -> Estimates:
+    """An estimate whose intervals are unbounded for policies that the log cannot speak for: nothing else would be true."""
+    return found.unbounded(~supported(found, support))
 
 
 def _unreliable(found: Estimates, which: int) -> list[str]:

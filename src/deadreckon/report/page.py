@@ -8,7 +8,7 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from deadreckon.data.entries import is_original
+from deadreckon.data.entries import has_original
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
 from deadreckon.report import curves, decision, explained, provenance, simulated
@@ -80,7 +80,7 @@ def render(page: Page, title: str | None = None) -> str:
 def _collected(logs: Sequence[str]) -> Markup | None:
     """Which logs are this package's: collected after a benchmark's recipes, or by its own."""
     ours = [name for name in logs if "@dr" in name]
-    parts = ([name for name in ours if is_original(name.partition("@")[0]) == own] for own in (False, True))
+    parts = ([name for name in ours if has_original(name.partition("@")[0]) == known] for known in (True, False))
     lines = [note(tag("code", ", ".join(names)), words) for names, words in zip(parts, (AGAIN, OWN)) if names]
     return join(*lines) if lines else None
 

@@ -12,6 +12,7 @@ from deadreckon.online import Online
 from deadreckon.report.entries import Entry, Page
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import note, scroll
+from deadreckon.runs.card import seen_by
 from deadreckon.runs.online import turns_of
 from deadreckon.runs.steps import course, simulated
 
@@ -51,10 +52,10 @@ def _from_log(entry: Entry, seeds: list[int]) -> list[Any]:
 
 
 def _holdout(told: dict[str, Any] | None, simulated: bool) -> list[Any]:
-    """What has to be said for the same episodes to be held out; a run by folds names none."""
+    """What has to be said for the same episodes to be held out; the folds of a cross-fit are no option, nor is a seed."""
     if told is None:
         return [] if simulated else ["--holdout", 0]  # where no simulator judges, a fifth is held out unasked
-    if "fold" in told or (told["share"] == Holdout.share and not simulated):
+    if "fold" in told or (told["share"] == Holdout.share and told["by"] == Holdout.by and not simulated):
         return []
     return ["--holdout", told["share"], "--holdout-by", told["by"]]
 
@@ -127,12 +128,11 @@ def _run(entry: Entry) -> Markup:
         ("settings", ", ".join(f"{name} = {value}" for name, value in changed.items()) or "all as by default"),
     ]
     if entry.online is None:
-        held = f", {data['holdout']['held']:,} of them held out" if data.get("holdout") else ""
-        sees = f"pictures by {config['encoder']}, moved by {config['shift']} pixels at most" if "encoder" in config else ""
-        last = f"the last {config['history']} observations, with the actions between them" if "history" in config else ""
         facts += [
-            ("acts on", sees or last),
-            ("log", f"{data['name']}, {data.get('rows', 0):,} rows, {data.get('episodes', 0):,} episodes{held}"),
+            ("pictures", seen_by(config)),
+            ("history", f"{config['history']} observations, with the actions between them" if "history" in config else ""),
+            ("log", f"{data['name']}, {data.get('rows', 0):,} rows, {data.get('episodes', 0):,} episodes"),
+            ("held out", _held(data.get("holdout"))),
             ("fingerprint", tag("code", data["fingerprint"])),
             ("collected with", _made(data.get("provenance") or {})),
             ("warnings", join(*(tag("div", w) for w in data.get("warnings", []))) or "none"),
@@ -147,6 +147,14 @@ def _run(entry: Entry) -> Markup:
         tag("dl", [join(tag("dt", name), tag("dd", value)) for name, value in facts if value]),
         tag("pre", tag("code", again), tabindex="0", aria_label="command to reproduce"),
     )
+
+
+def _held(told: dict[str, Any] | None) -> str:
+    if told is None:
+        return ""
+    how = f"fold {told['fold'] + 1} of {told['folds']}" if "fold" in told else f"{told['share']:.3g} of all"
+    seed = f", seed {told['seed']}" if told["seed"] else ""
+    return f"{told['held']:,} episodes, {how}, by {told['by']}{seed}"
 
 
 def _acted(turns: Online, steps: int) -> str:

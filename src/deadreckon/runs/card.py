@@ -2,7 +2,7 @@
 
 import datetime
 import inspect
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -111,9 +111,16 @@ def _agent(one: Subject) -> list[str]:
         return [policy, "", "No run says how it was made."]
     head = f"{config['agent']['name']}, seed {one.seed}, {config['steps']:,} updates."
     fields = [f"| {name} | {value} |" for name, value in config["agent"].get("fields", {}).items()]
-    if "encoder" in config:
-        head += f" Pictures are seen by {config['encoder']}, moved by {config['shift']} pixels at most while it learned."
+    if seen := seen_by(config):
+        head += f" Pictures: {seen}."
     return [head, "", policy, "", "| setting | value |", "|---|---|", *fields]
+
+
+def seen_by(config: Mapping[str, Any]) -> str:
+    """How a run saw pictures, by its `run.json`; empty where its log has none."""
+    if "encoder" not in config:
+        return ""
+    return f"encoder {config['encoder']}, random shifts of up to {config['shift']} pixels during training"
 
 
 def _columns(log: Dataset) -> list[str]:

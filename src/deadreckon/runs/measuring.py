@@ -1,15 +1,22 @@
 """Measures what policies are worth: episodes in batches until the error is small, policies side by side."""
 
-from collections.abc import Callable, Mapping
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from deadreckon.data.spec import Box
-from deadreckon.policies import library, store
+from deadreckon.errors import UserError
+from deadreckon.policies import store
 from deadreckon.policies.library import Returns
 from deadreckon.policies.policy import BlackBoxPolicy
 from deadreckon.runs.evaluate import evaluate
@@ -20,12 +27,11 @@ DISCOUNT = 0.995  # DOPE's
 
 @dataclass(kw_only=True)
 class Measuring:
-    """How policies are measured, and where they are shipped."""
+    """How policies are measured."""
 
     episodes: int = 1000  # a policy, in each way of acting that is measured
     error: float = 0.666  # standard error of the discounted return below which measuring stops (thesis 8.2)
     most: int = 1000  # episodes at most, whatever the error
-    out: str = str(library.ROOT)  # folder of the library
     seed: int = 1_000_000  # of the episodes; training evaluates on others
     processes: int = 1  # that measure policies side by side; numbers do not depend on it
 
@@ -45,33 +51,50 @@ def measured_enough(
 
     Returns:
         Of all that is wanted, by (key, mode).
+
+    Raises:
+        UserError: fewer than one process.
     """
+    if options.processes < 1:
+        raise UserError(f"processes must be 1 or more, got {options.processes}")
     found = dict(known)
-    pending: dict[Future[Returns], tuple[str, str]] = {}
-    pool = _pool(options.processes)
-
-    def ask(which: tuple[str, str]) -> None:
-        before = found.get(which)
-        if before is None or not _enough(before, options):
-            pending[pool.submit(_measure, wanted[which], task, which[1] == "greedy", before, options)] = which
-
-    try:
-        for each in wanted:
-            ask(each)
-        while pending:
-            for done in wait(pending, return_when=FIRST_COMPLETED).done:
-                which = pending.pop(done)
-                found[which] = done.result()
-                keep(*which, found[which])
-                ask(which)
-    finally:
-        pool.shutdown(cancel_futures=True)
+    with _side_by_side(options.processes) as each:
+        while todo := [which for which in wanted if which not in found or not _enough(found[which], options)]:
+            jobs = [(which, wanted[which], task, found.get(which), options) for which in todo]
+            for which, returns in each(jobs):
+                found[which] = returns
+                keep(*which, returns)
     return {which: found[which] for which in wanted}
 
 
-def _pool(processes: int) -> Executor:
-    """What measures: processes of their own, or this one."""
-    return ThreadPoolExecutor(1) if processes == 1 else ProcessPoolExecutor(processes, get_context("spawn"))
+@contextmanager
+def _side_by_side(processes: int) -> Iterator[Callable[[list[Any]], Iterator[Any]]]:
+    """What does jobs and gives their results as they come: this process, or several others."""
+    if processes == 1:
+        yield lambda jobs: map(_job, jobs)
+        return
+    pool = ProcessPoolExecutor(processes, get_context("spawn"), _end_with, (os.getpid(),))
+    try:
+        yield lambda jobs: (done.result() for done in as_completed([pool.submit(_job, job) for job in jobs]))
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _end_with(parent: int) -> None:
+    """Ends this process at an interrupt, and when its parent is gone, which tells nobody when it is killed."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def _job(job: tuple[tuple[str, str], Path | None, str, Returns | None, Measuring]) -> tuple[tuple[str, str], Returns]:
+    which, file, task, before, options = job
+    return which, _measure(file, task, which[1] == "greedy", before, options)
 
 
 def _enough(returns: Returns, options: Measuring) -> bool:

@@ -246,13 +246,18 @@ def checked(results: dict[str, Any]) -> str:
     )
 
 
+def weight(mean: float) -> str:
+    """A mean weight in a few characters: products of ratios can be of any size."""
+    return f"{mean:.2f}" if mean < 1e4 else f"{mean:.0e}"
+
+
 def supports(results: dict[str, Any]) -> str:
     """How much of what each policy does has no support in the log, a line each."""
     names = [each["name"] for each in results["policies"]]
     width = max(map(len, names))
     shares = ["not known" if share is None else f"{100 * share:.0f} %" for share in results["support"]["missing"]]
-    words = "mean weight per step {:.3g} (1 where there is support)"
-    weights = ["" if mean is None else f", {words.format(mean)}" for mean in results["support"]["ratio"]]
+    words = "mean weight per step {} (1 where there is support)"
+    weights = ["" if mean is None else f", {words.format(weight(mean))}" for mean in results["support"]["ratio"]]
     lines = [f"  {name:<{width}}  {share}{weight}" for name, share, weight in zip(names, shares, weights)]
     return "\n".join(["share of each policy's actions without support in the log", *lines])
 

@@ -25,8 +25,15 @@ from deadreckon.runs.measuring import Measuring, measured_enough
 from deadreckon.tasks.registry import task as find_task
 
 
+@dataclass(kw_only=True)
+class Shipping(Measuring):
+    """How policies are measured, and where they are shipped."""
+
+    out: str = str(library.ROOT)  # folder of the library
+
+
 @dataclass
-class Publish(Measuring):
+class Publish(Shipping):
     """Ship the policies of a run, with their true returns."""
 
     run: str  # folder of a run with seed 0 alone, online or on a log
@@ -95,7 +102,7 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
 
 
 def publish_runs(
-    runs: Mapping[str, Path], steps: Sequence[int], options: Measuring, watch: Callable[[str], None] = lambda line: None
+    runs: Mapping[str, Path], steps: Sequence[int], options: Shipping, watch: Callable[[str], None] = lambda line: None
 ) -> Path:
     """Writes policies of several runs on one log and measures them, drawing their actions.
 
@@ -151,7 +158,7 @@ def _check_kept(folder: Folder, run: str, steps: Iterable[int]) -> None:
 
 
 def _ship(
-    task: str, made: dict[str, Any], kept: Mapping[str, Kept], modes: Sequence[str], options: Measuring,
+    task: str, made: dict[str, Any], kept: Mapping[str, Kept], modes: Sequence[str], options: Shipping,
     watch: Callable[[str], None],
 ) -> Path:  # fmt: skip
     """Writes policies by name, and what they are worth in each mode; `made` is what the JSON file says of their runs."""
