@@ -2049,6 +2049,19 @@ MUTANTS = (
         "policy-whole", "policies/store.py", "    check_whole(path, policy)\n", "",
         "a policy is loaded that cannot act", ("policies/test_policies.py",),
     ),
+    # ---- reports and estimates that are not finite
+    Mutant(
+        "unbounded-first", "ope/estimator.py", "            found = found.unbounded(lost)\n", "",
+        "an estimate that overflows keeps an interval of no numbers", ("ope/test_decide.py",),
+    ),
+    Mutant(
+        "check-late", "ope/decide.py", "    for each in asked:\n        each.check(case)\n", "",
+        "an estimator that cannot answer is refused after the others were fitted", ("ope/test_decide.py",),
+    ),
+    Mutant(
+        "holdout-unsaid", "report/provenance.py", '    return ["--holdout", told["share"], "--holdout-by", told["by"]]', "    return []",
+        "the command that makes a run again holds other episodes out", ("report/test_page.py",),
+    ),
 )
 
 

@@ -484,7 +484,7 @@ def test_an_estimator_that_cannot_answer_is_told_before_anything_is_fitted(monke
 
 
 @pytest.mark.filterwarnings("error")
-def test_weights_that_overflow_are_told_and_leave_an_endless_interval():
+def test_weights_that_overflow_are_told_and_leave_an_unbounded_interval():
     # Two episodes of 400 rare actions that pay 1 and -1: the policy takes them 99 times as often, and 99^400 is no float64.
     log = Dataset.from_arrays(
         observations=np.zeros((800, 1)), actions=np.zeros(800, int), rewards=np.repeat([1.0, -1.0], 400),
