@@ -2059,7 +2059,8 @@ MUTANTS = (
         "an estimator that cannot answer is refused after the others were fitted", ("ope/test_decide.py",),
     ),
     Mutant(
-        "holdout-unsaid", "report/provenance.py", '    return ["--holdout", told["share"], "--holdout-by", told["by"]]', "    return []",
+        "holdout-unsaid", "report/provenance.py",
+        '    return ["--holdout", told["share"], "--holdout-by", told["by"]]', "    return []",
         "the command that makes a run again holds other episodes out", ("report/test_page.py",),
     ),
 )

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from deadreckon.stats.interval import decimals
+from deadreckon.stats.interval import decimals, fixed
 
 
 @pytest.mark.parametrize(
@@ -16,3 +16,13 @@ from deadreckon.stats.interval import decimals
 )  # fmt: skip
 def test_numbers_that_stand_together_keep_two_digits_of_the_largest(values, shown):
     assert decimals(*values) == shown
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "sign", "text"),
+    [
+        (12.345, 1, "+", "+12.3"), (-3.2e12, 2, "+", "-3.20e+12"), (1e300, 4, "", "1.00e+300"), (math.inf, 2, "+", "+inf"),
+    ],
+)  # fmt: skip
+def test_numbers_of_any_size_stay_short(value, digits, sign, text):
+    assert fixed(value, digits, sign) == text

@@ -8,7 +8,7 @@ import numpy as np
 from deadreckon.ope.estimand import Estimand
 from deadreckon.provided import Shown
 from deadreckon.stats import inference
-from deadreckon.stats.interval import PERCENT, decimals
+from deadreckon.stats.interval import PERCENT, decimals, fixed
 
 if TYPE_CHECKING:
     from deadreckon.ope.case import OPEInput
@@ -111,5 +111,6 @@ class Estimates(Shown):
         d = decimals(*self.value, *self.low, *self.high)
         for i, name in enumerate(self.names):
             weight = "" if self.ess is None else f"   effective sample size {self.ess[i]:,.1f} episodes"
-            lines.append(f"  {name:<{width}}  {self.value[i]:10.{d}f} [{self.low[i]:.{d}f}, {self.high[i]:.{d}f}]{weight}")
+            value, low, high = (fixed(each[i], d) for each in (self.value, self.low, self.high))
+            lines.append(f"  {name:<{width}}  {value:>10} [{low}, {high}]{weight}")
         return "\n".join([*lines, *(f"  warning: {line}" for line in self.warnings)])

@@ -17,7 +17,7 @@ from deadreckon.ope.weights import FEW
 from deadreckon.provided import Shown
 from deadreckon.stats import inference
 from deadreckon.stats.bootstrap import ensemble_interval, percentile_interval
-from deadreckon.stats.interval import ALPHA, decimals, level_in_words
+from deadreckon.stats.interval import ALPHA, decimals, fixed, level_in_words
 
 BOOTSTRAP = 100  # bootstrap samples from which their percentiles are an interval; fewer are members of an ensemble
 MORE = "; more episodes, or a policy nearer the behaviour policy, would tell more"
@@ -167,11 +167,7 @@ def select(
     best = max(range(len(names)), key=lambda i: (not objections[i], *_standing(first, every[i])))
     name, (difference, low, high) = names[best], every[best]
     level = level_in_words(1 - alpha)
-    d = decimals(difference, low, high)
-    unit = (
-        f"{difference:+.{d}f} [{low:+.{d}f}, {high:+.{d}f}] ({level}, for all policies at once) against the behaviour policy "
-        f"by {first.method}"
-    )
+    unit = f"{_signed(every[best])} ({level}, for all policies at once) against the behaviour policy by {first.method}"
     if objections[best]:
         deploy, reason = False, f"{name} has {unit}, but {'; '.join(objections[best])}"
     elif not np.isfinite(low):
@@ -186,8 +182,7 @@ def select(
         agrees = ", agrees that it is best" if chosen == best else f", would choose {names[chosen]}"
         # Of one policy there is nothing to choose, and where nothing is known nothing to agree with.
         agrees = agrees if len(names) > 1 and np.isfinite(told[best, 1]) else ""
-        d = decimals(*told[best])
-        evidence.append(f"{each.method}: {told[best, 0]:+.{d}f} [{told[best, 1]:+.{d}f}, {told[best, 2]:+.{d}f}]{agrees}")
+        evidence.append(f"{each.method}: {_signed(told[best])}{agrees}")
     warnings = list(first.warnings)
     which, moved = _moved(first, known)
     if moved > ALARMING * max(high - low, 0.0):
@@ -218,6 +213,12 @@ def supported(found: Estimates, support: Support | None) -> np.ndarray:
     for i, name in enumerate(name for name in found.names if name != LOGGED):
         known[found.names.index(name)] = support is None or not support.objections(i)
     return known
+
+
+def _signed(told: Sequence[float]) -> str:
+    """A gain and its interval."""
+    value, low, high = (fixed(each, decimals(*told), "+") for each in told)
+    return f"{value} [{low}, {high}]"
 
 
 def unbounded_where_unsupported(found: Estimates, support: Support | None) -> Estimates:

@@ -43,6 +43,12 @@ def decimals(*values: float) -> int:
     return 2 if most == 0.0 else max(2, 1 - math.floor(math.log10(most)))
 
 
+def fixed(value: float, digits: int, sign: str = "") -> str:
+    """A number with so many decimals; in powers of ten from a thousand millions on, which products of weights exceed by far."""
+    large = math.isfinite(value) and abs(value) >= 1e9
+    return f"{value:{sign}.2e}" if large else f"{value:{sign}.{digits}f}"
+
+
 def level_in_words(level: float) -> str:
     """A level in words, never as 100 %, which no interval has: late looks have levels that three digits do not show."""
     digits = next((d for d in range(3, 17) if float(f"{100 * level:.{d}g}") < 100), 17)
