@@ -109,7 +109,7 @@ def table(names: tuple[str, ...]) -> str:
     the range of the returns of the package's policies, and of DOPE's.
     """
     published, ranges = published_returns(), []
-    lines = ["| task | agent | updates | first snapshot | last snapshot | above BC |", "|---|---|---:|---|---|---:|"]
+    lines = ["| task | agent | updates | first snapshot | last snapshot | difference to BC |", "|---|---|---:|---|---|---:|"]
     for name in (name for name in names if name in published and name in library_tasks()):
         found: dict[str, dict[int, list[Returns]]] = {}
         for s in evaluated(name):

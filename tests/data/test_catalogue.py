@@ -56,10 +56,10 @@ def test_wrong_names_are_told_the_nearest():
 
 
 @pytest.mark.parametrize(("version", "how"), [
-    ("", "collect hopper-medium-v2` makes it offline, or `deadreckon data get hopper-medium-v2 --source d4rl` downloads"),
-    ("@dr1", "collect hopper-medium-v2` makes it offline$"),
-    ("@d4rl", "get hopper-medium-v2 --source d4rl` downloads the original, or .* makes hopper-medium-v2@dr1 offline$"),
-    ("@minari", "get hopper-medium-v2 --source minari` downloads a twin, or .* makes hopper-medium-v2@dr1 offline$"),
+    ("", "collect hopper-medium-v2` makes it here, or `deadreckon data get hopper-medium-v2 --source d4rl` downloads"),
+    ("@dr1", "collect hopper-medium-v2` makes it here$"),
+    ("@d4rl", "get hopper-medium-v2 --source d4rl` downloads the original, or .* makes hopper-medium-v2@dr1 here$"),
+    ("@minari", "get hopper-medium-v2 --source minari` downloads a twin, or .* makes hopper-medium-v2@dr1 here$"),
 ])  # fmt: skip
 def test_how_a_log_can_be_had(version, how):
     with pytest.raises(UserError, match=f"^hopper-medium-v2{version} is not here yet: `deadreckon data {how}"):
@@ -77,7 +77,7 @@ def test_a_log_of_another_length_is_named(home):
 def test_the_cache(home):
     path = cached_path("maze2d-umaze-v1")
     assert path == home / "data" / "maze2d-umaze-v1@dr1.hdf5" == cached_path("maze2d-umaze-v1@dr1")
-    with pytest.raises(UserError, match="`deadreckon data collect maze2d-umaze-v1` makes it offline") as caught:
+    with pytest.raises(UserError, match="`deadreckon data collect maze2d-umaze-v1` makes it here") as caught:
         load("maze2d-umaze-v1")
     assert "\n" not in str(caught.value)
     log = make_log(name="maze2d-umaze-v1@dr1")

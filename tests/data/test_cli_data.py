@@ -57,7 +57,7 @@ def test_a_server_that_is_gone_names_the_recipe_that_always_works(monkeypatch, c
     assert out == ""
     assert err.count("\n") == 1
     assert err.startswith("deadreckon: http://127.0.0.1:")
-    assert err.endswith(": connection refused; `deadreckon data collect hopper-medium-v2` makes it offline\n")
+    assert err.endswith(": connection refused; `deadreckon data collect hopper-medium-v2` makes it here\n")
     assert not (home / "data").exists()
 
 

@@ -41,7 +41,7 @@ from tests.limits import files_up_to
 NAME = "hopper-medium-v2"
 ORIGINAL = "/d4rl/gym_mujoco_v2/hopper_medium-v2.hdf5"
 TWIN = "/hub/mujoco/resolve/main/hopper/medium-v0/data/"
-OFFLINE = "`deadreckon data collect hopper-medium-v2` makes it offline"
+MAKES = "`deadreckon data collect hopper-medium-v2` makes it here"
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -294,7 +294,7 @@ def test_both_have_the_columns_that_a_collected_log_has(server, original, twin, 
 
 
 def test_which_copy_a_plain_name_means(server, original, twin, home):
-    with pytest.raises(UserError, match=f"is not here yet: {OFFLINE}, or .*data get {NAME} --source d4rl` downloads"):
+    with pytest.raises(UserError, match=f"is not here yet: {MAKES}, or .*data get {NAME} --source d4rl` downloads"):
         load(NAME)
     assert at_hand(entry(NAME)) == []
     for source, kinds in (("minari", ["minari"]), ("d4rl", ["d4rl", "minari"])):
@@ -366,7 +366,7 @@ def test_redirects_are_followed_and_hugging_face_names_the_checksum(server, twin
 
 def test_redirects_without_an_end(server, home, retry):
     server.next += [redirects(ORIGINAL)] * 50
-    left_alone(home, server, retry, [server.root + ORIGINAL, "redirects in a circle", OFFLINE])
+    left_alone(home, server, retry, [server.root + ORIGINAL, "redirects in a circle", MAKES])
     assert len(server.requests) <= 12
     assert retry.waits == []
 
@@ -384,29 +384,29 @@ def test_no_redirect_leads_to_a_less_safe_place(place):
 @pytest.mark.parametrize("status", [404, 410, 403])
 def test_what_is_gone_names_the_recipe_that_always_works(server, home, retry, status):
     server.next += [says(status)]
-    left_alone(home, server, retry, [server.root + ORIGINAL, f"the server answered {status}", OFFLINE])
+    left_alone(home, server, retry, [server.root + ORIGINAL, f"the server answered {status}", MAKES])
     assert retry.waits == []
     server.next += [says(status)]
-    left_alone(home, server, retry, [f"{server.root}{TWIN}metadata.json", str(status), OFFLINE], source="minari")
+    left_alone(home, server, retry, [f"{server.root}{TWIN}metadata.json", str(status), MAKES], source="minari")
 
 
 def test_a_twin_of_which_one_file_is_gone(server, twin, home, retry):
     del server.files[f"{TWIN}main_data.hdf5"]
-    left_alone(home, server, retry, ["main_data.hdf5", "404", OFFLINE], source="minari")
+    left_alone(home, server, retry, ["main_data.hdf5", "404", MAKES], source="minari")
 
 
 def test_no_server_there(server, home, retry, monkeypatch):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         monkeypatch.setenv("DEADRECKON_D4RL_URL", f"http://127.0.0.1:{free.getsockname()[1]}")
-        left_alone(home, server, retry, ["connection refused", OFFLINE])
+        left_alone(home, server, retry, ["connection refused", MAKES])
 
     def no_name(*args, **options):
         raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
     monkeypatch.setattr(socket, "getaddrinfo", no_name)
     monkeypatch.setenv("DEADRECKON_D4RL_URL", "http://nowhere.invalid/")
-    left_alone(home, server, retry, ["no server of that name (Name or service not known)", OFFLINE])
+    left_alone(home, server, retry, ["no server of that name (Name or service not known)", MAKES])
     assert retry.waits == []
 
 
@@ -431,8 +431,8 @@ def test_what_cannot_be_asked_for(server, home, retry):
 def test_a_log_of_ours_alone_has_no_original(server, home, retry, monkeypatch):
     ours = replace(entry(NAME), original=None, minari=None)
     monkeypatch.setitem(ENTRIES, NAME, ours)
-    left_alone(home, server, retry, [f"{NAME} has no original at D4RL's: {OFFLINE}"])
-    with pytest.raises(UserError, match=f"not here yet: {OFFLINE}$"):
+    left_alone(home, server, retry, [f"{NAME} has no original at D4RL's: {MAKES}"])
+    with pytest.raises(UserError, match=f"not here yet: {MAKES}$"):
         load(NAME)
     with pytest.raises(UserError, match=f"unknown version 'd4rl' of {NAME}: known are {NAME}@dr1 \\(collected\\)$"):
         load(f"{NAME}@d4rl")
@@ -594,7 +594,7 @@ def test_a_server_in_trouble_is_asked_again(server, original, retry):
 
 def test_a_server_that_stays_in_trouble(server, home, retry):
     server.next += [says(503)] * 9
-    left_alone(home, server, retry, ["the server answered 503 Service Unavailable, 3 times in a row", OFFLINE])
+    left_alone(home, server, retry, ["the server answered 503 Service Unavailable, 3 times in a row", MAKES])
     assert len(server.requests) == 3
 
 
@@ -602,7 +602,7 @@ def test_no_answer_at_all(server, home, original):
     stop = threading.Event()
     server.next += [lambda handler: stop.wait(5)] * 2
     waits = []
-    left_alone(home, server, RetryPolicy(2, 0.05, waits.append), ["no answer for 0.05 s, 2 times in a row", OFFLINE])
+    left_alone(home, server, RetryPolicy(2, 0.05, waits.append), ["no answer for 0.05 s, 2 times in a row", MAKES])
     stop.set()
     assert waits == [1.0]
 
@@ -614,7 +614,7 @@ def test_a_body_that_is_always_too_short(server, original, home, retry):
         get(NAME, retry=retry)
     text = str(caught.value)
     assert f"broke after 3,000 of {size:,} bytes, 3 times in a row (3,000 bytes are kept, the same command goes on" in text
-    assert OFFLINE in text
+    assert MAKES in text
     assert cache(home) == [f".{NAME}@d4rl.hdf5.part", f".{NAME}@d4rl.hdf5.part.json"]
     assert len(server.requests) == 3
     server.next.clear()
@@ -640,7 +640,7 @@ def test_a_body_without_a_length(server, original, retry):
 
 def test_a_checksum_of_the_user(server, original, home, retry):
     words = f"expected sha256 {'0' * 64} (by the caller), got {original.sha256}; the file was removed"
-    left_alone(home, server, retry, [words, server.root + ORIGINAL, OFFLINE], sha256="0" * 64)
+    left_alone(home, server, retry, [words, server.root + ORIGINAL, MAKES], sha256="0" * 64)
     assert get(NAME, sha256=original.sha256).vouched == "the caller"
 
 
@@ -707,7 +707,7 @@ def test_what_is_no_checksum_vouches_for_nothing(server, original, header, value
 def test_a_web_page_does_not_replace_what_has_come(server, original, home, retry):
     page = says(200, b"<html>Pay first</html>", Content_Type="text/html; charset=utf-8")
     server.next += [page]
-    left_alone(home, server, retry, [server.root + ORIGINAL, "a web page instead of the file", OFFLINE])
+    left_alone(home, server, retry, [server.root + ORIGINAL, "a web page instead of the file", MAKES])
     server.next += [drops(3000), page]
     with pytest.raises(UserError, match="a web page"):
         get(NAME, retry=retry)
@@ -733,7 +733,7 @@ def test_files_that_are_no_logs(server, original, home, retry):
         (nan.getvalue(), ["rewards", "row 7"]),
     ):
         server.next += [says(200, body)]
-        left_alone(home, server, retry, [server.root + ORIGINAL, *words, OFFLINE])
+        left_alone(home, server, retry, [server.root + ORIGINAL, *words, MAKES])
 
 
 def test_twins_that_are_none(server, twin, home, retry):
@@ -749,7 +749,7 @@ def test_twins_that_are_none(server, twin, home, retry):
         (main, twin.main[:4000], ["main_data.hdf5", "damaged or cut short"]),
     ):
         server.files = good | {place: (body, {})}
-        left_alone(home, server, retry, [*words, OFFLINE], source="minari")
+        left_alone(home, server, retry, [*words, MAKES], source="minari")
 
 
 # ---- the disk, and others ----------------------------------------------------------------------------------------------

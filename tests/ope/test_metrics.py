@@ -161,7 +161,7 @@ def test_tables_of_dm_control_are_those_of_the_thesis_for_it():
         ({"tasks": ()}, "no log is asked for: name a task"),
         ({"kinds": ()}, "no log is asked for: name a task"),
         ({"half": "unplugged", "tasks": ["walker-run"]}, "unknown recipe 'walker-run-full-replay-v0'"),
-        ({"half": "unplugged", "tasks": ["humanoid-run"]}, "there are no policies of 'humanoid-run'"),
+        ({"half": "unplugged", "tasks": ["humanoid-run"]}, "there are no policies of 'humanoid-run' in the package"),
     ],
 )
 def test_what_the_protocol_refuses_before_it_begins(options, message):

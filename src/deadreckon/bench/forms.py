@@ -12,6 +12,7 @@ from deadreckon.data.formats.csv_out import write_rows
 from deadreckon.errors import unknown
 from deadreckon.stats.interval import ALPHA
 
+FEWEST = 4  # scores of which an interquartile mean leaves some out; of fewer it is their mean
 FORMATS = ("text", "markdown", "csv", "latex")
 
 
@@ -52,7 +53,9 @@ def _grid(table: Table, mark: str) -> list[list[str]]:
             theirs = table.printed[on]
             rows.append(["  thesis", *(f"{theirs[m]:.{digits}f}" if m in theirs else "" for m in methods)])
     if len(table.suite.on) > 1 and table.metric.joint:
-        rows.append(["IQM of all", *(f"{table.whole[m]:.{digits}f}" if m in table.whole else "-" for m in methods)])
+        trimmed = table.suite.seeds * len(table.suite.on) >= FEWEST
+        head = "IQM of all" if trimmed else "mean of all"
+        rows.append([head, *(f"{table.whole[m]:.{digits}f}" if m in table.whole else "-" for m in methods)])
     return rows
 
 

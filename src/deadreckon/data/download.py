@@ -240,7 +240,7 @@ def _known(name: str, source: str) -> Entry:
 
 def _offline(found: Entry) -> str:
     """How a log is had without a network; empty where there is no recipe."""
-    return "" if found.recipe is None else f"`deadreckon data collect {found.recipe}` makes it offline"
+    return "" if found.recipe is None else f"`deadreckon data collect {found.recipe}` makes it here"
 
 
 def _checked_sum(sha256: str | None) -> str | None:

@@ -4,6 +4,7 @@
 float16. Made by `deadreckon.runs.publish`.
 """
 
+import difflib
 import json
 from dataclasses import dataclass
 from functools import lru_cache
@@ -88,9 +89,11 @@ def about(task: str) -> dict[str, Any]:
         UserError: the task has no policies.
     """
     if task not in library_tasks():
+        near = difflib.get_close_matches(task, library_tasks(), 1, 0.7)
+        meant = f": did you mean {near[0]}?" if near else f", only of {', '.join(library_tasks())};"
         raise UserError(
-            f"there are no policies of {task!r}, only of {', '.join(library_tasks())}; "
-            "`python -m deadreckon.runs.publish` makes them from a run"
+            f"there are no policies of {task!r} in the package{meant} `python -m deadreckon.runs.publish` makes them "
+            "from a run, and tools/unplugged_policies.py of a clone those of dm_control's tasks"
         )
     return json.loads((ROOT / f"{SHARED.get(task, task)}.json").read_text())
 

@@ -100,7 +100,8 @@ class TrainSettings(RunSettings):
 class OnlineSettings(RunSettings):
     """Of a run in a simulator."""
 
-    evaluate_every: int | None = None  # environment steps between evaluations; None: a fiftieth of the run
+    evaluate_every: int | None = None
+    """environment steps between evaluations; None: a fiftieth of the run; the last update is evaluated too"""
     episodes: int = 10  # number of episodes per evaluation, with greedy actions
     chunk: int = 2000  # updates between checkpoints, the most that an interruption can lose
     threads: int | None = None  # threads of the simulator; None: one per core; results do not depend on it

@@ -8,7 +8,7 @@ import ctypes
 import dataclasses
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
@@ -152,16 +152,29 @@ class PixelSimulator:
         return self.base.picture(copy, self._size, self._renderer)[1]
 
     def _begun(self) -> Any:
-        try:
+        with needs_opengl(self.task.name):
             return self.base.renderer(self._size, plain=True)
-        except Exception as error:
-            raise UserError(f"{self.task.name} is drawn with OpenGL, which MuJoCo does not find; {REMEDY}") from error
 
 
 REMEDY = (
     "without a screen set MUJOCO_GL=egl, or MUJOCO_GL=osmesa for a CPU alone (on Debian and Ubuntu the packages libegl1 and "
     "libosmesa6 have these), or use a task without pictures, such as carla-lane-state"
 )
+
+
+@contextlib.contextmanager
+def needs_opengl(task: str) -> Iterator[None]:
+    """For the first drawing of a task: says in one line that MuJoCo finds no OpenGL, whatever it raises.
+
+    Raises:
+        UserError: it does not.
+    """
+    try:
+        yield
+    except UserError:
+        raise
+    except Exception as error:
+        raise UserError(f"{task} is drawn with OpenGL, which MuJoCo does not find; {REMEDY}") from error
 
 
 def choose_opengl() -> None:

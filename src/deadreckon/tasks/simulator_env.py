@@ -1,5 +1,6 @@
 """Any task's simulator as a Gymnasium environment, apart because it alone needs gymnasium."""
 
+from contextlib import nullcontext
 from typing import Any
 
 import gymnasium
@@ -8,19 +9,22 @@ from gymnasium.utils import EzPickle
 
 from deadreckon.data.spec import Discrete
 from deadreckon.tasks import registry
+from deadreckon.tasks.pixels import choose_opengl, needs_opengl
 
 
 class SimulatorEnv(gymnasium.Env[np.ndarray, np.ndarray], EzPickle):
     """One copy of a task: step by step equal to `Task.simulate([seed])`. The horizon is kept by the simulator.
 
     `info["success"]` says whether the goal is reached, where the simulator knows (`achieved`). `render()` draws what a camera
-    sees, (height, width, 3) uint8, where MuJoCo finds an OpenGL (`MUJOCO_GL=egl` or `osmesa` without a screen).
+    sees, (height, width, 3) uint8, where MuJoCo finds an OpenGL: without a screen EGL or OSMesa, unless `MUJOCO_GL` says which.
     """
 
     metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012 (Gymnasium's own protocol)
 
     def __init__(self, task: str, render_mode: str | None = None, width: int = 480, height: int = 480):
         EzPickle.__init__(self, task, render_mode, width, height)
+        if render_mode is not None:
+            choose_opengl()  # before MuJoCo is imported, which looks once
         self.task = registry.task(task)
         self.render_mode = render_mode
         space = self.task.action_space
@@ -52,7 +56,8 @@ class SimulatorEnv(gymnasium.Env[np.ndarray, np.ndarray], EzPickle):
         """What the task's camera sees."""
         if self.render_mode is None:
             return None
-        self._renderer, picture = self.simulator.picture(0, self._size, self._renderer)
+        with needs_opengl(self.task.name) if self._renderer is None else nullcontext():
+            self._renderer, picture = self.simulator.picture(0, self._size, self._renderer)
         return picture
 
     def close(self) -> None:
