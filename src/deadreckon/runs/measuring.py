@@ -73,7 +73,7 @@ def _side_by_side(processes: int) -> Iterator[Callable[[list[Any]], Iterator[Any
     if processes == 1:
         yield lambda jobs: map(_job, jobs)
         return
-    pool = ProcessPoolExecutor(processes, get_context("spawn"), _end_with, (os.getpid(),))
+    pool = ProcessPoolExecutor(processes, get_context("spawn"), initializer=_end_with, initargs=(os.getpid(),))
     try:
         yield lambda jobs: (done.result() for done in as_completed([pool.submit(_job, job) for job in jobs]))
     finally:

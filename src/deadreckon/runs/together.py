@@ -104,8 +104,8 @@ def train_lanes(
     if any(of_pictures(one.log.spec) for one in learned):
         sight = Sight(settings.encoder, _shift(learned[0], settings.shift))
         common["encoder"], common["shift"] = sight
-    elif asked := [name for name in ("encoder", "shift") if getattr(settings, name) != getattr(TrainSettings, name)]:
-        raise UserError(f"{learned[0].log.name} has no pictures: leave {' and '.join(asked)} out")
+    elif seeing := [name for name in ("encoder", "shift") if getattr(settings, name) != getattr(TrainSettings, name)]:
+        raise UserError(f"{learned[0].log.name} has no pictures: leave {' and '.join(seeing)} out")
     if out != folders[0].path:
         common["together"] = [folder.path.name for folder in folders]
     configs = [config | common for one in learned for config in _configs(one, seeds, len(lanes))]
