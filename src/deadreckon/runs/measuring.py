@@ -61,9 +61,9 @@ def measured_enough(
     with _side_by_side(options.processes) as each:
         while todo := [which for which in wanted if which not in found or not _enough(found[which], options)]:
             jobs = [(which, wanted[which], task, found.get(which), options) for which in todo]
-            for which, returns in each(jobs):
-                found[which] = returns
-                keep(*which, returns)
+            for (key, mode), returns in each(jobs):
+                found[key, mode] = returns
+                keep(key, mode, returns)
     return {which: found[which] for which in wanted}
 
 
