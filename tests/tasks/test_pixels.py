@@ -228,4 +228,4 @@ def test_gymnasiums_checks():
 def test_a_policy_learns_from_drawn_pictures_and_is_judged_by_them(tmp_path):
     log = collect_driving(driving.SEEN, "controller", name="carla-lane-v0", steps=3_000, scratch=tmp_path / "log")
     run = dr.train("bc", log, steps=500, task="carla-lane", episodes=5, out=tmp_path / "run")
-    assert evaluate(run, "carla-lane", episodes=10).score() > 10.0
+    assert evaluate(run, "carla-lane", episodes=10).score().value > 10.0
