@@ -16,6 +16,7 @@ from deadreckon.policies.policy import BlackBoxPolicy
 from deadreckon.runs.evaluate import episode_seeds
 from deadreckon.tasks import registry
 from deadreckon.tasks.gymnasium_copies import episode_seed
+from deadreckon.tasks.simulator_env import SimulatorEnv
 from tests import toy_environments as toys
 
 GOAL, SHIFTED = "tests.toy_environments:Goal?max_episode_steps=20", "tests.toy_environments:Shifted?max_episode_steps=9"
@@ -380,3 +381,22 @@ def test_flow_draws_its_cars():
     assert (picture == (210, 50, 50)).all(-1).any()  # one learner
     assert (picture == (50, 90, 190)).all(-1).sum() > 10 * 5 * 8  # and most of 21 others, apart
     env.close()
+
+
+def test_a_task_that_nothing_draws_says_so():
+    env = SimulatorEnv("battery", render_mode="rgb_array")
+    env.reset(seed=0)
+    with pytest.raises(UserError, match="^nothing draws battery; leave render_mode out$"):
+        env.render()
+
+
+def test_a_picture_without_opengl_names_the_remedy(monkeypatch):
+    env = SimulatorEnv("hopper", render_mode="rgb_array")
+    env.reset(seed=0)
+
+    def absent(*given):
+        raise RuntimeError("no OpenGL platform library")
+
+    monkeypatch.setattr(env.simulator, "renderer", absent)
+    with pytest.raises(UserError, match="^hopper is drawn with OpenGL, which MuJoCo does not find; without a screen"):
+        env.render()

@@ -10,8 +10,8 @@ from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.parts import colours, figure, note, tile
 from deadreckon.report.text import number, percent
-from deadreckon.runs.offline import checked, grounds, weight
-from deadreckon.stats.interval import Interval, level_in_words
+from deadreckon.runs.offline import checked, grounds
+from deadreckon.stats.interval import Interval, fixed, level_in_words
 
 
 def headline(told: dict[str, Any]) -> str:
@@ -99,7 +99,7 @@ def _number(value: float | None) -> float:
 def _support(told: dict[str, Any], chosen: int) -> str:
     missing, ratio = told["support"]["missing"][chosen], told["support"]["ratio"][chosen]
     said = "not known" if missing is None else f"{percent(missing)} of its actions have no support in the log"
-    return said if ratio is None else f"{said}; its weights average {weight(ratio)} per step (1 with full support)"
+    return said if ratio is None else f"{said}; its weights average {fixed(ratio, 2)} per step (1 with full support)"
 
 
 def _costs(told: dict[str, Any], chosen: int) -> list[tuple[str, str]]:

@@ -28,7 +28,7 @@ from deadreckon.runs.evaluate import evaluate
 from deadreckon.runs.gather import Gathered, check_encodings, for_case, fresh, gather
 from deadreckon.runs.looks import Look, look
 from deadreckon.runs.settings import JudgeOptions, JudgeSettings
-from deadreckon.stats.interval import ALPHA, decimals, level_in_words
+from deadreckon.stats.interval import ALPHA, decimals, fixed, level_in_words
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 
@@ -246,18 +246,13 @@ def checked(results: dict[str, Any]) -> str:
     )
 
 
-def weight(mean: float) -> str:
-    """A mean weight in a few characters: products of ratios can be of any size."""
-    return f"{mean:.2f}" if mean < 1e4 else f"{mean:.0e}"
-
-
 def supports(results: dict[str, Any]) -> str:
     """How much of what each policy does has no support in the log, a line each."""
     names = [each["name"] for each in results["policies"]]
     width = max(map(len, names))
     shares = ["not known" if share is None else f"{100 * share:.0f} %" for share in results["support"]["missing"]]
     words = "mean weight per step {} (1 where there is support)"
-    weights = ["" if mean is None else f", {words.format(weight(mean))}" for mean in results["support"]["ratio"]]
+    weights = ["" if mean is None else f", {words.format(fixed(mean, 2))}" for mean in results["support"]["ratio"]]
     lines = [f"  {name:<{width}}  {share}{weight}" for name, share, weight in zip(names, shares, weights)]
     return "\n".join(["share of each policy's actions without support in the log", *lines])
 

@@ -139,6 +139,10 @@ class PixelSimulator:
         """What the task's camera sees of a copy, in any size; see the task's simulator."""
         return self.base.picture(copy, size, renderer, *(() if camera is None else (camera,)))
 
+    def renderer(self, size: tuple[int, int], plain: bool = False) -> Any:
+        """What draws pictures in any size; see the task's simulator."""
+        return self.base.renderer(size, plain)
+
     def close(self) -> None:
         """Gives the OpenGL context back; it is made anew when something is drawn."""
         if self._renderer is not None:

@@ -1,6 +1,5 @@
 """Any task's simulator as a Gymnasium environment, apart because it alone needs gymnasium."""
 
-from contextlib import nullcontext
 from typing import Any
 
 import gymnasium
@@ -8,6 +7,7 @@ import numpy as np
 from gymnasium.utils import EzPickle
 
 from deadreckon.data.spec import Discrete
+from deadreckon.errors import UserError
 from deadreckon.tasks import registry
 from deadreckon.tasks.pixels import choose_opengl, needs_opengl
 
@@ -53,12 +53,19 @@ class SimulatorEnv(gymnasium.Env[np.ndarray, np.ndarray], EzPickle):
         return seen[0], float(rewards[0]), bool(terminals[0]), bool(timeouts[0]), self._info()
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """What the task's camera sees."""
+        """What the task's camera sees.
+
+        Raises:
+            UserError: nothing draws this task, or MuJoCo finds no OpenGL.
+        """
         if self.render_mode is None:
             return None
-        with needs_opengl(self.task.name) if self._renderer is None else nullcontext():
-            self._renderer, picture = self.simulator.picture(0, self._size, self._renderer)
-        return picture
+        if self._renderer is None:
+            if not hasattr(self.simulator, "renderer"):
+                raise UserError(f"nothing draws {self.task.name}; leave render_mode out")
+            with needs_opengl(self.task.name):
+                self._renderer = self.simulator.renderer(self._size)
+        return self.simulator.picture(0, self._size, self._renderer)[1]
 
     def close(self) -> None:
         """Gives the OpenGL context back."""
