@@ -19,7 +19,7 @@ def test_some_are_shipped():
     mazes = {f"maze2d-{size}-dense" for size in ("umaze", "medium", "large")}
     ants = {"antmaze-umaze", "antmaze-medium-play", "antmaze-large-play"}
     assert set(OURS) == mazes | ants | {"door", "pen", "hammer", "relocate"}
-    assert set(OF_SEVERAL_RUNS) == {"cartpole-swingup", "walker-stand", "walker-walk"}
+    assert set(OF_SEVERAL_RUNS) == {"cartpole-swingup", "cheetah-run", "fish-swim", "walker-stand", "walker-walk"}
 
 
 @pytest.mark.slow
