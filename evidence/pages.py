@@ -164,12 +164,17 @@ def _reads(verdict: Verdict) -> str:
 
 def _effect(one: Comparison) -> str:
     test = one.test
-    rival = one.rival or (f"the same on the tasks of {test.beside.name}" if test.beside else f"{test.than:g}")
     ours = test.method[0] if len(test.method) == 1 else f"the mean of {words([*test.method])}"
     where = f" on {', '.join(one.on)}" if len(one.on) < len(read(test.suite).on) else ""
-    told = f"{test.metric}{' (less is better)' if test.less else ''}: {ours} against {rival}{where}"
+    if test.among:
+        rival = "variance between logs of a task over that between seeds"
+    elif test.beside:
+        rival = f"against the same on the tasks of {test.beside.name}"
+    else:
+        rival = f"against {one.rival or f'{test.than:g}'}"
+    told = f"{test.metric}{' (less is better)' if test.less else ''}: {ours}{', ' if test.among else ' '}{rival}{where}"
     margin = f", margin {test.margin:g}" if test.margin else ""
-    found = f"gain {one.gain:.3g}{margin}, {one.state}"
+    found = f"{'' if test.among else 'gain '}{one.gain:.3g}{margin}, {one.state}"
     if one.undefined:
         found = f"{one.undefined:,} of {one.cells:,} scores are not finite"
     return f"`{test.suite.name}`, {told}: " + ("not there yet" if one.missing else found)

@@ -225,6 +225,39 @@ def test_what_is_compared_across_suites_has_logs_of_its_own(folder):
         claims("claims.toml")
 
 
+AMONG = """
+[[claims]]
+id = "F"
+says = "The log makes a difference."
+place = "8.5"
+tests = [{ suite = "suite.toml", method = ["BC", "TD3"], among = true }]
+"""
+
+
+@pytest.mark.parametrize(("gap", "state"), [(8.0, "holds"), (0.0, "open")])
+def test_logs_of_a_task_are_compared_with_each_other(folder, gap, state):
+    """By the F test of the methods' mean; a task with one log does not count."""
+    logs = "hopper-medium-v2", "hopper-expert-v2", "walker2d-medium-v2"
+    (folder / "suite.toml").write_text(SUITE.replace('"hopper-medium-v2", ', '"hopper-medium-v2", "hopper-expert-v2", '))
+    (folder / "claims.toml").write_text(AMONG)
+    [claim], suite = claims("claims.toml"), read("suite.toml")
+    assert suite.on == logs
+    store, noise = store_of([suite], folder), np.array([0.5, -1.0, 1.5, -1.0])
+    runs = {logs[0]: 40 + noise, logs[1]: 40 + gap + noise[::-1], logs[2]: np.full(4, 90.0)}
+    for job in plan(suite):
+        base = {"raw": 0.0, "steps": 100, "seconds": 1.0, "failure": "", "versions": "{}", "more": "{}"}
+        shift = {"BC": 3.0, "TD3": -3.0}.get(job.method, 0.0)
+        store.keep(job, JobResult([base | {"seed": s, "score": runs[job.on][s] + shift} for s in job.seeds], []))
+    [one] = verdict(claim, store).comparisons
+    f = scipy.stats.f_oneway(runs[logs[0]], runs[logs[1]]).statistic
+    limits = [(f / scipy.stats.f.ppf(p, 1, 6) - 1) / 4 for p in (0.975, 0.025)]
+    assert (one.cells, one.state) == (24, state)
+    assert (one.gain.value, one.gain.low, one.gain.high) == pytest.approx(((f - 1) / 4, *limits))
+    (folder / "suite.toml").write_text(SUITE)
+    with pytest.raises(UserError, match="no two of hopper-medium-v2, walker2d-medium-v2 share one"):
+        claims("claims.toml")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -234,7 +267,10 @@ def test_what_is_compared_across_suites_has_logs_of_its_own(folder):
         ('on = ["walker2d-medium-v2"]', 'on = ["ant"]', "claim C: unknown log, task, problem or case of suite.toml 'ant'"),
         ('than = 20.0', 'than = "BC"', "claim C: than must be a list of methods, or a number, got 'BC'"),
         ('on = ["walker2d-medium-v2"]', 'on = "walker2d-medium-v2"', "claim C: on must be a list of names, got 'walker2d-"),
-        ("than = 20.0", 'than = 20.0, beside = "suite.toml"', "claim C: with beside, means over all logs are compared"),
+        ("than = 20.0", 'than = 20.0, beside = "suite.toml"', "one of than, beside and among, got than and beside"),
+        ("than = 20.0, ", "", "claim C: a test has one of than, beside and among, got none"),
+        ("than = 20.0", "among = true, each = true", "claim C: with among, all logs are taken together"),
+        ("than = 20.0", "among = 1", "claim C: among must be true or false, got 1"),
         ("less = true", "less = 1", "claim C: less must be true or false, got 1"),
         ('id = "B"', 'id = "A"', "claims.toml: 2 claims have the id A; give each its own"),
         ("[[claims]]", "[[claim]]", "claims.toml: unknown key 'claim': did you mean claims?"),

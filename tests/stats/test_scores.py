@@ -11,7 +11,7 @@ from scipy import stats
 
 from deadreckon.errors import UserError
 from deadreckon.stats import scores as s
-from deadreckon.stats.comparison import between, bold, paired
+from deadreckon.stats.comparison import between, bold, paired, variance_ratio
 
 FEW = 200  # resamples
 UNEVEN = [np.array([1.0, 5.0, 2.0]), np.array([10.0]), np.array([-3.0, 4.0, 8.0, 7.0, 90.0])]
@@ -369,3 +369,26 @@ def test_wrong_input_is_told_in_one_line(call, words):
     with pytest.raises(UserError, match=words) as told:
         call()
     assert "\n" not in str(told.value)
+
+
+def test_the_ratio_of_variances_is_covered_by_its_interval():
+    """Blocks of three and two groups with levels of their own, whose groups have twice the variance of runs."""
+    random, covered, draws = np.random.default_rng(0), 0, 2000
+    for _ in range(draws):
+        blocks = [100.0 * i + random.normal(0, np.sqrt(2.0), (n, 1)) + random.normal(size=(n, 4)) for i, n in enumerate((3, 2))]
+        found = variance_ratio(blocks)
+        covered += found.low <= 2.0 <= found.high
+    assert covered / draws == pytest.approx(0.95, abs=3 * np.sqrt(0.95 * 0.05 / draws))
+
+
+def test_the_ratio_of_variances_holds_no_more_often_than_its_level_says():
+    random = np.random.default_rng(1)
+    found = [variance_ratio([random.normal(size=(3, 3)), random.normal(size=(3, 3))]).low > 0.0 for _ in range(2000)]
+    assert np.mean(found) == pytest.approx(0.025, abs=3 * np.sqrt(0.025 * 0.975 / 2000))
+
+
+def test_the_ratio_of_variances_needs_groups_and_runs_that_differ():
+    assert np.isnan(variance_ratio([np.array([[1.0, 1.0], [2.0, 2.0]])]).value)
+    for blocks in ([], [np.ones((1, 3))], [np.ones((2, 1))], [np.ones((2, 3)), np.ones((2, 4))]):
+        with pytest.raises(UserError, match="two or more groups, and two or more runs"):
+            variance_ratio(blocks)

@@ -9,6 +9,9 @@ all its comparisons hold. It is contradicted where one of its k comparisons is, 
 
 Where a test has `beside`, another suite, the same methods are compared on its logs: the gain is the difference of means over
 tasks, which are taken as samples, with Welch's interval (`stats.comparison.between`). Logs of one task are averaged first.
+
+Where a test has `among`, logs of a task are claimed to differ, in either direction: the gain is the variance between logs of a
+task over that between seeds (`stats.comparison.variance_ratio`). Tasks with one log do not count.
 """
 
 import json
@@ -26,7 +29,7 @@ from deadreckon.bench.store import Store
 from deadreckon.bench.suite import read
 from deadreckon.bench.tables import number
 from deadreckon.errors import UserError, unknown
-from deadreckon.stats.comparison import between, paired
+from deadreckon.stats.comparison import between, paired, variance_ratio
 from deadreckon.stats.interval import ALPHA, Interval
 from deadreckon.tasks.registry import of_log
 
@@ -40,7 +43,7 @@ class Test:
     Attributes:
         suite: its file.
         method: of the suite; of several the mean is taken, run by run.
-        than: methods of the suite, or a number; nothing where there is `beside`.
+        than: methods of the suite, or a number; nothing where there is `beside` or `among`.
         on: logs, tasks, problems or cases of the suite.
         metric: a column of results, or a name in their `more`.
         less: whether less is better.
@@ -48,6 +51,7 @@ class Test:
         each: whether it is claimed of each of `on`, not of their mean.
         beside: another suite with the same methods, on whose tasks they are claimed to do worse.
         beside_on: its logs.
+        among: whether it is claimed that logs of a task differ.
     """
 
     suite: Path
@@ -60,6 +64,7 @@ class Test:
     each: bool = False
     beside: Path | None = None
     beside_on: tuple[str, ...] = ()
+    among: bool = False
 
     @property
     def suites(self) -> tuple[Path, ...]:
@@ -165,7 +170,7 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
     pairs = [
         (test, rival, on)
         for test in claim.tests
-        for rival in (test.than if isinstance(test.than, tuple) and not test.beside else (None,))
+        for rival in (test.than if isinstance(test.than, tuple) and test.than else (None,))
         for on in ([(each,) for each in test.on] if test.each else [test.on])
     ]
     paths = dict.fromkeys(path for test in claim.tests for path in test.suites)
@@ -206,6 +211,8 @@ def _compared(
     ours = scores(test.suite, test.method, on)
     if test.beside is not None:
         theirs = scores(test.beside, test.method, test.beside_on)
+    elif test.among:
+        theirs = {}
     elif rival is None:
         theirs = {log: np.full_like(values, test.than) for log, values in ours.items()}
     else:
@@ -218,17 +225,30 @@ def _compared(
         return Comparison(test, rival, on, nothing, nothing, len(values), missing, lacking - missing)
     if test.less:
         ours, theirs = theirs, ours
-    if test.beside is not None:
-        ours, theirs = _by_task(ours), _by_task(theirs)
-    compare = paired if test.beside is None else between
-    gain, strict = (compare(ours, theirs, level) for level in (1.0 - ALPHA, 1.0 - ALPHA / count))
+    gain, strict = (_gain(test, ours, theirs, level) for level in (1.0 - ALPHA, 1.0 - ALPHA / count))
     return Comparison(test, rival, on, gain, strict, len(values), 0, 0)
 
 
+def _gain(test: Test, ours: Mapping[str, np.ndarray], theirs: Mapping[str, np.ndarray], level: float) -> Interval:
+    """As the kind of test has it, from a number a seed by log."""
+    if test.among:
+        return variance_ratio([logs for logs in _by_task(ours).values() if len(logs) > 1], level)
+    if test.beside is None:
+        return paired(ours, theirs, level)
+    # Logs of one task are no samples of their own.
+    left, right = ({task: logs.mean(0) for task, logs in _by_task(side).items()} for side in (ours, theirs))
+    return between(left, right, level)
+
+
 def _by_task(scores: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Means over the logs of each task, which are no samples of their own."""
+    """Those of the logs of each task, (logs, seeds)."""
     logs: dict[str, list[np.ndarray]] = {}
     for log, values in scores.items():
-        task = of_log(log)
-        logs.setdefault(log if task is None else task.name, []).append(values)
-    return {task: np.mean(values, 0) for task, values in logs.items()}
+        logs.setdefault(task_of(log), []).append(values)
+    return {task: np.array(values) for task, values in logs.items()}
+
+
+def task_of(log: str) -> str:
+    """Name of the task of a log, or its own name where it is none of the package's."""
+    task = of_log(log)
+    return log if task is None else task.name

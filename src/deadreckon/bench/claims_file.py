@@ -18,6 +18,7 @@
     margin = 0.0                            # the gain that is claimed; below zero where it is "no worse"
     each = false                            # whether it is claimed of each log by itself, and not of their mean
     beside = "other.toml"                   # in the place of `than`: a suite on whose tasks the same methods do worse
+    among = true                            # in the place of `than`: logs of a task differ, by more than seeds do
 """
 
 from collections import Counter
@@ -26,7 +27,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
-from deadreckon.bench.claims import Claim, Test
+from deadreckon.bench.claims import Claim, Test, task_of
 from deadreckon.bench.suite import Suite, read
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml
@@ -89,7 +90,7 @@ _TEXT, _NAMES, _TRUTH = (str, "text"), (list, "a list of names"), (bool, "true o
 _KINDS: dict[str, tuple[Any, str]] = {
     "suite": _TEXT, "beside": _TEXT, "method": (str | list, "a method, or a list of methods"),
     "than": (list | int | float, "a list of methods, or a number"), "on": _NAMES, "metric": _TEXT, "less": _TRUTH,
-    "margin": (int | float, "a number"), "each": _TRUTH,
+    "margin": (int | float, "a number"), "each": _TRUTH, "among": _TRUTH,
 }  # fmt: skip
 
 
@@ -99,9 +100,12 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
     tests = []
     for test in said.get("tests", ()):
         known = {f.name for f in fields(Test)} - {"beside_on"}
-        _check_keys(where, test, known, ("suite", "method", "beside" if "beside" in test else "than"))
-        if "beside" in test and ("than" in test or test.get("each", False)):
-            raise UserError(f"{where}: with beside, means over all logs are compared; leave than and each out")
+        _check_keys(where, test, known, ("suite", "method"))
+        forms = [key for key in ("than", "beside", "among") if test.get(key, False) is not False]
+        if len(forms) != 1:
+            raise UserError(f"{where}: a test has one of than, beside and among, got {' and '.join(forms) or 'none'}")
+        if forms != ["than"] and test.get("each", False):
+            raise UserError(f"{where}: with {forms[0]}, all logs are taken together; leave each out")
         for key, value in test.items():
             wanted, kind = _KINDS[key]
             texts = not isinstance(value, list) or all(isinstance(each, str) for each in value)
@@ -130,6 +134,8 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
         other = tuple(on for on in suites[names[1]].on if on not in void) if "beside" in test else ()
         if not left or ("beside" in test and not other):
             raise UserError(f"{where}: all its logs are ones on which an agent was tuned, so they decide nothing")
+        if "among" in forms and max(Counter(map(task_of, left)).values()) < 2:
+            raise UserError(f"{where}: with among, logs of a task are compared, but no two of {', '.join(left)} share one")
         if both := set(left) & set(other):
             raise UserError(f"{where}: {min(both)} is in {names[0]} and in {names[1]}, which must have logs of their own")
         given = test | {"suite": path.parent / names[0], "method": tuple(own), "on": left}

@@ -1,11 +1,11 @@
-"""Two methods, all of a table, or two sets of tasks: differences with Student's t, and which cells are bold."""
+"""Two methods, all of a table, two sets of tasks, or groups of runs: intervals of differences, and which cells are bold."""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtr, stdtrit
+from scipy.special import fdtri, stdtr, stdtrit
 
 from deadreckon.errors import UserError
 from deadreckon.stats.by_task import Scores, by_task, check_level, pairs_of, same_tasks
@@ -74,6 +74,36 @@ def between(ours: Scores, theirs: Scores, level: float = LEVEL) -> Difference:
     if min(map(len, sides)) < 2:
         return Difference(value, *[math.nan] * 5)
     return _student(value, *_pool([(_moments(side)[1], len(side) - 1) for side in sides]), level)
+
+
+def variance_ratio(blocks: Sequence[np.ndarray], level: float = LEVEL) -> Interval:
+    """Variance between groups over the variance between runs of one group, with its exact interval if runs are normal.
+
+    Groups are compared within their block alone, such as logs within their task. It is the ratio of the components of
+    variance of a one-way analysis of variance, (F - 1) / n for n runs a group, which is 0 where groups do not differ (Searle,
+    Casella and McCulloch 1992, section 3.6). The lower limit is above 0 where the F test is significant at (1 - level) / 2.
+    Runs that are the same within every group make all NaN.
+
+    Args:
+        blocks: each (groups, n), of two or more groups and of two or more runs, with the same n.
+        level: of the interval.
+
+    Raises:
+        UserError: no block, or one of another shape.
+    """
+    check_level(level)
+    runs = blocks[0].shape[-1] if blocks else 0
+    if runs < 2 or any(block.ndim != 2 or len(block) < 2 or block.shape[1] != runs for block in blocks):
+        shapes = ", ".join(str(block.shape) for block in blocks) or "none"
+        raise UserError(f"blocks must have two or more groups, and two or more runs a group, as many in all; got {shapes}")
+    freedoms = sum(len(block) - 1 for block in blocks), sum(len(block) * (runs - 1) for block in blocks)
+    among = runs * sum(len(block) * float(block.mean(1).var()) for block in blocks) / freedoms[0]
+    within = sum(float(block.var(1).sum()) * runs for block in blocks) / freedoms[1]
+    if within == 0.0:
+        return Interval(math.nan, math.nan, math.nan)
+    limits = (float(fdtri(*freedoms, p)) for p in ((1 + level) / 2, (1 - level) / 2))
+    low, high = ((among / within / limit - 1.0) / runs for limit in limits)
+    return Interval((among / within - 1.0) / runs, low, high)
 
 
 def _student(value: float, error: float, dof: float, level: float) -> Difference:
