@@ -29,6 +29,12 @@ def test_tasks_and_agents(capsys):
     out = capsys.readouterr().out
     assert "maze2d-eval-large-dense" in out
     assert "evaluation" in out
+    assert "environment steps" in out
+    assert main(["tasks", "--domain", "control"]) == 0
+    out = capsys.readouterr().out
+    assert "fish-swim-full-replay-v0" in out
+    assert "d4pg-0-100000" in out
+    assert not any(name in out for name in ("D4RL random", "environment steps", "with mean actions"))  # none has an entry
     assert main(["agents"]) == 0
     out = capsys.readouterr().out
     assert all(name in out for name in ("bc", "bear_is", "thesis 4.3, Algorithm 1"))

@@ -19,14 +19,15 @@ class Agents:
     """List the learning algorithms."""
 
 
-def table(rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
-    """Columns of text, the first row a heading; columns in `right` are right-aligned."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+def table(rows: Sequence[Sequence[str]], right: Sequence[int] = (), sparse: bool = False) -> str:
+    """Columns of text, the first row a heading; columns in `right` are right-aligned, if sparse those with no entry left out."""
+    filled = [i for i in range(len(rows[0])) if not sparse or any(row[i] not in ("", "-") for row in rows[1:])]
+    widths = {i: max(len(row[i]) for row in rows) for i in filled}
     lines = []
     for row in rows:
-        cells = (c.rjust(w) if i in right else c.ljust(w) for i, (c, w) in enumerate(zip(row, widths)))
+        cells = (row[i].rjust(width) if i in right else row[i].ljust(width) for i, width in widths.items())
         lines.append("  ".join(cells).rstrip())
-    return "\n".join([lines[0], "  ".join("-" * w for w in widths), *lines[1:]])
+    return "\n".join([lines[0], "  ".join("-" * width for width in widths.values()), *lines[1:]])
 
 
 def tasks(args: Sequence[str]) -> None:
@@ -44,11 +45,11 @@ def tasks(args: Sequence[str]) -> None:
     for t in found:
         known = [(f"{each.random:.1f}", f"{each.expert:.1f}") if each else ("-", "-") for each in (t.reference, t.published)]
         rows.append([t.name, str(t.horizon), *known[0], *known[1], t.split, t.summary])
-    print(table(rows, right=(1, 2, 3, 4, 5)))
+    print(table(rows, right=(1, 2, 3, 4, 5), sparse=True))
     print("\nrandom and expert: mean returns that define the scores 0 and 100; D4RL's where it has them, except for Maze2D")
     print("and Flow; AntMaze's 100 is to arrive every time. Any Gymnasium environment is a task too, such as --task")
     print("gymnasium:Pendulum-v1; its scores are raw returns.")
-    _logs([task for task in found if task.domain in ("antmaze", "adroit", "kitchen", "flow")])
+    _logs([task for task in found if task.domain in ("antmaze", "adroit", "kitchen", "flow", "control")])
     hard = {task.domain: task for task in found if task.properties}
     rows = [[domain, ", ".join(task.properties), task.source] for domain, task in hard.items()]
     if rows:
@@ -103,11 +104,11 @@ def _policies(tasks: Sequence) -> None:
         for s in snapshots:
             score = lambda r, task=task: f"{round(task.reference.normalise(r.mean), 1) + 0.0:.1f}"  # noqa: E731
             drawn = short(s.sampled.mean), short(s.sampled.error), score(s.sampled), short(s.sampled.discounted)
-            at = f"{s.updates:,}", f"{s.environment_steps:,}"
+            at = f"{s.updates:,}", f"{s.environment_steps:,}" if s.environment_steps or not s.updates else ""
             means = (short(s.greedy.mean), score(s.greedy)) if s.greedy else ("", "")
             policies.append([f"{task.name} {s.name}", *at, *drawn, *means])
     if len(policies) > 1:
-        print("\n" + table(policies, right=range(1, 9)))
+        print("\n" + table(policies, right=range(1, 9), sparse=True))
         print("\nmeasured with drawn actions, and where there is a number with mean ones; discounted with 0.995.")
         print("`dr.load_policies(TASK)` gives the policies.")
         for task in (task for task in known if task.name in SHARED):
