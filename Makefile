@@ -43,9 +43,9 @@ fast: $(STAMP) ## the fast tests alone
 test-slow: $(SLOW_STAMP) ## the tests marked slow: learning, kills, the built wheel
 	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(WORKERS) --dist loadfile -m slow
 
-faults: $(STAMP) ## kills commands N=100 times and disturbs them otherwise, at the lowest priority; goes on where it was ended
-	nice -n 19 $(BIN)/python -m tests.faults --kills $(or $(N),100) --out .cache/faults
-	$(BIN)/python -m tests.faults --table --out .cache/faults
+faults: $(STAMP) ## kills commands N=100 times and disturbs them otherwise, at the lowest priority; goes on with RESULTS=FILE
+	nice -n 19 $(BIN)/python -m tests.faults --kills $(or $(N),100) $(if $(RESULTS),--results $(RESULTS))
+	$(BIN)/python -m tests.faults --table $(if $(RESULTS),--results $(RESULTS))
 
 lint: $(STAMP) ## ruff, import-linter, pyright
 	$(BIN)/ruff check .

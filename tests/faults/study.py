@@ -1,9 +1,10 @@
 """Cases one after the other, each once: a study that was ended goes on, and `--table` shows what there is.
 
-    python -m tests.faults --kills 100 --out .cache/faults     # what `make faults` does
-    python -m tests.faults --table --out .cache/faults         # tables in Markdown, as docs/reliability.md has them
+    python -m tests.faults --kills 100                           # what `make faults` does
+    python -m tests.faults --table --results evidence/faults.jsonl   # tables in Markdown, as docs/reliability.md has them
 
-A line of `results.jsonl` is a case: its number, command, fault, outcome, what was broken, and the processes that were killed.
+A line of the results is a case: its number, command, fault, outcome, what was broken, and the processes that were killed. Those
+of the documentation are kept in the repository, so that their study outlasts the machine on which it began.
 """
 
 import argparse
@@ -36,9 +37,8 @@ def planned(number: int, commands: list[Command]) -> tuple[Command, str]:
     return rng.choices(commands, [command.weight for command in commands])[0], KILL
 
 
-def done_before(out: Path) -> list[dict[str, Any]]:
-    """The cases of a folder."""
-    path = out / "results.jsonl"
+def done_before(path: Path) -> list[dict[str, Any]]:
+    """The cases of a file of results."""
     lines = path.read_text().splitlines() if path.exists() else []
     return [json.loads(line) for line in lines if line.endswith("}")]  # a kill of the study itself may cut its last line
 
@@ -86,7 +86,7 @@ def case(place: cases.Place, number: int, commands: list[Command]) -> dict[str, 
     }  # fmt: skip
 
 
-def study(out: Path, kills: int, only: str, faults: str, workers: int) -> None:
+def study(out: Path, results: Path, kills: int, only: str, faults: str, workers: int) -> None:
     """Does what is missing until so many processes have been killed."""
     out.mkdir(parents=True, exist_ok=True)
     os.environ |= {"DEADRECKON_HOME": str(out / "home"), "JAX_COMPILATION_CACHE_DIR": str(out / "home" / "jax")}
@@ -102,12 +102,12 @@ def study(out: Path, kills: int, only: str, faults: str, workers: int) -> None:
                 baseline(place, command, out)
         share = next((each for each in range(1, workers) if not os.fork()), 0)
         place.folder = out / "work" / f"case{share}"
-        done = {each["case"] for each in done_before(out)}
+        done = {each["case"] for each in done_before(results)}
         number = share
-        while sum(each["kills"] for each in done_before(out)) < kills:
+        while sum(each["kills"] for each in done_before(results)) < kills:
             wanted = faults in planned(number, commands)[1] or (faults == "others" and planned(number, commands)[1] != KILL)
             if wanted and number not in done and (row := case(place, number, commands)) is not None:
-                with open(out / "results.jsonl", "a") as file:
+                with open(results, "a") as file:
                     file.write(json.dumps(row) + "\n")
                 told = f"{row['outcome']}  {' | '.join(row['broken'])}"
                 print(f"{row['case']:>5}  {row['fault']}  {row['command']}: {told}", flush=True)
@@ -141,13 +141,15 @@ def table(rows: list[dict[str, Any]]) -> str:
 def main() -> None:
     """Does or shows the study."""
     parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path(".cache/faults"), help="folder of the results, gone on with")
-    parser.add_argument("--kills", type=int, default=100, help="processes to kill, the killed ones of the folder included")
+    parser.add_argument("--out", type=Path, default=Path(".cache/faults"), help="folder of what the cases write")
+    parser.add_argument("--results", type=Path, help="file of results, gone on with (default: OUT/results.jsonl)")
+    parser.add_argument("--kills", type=int, default=100, help="processes to kill, those of earlier results included")
     parser.add_argument("--only", default="", help="commands whose names hold this")
     parser.add_argument("--faults", default="", help="faults whose names hold this; others: all but SIGKILL")
     parser.add_argument("--workers", type=int, default=1, help="cases side by side")
     parser.add_argument("--table", action="store_true", help="show the results as tables")
     asked = parser.parse_args()
+    results = (asked.results or asked.out / "results.jsonl").absolute()
     if asked.table:
-        return print(table(done_before(asked.out)))
-    study(asked.out.absolute(), asked.kills, asked.only, asked.faults, asked.workers)
+        return print(table(done_before(results)))
+    study(asked.out.absolute(), results, asked.kills, asked.only, asked.faults, asked.workers)

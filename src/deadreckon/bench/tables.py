@@ -151,7 +151,7 @@ def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_
     printed = {on: _printed(suite, on, metric) for on in suite.on}
     missing = [(job, s) for job in jobs for s in job.seeds if name(job, s) not in by_cell]
     spread = f"{suite.seeds} seeds; means with Student's {PERCENT} intervals over seeds, wide where these are few"
-    notes = [spread if suite.seeds > 1 else "1 seed, so that nothing says how far seeds differ; bold: the best of a row"]
+    notes = [spread if suite.seeds > 1 else "1 seed, so that nothing says how far seeds differ; the best of a row is marked"]
     if any(printed.values()):
         notes.append(f"thesis: {SOURCES[suite.kind]}")
     return Table(suite, metric, cells, printed, means, (*notes, *_notes(jobs, missing, store, shown)))

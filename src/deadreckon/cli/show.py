@@ -109,7 +109,8 @@ def _policies(tasks: Sequence) -> None:
             policies.append([f"{task.name} {s.name}", *at, *drawn, *means])
     if len(policies) > 1:
         print("\n" + table(policies, right=range(1, 9), sparse=True))
-        print("\nmeasured with drawn actions, and where there is a number with mean ones; discounted with 0.995.")
+        print("\nreturn and its standard error, score and discounted return (0.995) with drawn actions, and, where there is such a")
+        print("column, return and score with mean ones.")
         print("`dr.load_policies(TASK)` gives the policies.")
         for task in (task for task in known if task.name in SHARED):
             print(f"{task.name} has those of {SHARED[task.name]}")
