@@ -62,11 +62,11 @@ fuzz: $(STAMP) ## damaged files of every format at the lowest priority: N=100000
 	$(BIN)/python -m tests.fuzz $(if $(N),--inputs $(N)) $(if $(FOR),--for $(FOR)) $(if $(FORMATS),--only $(FORMATS))
 
 evidence: $(STAMP) ## what the results still lack, at the lowest priority; FOR=150m ends it after that time
-	$(BIN)/deadreckon bench evidence/queue.toml --out .cache/evidence --idle $(if $(FOR),--for $(FOR))
+	$(BIN)/deadreckon bench evidence/queue.toml --out .cache/evidence --idle --trust evidence.studies $(if $(FOR),--for $(FOR))
 
 evidence-gpu: $(STAMP) ## fills a GPU with what they lack for FOR=40m; PLAN=1 prints the plan alone
 	$(BIN)/deadreckon bench evidence/queue.toml --out .cache/evidence \
-		--gpu --for $(or $(FOR),40m) $(if $(PLAN),--dry-run)
+		--trust evidence.studies --gpu --for $(or $(FOR),40m) $(if $(PLAN),--dry-run)
 
 lock: ## uv.lock and constraints.txt anew from pyproject.toml (needs uv)
 	uv lock

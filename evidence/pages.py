@@ -34,11 +34,15 @@ from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Suite, queue, read
 from deadreckon.bench.tables import tables
 from deadreckon.bench.times import forecast
+from deadreckon.imports import trust
 from deadreckon.report import charts
 from deadreckon.report.picture import PANEL, sheet
 from deadreckon.report.text import words
 from deadreckon.stats.interval import PERCENT
 from deadreckon.stats.scores import interval, iqm, performance_profile, probability_of_improvement
+
+STUDIES = "evidence.studies"
+trust(STUDIES)
 
 HERE = Path(__file__).resolve().parent
 PAGES = HERE.parent / "docs" / "results"
@@ -51,11 +55,16 @@ def _suite(name: str) -> tuple[Suite, Store]:
     return suite, store_of([suite], HERE)
 
 
+def _asked(suite: Suite) -> str:
+    """What a command needs to run the suite's own code."""
+    return f" --trust {STUDIES}" if suite.kind == "study" else ""
+
+
 def table(name: str, files: dict[str, bytes]) -> str:
     """A suite's tables in Markdown, with the command that prints them."""
     suite, store = _suite(name)
     shown = rendered(tables(suite, plan(suite), store), "markdown")
-    return f"`deadreckon bench show evidence/{name} --format markdown`\n\n{shown}\n"
+    return f"`deadreckon bench show evidence/{name} --format markdown{_asked(suite)}`\n\n{shown}\n"
 
 
 def curves(name: str, files: dict[str, bytes]) -> str:
@@ -208,7 +217,7 @@ def pending(name: str, files: dict[str, bytes]) -> str:
             continue
         known = [seconds for program in missing if (seconds := times[program.name]) is not None]
         hours = f"{'' if len(known) == len(missing) else '> '}{sum(known) / 3600:,.1f}" if known else "not measured"
-        command = f"deadreckon bench evidence/{suite.name}.toml{' --full' if full else ''}"
+        command = f"deadreckon bench evidence/{suite.name}.toml{' --full' if full else ''}{_asked(suite)}"
         size, count = "full" if full else "CPU", f"{len(missing):,} of {len(jobs):,}"
         rows.append(f"| {suite.about} | {size} | {count} | {hours} | `{command}` |")
     return "\n".join([*rows, ""]) if len(rows) > 2 else "Nothing.\n"

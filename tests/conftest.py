@@ -33,6 +33,10 @@ from deadreckon.tasks.pixels import choose_opengl  # noqa: E402
 
 choose_opengl()  # before anything imports MuJoCo, which looks for OpenGL once
 
+from deadreckon.imports import trust  # noqa: E402
+
+trust("tests", "studies_of_tests")  # suites in tests name agents and studies of these
+
 
 @pytest.fixture(scope="session", autouse=True)
 def _compilation_cache():

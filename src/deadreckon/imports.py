@@ -1,4 +1,8 @@
-"""Things of users, named `module:attribute`, and packages that go by variables of the environment."""
+"""Things of users, named `module:attribute`, and packages that go by variables of the environment.
+
+What a user names is imported. What a file names may be somebody else's: code runs when a module is imported, and when what it
+holds is called, so both are left to modules that the user has named (`trust`).
+"""
 
 import contextlib
 import importlib
@@ -8,6 +12,29 @@ from collections.abc import Iterator
 from typing import Any
 
 from deadreckon.errors import UserError
+
+_TRUSTED: set[str] = set()
+
+
+def trust(*modules: str) -> None:
+    """Lets files name what these modules, and modules below them, hold: it is imported and called then.
+
+    Args:
+        modules: such as `my_studies`.
+
+    Raises:
+        UserError: it cannot be the name of a module.
+    """
+    for module in modules:
+        if not all(part.isidentifier() for part in module.split(".")):
+            raise UserError(f"a module is named such as my_studies or lab.studies, got {module!r}")
+        _TRUSTED.add(module)
+
+
+def trusted(module: str) -> bool:
+    """Whether files may name anything in a module."""
+    parts = module.split(".")
+    return any(".".join(parts[: i + 1]) in _TRUSTED for i in range(len(parts)))
 
 
 def imported(path: str, what: str, form: str) -> Any:

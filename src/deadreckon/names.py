@@ -6,11 +6,27 @@ is ever a path: what makes a file's name of one calls `safe_name`, which refuses
 
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Any
 
 from deadreckon.errors import UserError, is_control, shown
+
+_MARKS = re.compile(r"[\\`*<|]")
+
+
+def in_markdown(value: Any) -> Any:
+    """`value` for a page in Markdown: its texts, also keys, stay on their line and are taken for no marks of the page's own.
+
+    Args:
+        value: a text, or lists and dictionaries with texts in them, as JSON has them; all else stays as it is.
+    """
+    if isinstance(value, str):
+        return _MARKS.sub(r"\\\g<0>", shown(value))
+    if isinstance(value, Mapping):
+        return {in_markdown(key): in_markdown(each) for key, each in value.items()}
+    return list(map(in_markdown, value)) if isinstance(value, list | tuple) else value
+
 
 LONGEST = 200  # bytes of a name; file systems take 255, and endings come behind it
 _SEPARATORS = "/\\:"  # on any system; the colon stands behind the letter of a drive

@@ -158,6 +158,15 @@ def test_a_table_shows_scores_what_is_missing_and_what_failed(suite, tmp_path):
     assert td3.startswith("score,maze2d-umaze-v1,TD3,2,50.05,")
 
 
+def test_a_result_imports_no_agent(suite, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "stranger_of_results.py").write_text("open('PWNED', 'w').close()\n")
+    store, [job, *_] = Store(tmp_path / "store"), plan(suite)
+    store.keep(dataclasses.replace(job, agent="stranger_of_results:Agent"), made(job, (1.0, 2.0)))
+    assert len(store.of([job], any_revision=True)) == 0
+    assert not (tmp_path / "PWNED").exists()
+
+
 def test_results_of_other_revisions_are_shown_when_asked_for_and_told(suite, tmp_path, monkeypatch):
     store = Store(tmp_path)
 

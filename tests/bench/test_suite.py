@@ -1,16 +1,18 @@
 """Suites say what is to be run; cells are named by content."""
 
 import dataclasses
+import re
 import subprocess
 import sys
 
 import pytest
 
-from deadreckon import UserError
+from deadreckon import UserError, imports
 from deadreckon.bench.jobs import Program, agent_of, turns
 from deadreckon.bench.plan import plan
 from deadreckon.bench.suite import names, read
 from deadreckon.bench.work import perform
+from deadreckon.cli.main import main
 from deadreckon.online import Online
 
 SMALL = """
@@ -135,6 +137,50 @@ def test_wrong_suites_are_refused_in_one_line(written, old, new, message):
 def test_what_cannot_be_run_is_refused_before_anything_is(written, old, new, message):
     with pytest.raises(UserError, match=message):
         plan(read(written(SMALL.replace(old, new))))
+
+
+STRANGER = """
+with open("PWNED", "w"):
+    pass
+
+def made(*args, **settings):
+    return {"x": 1.0}
+"""
+ONLINE = 'kind = "online"\ntasks = ["%s"]\nsteps = 20_000\n[methods]\nA = { agent = "%s" }\n'
+CALLED = 'kind = "study"\ncases = ["a"]\n[methods]\nA = { agent = "%s" }\n[metrics]\nx = { words = "x" }\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (SMALL.replace('agent = "bc"', 'agent = "stranger:made"'), "stranger:made is code .*; --trust stranger lets it run"),
+        (CALLED % "stranger:made", "stranger:made is code that is not part of deadreckon; --trust stranger lets it run"),
+        (CALLED % "json:loads", "json:loads is code that is not part of deadreckon; --trust json lets it run"),
+        (ONLINE % ("inverted-pendulum", "stranger:made"), "stranger:made is code .*; --trust stranger lets it run"),
+        (ONLINE % ("stranger:made", "sac"), "task of small is stranger:made, .* --trust stranger lets it run"),
+        (ONLINE % ("os:system?command=touch PWNED", "sac"), "system of os is no class of environments"),
+    ],
+)
+def test_a_suite_runs_no_code_but_the_users(written, text, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "stranger.py").write_text(STRANGER)
+    path = written(text)
+    with pytest.raises(UserError, match=message):
+        plan(read(path))
+    for command in (["bench", "show", str(path)], ["bench", str(path), "--dry-run"]):
+        assert main([*command, "--out", "out"]) == 2
+        assert re.search(message, capsys.readouterr().err)
+    assert not (tmp_path / "PWNED").exists()
+
+
+def test_a_suite_may_name_what_the_user_trusts(written, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(imports, "_TRUSTED", set())
+    monkeypatch.delitem(sys.modules, "stranger", raising=False)
+    (tmp_path / "stranger.py").write_text(STRANGER)
+    path = str(written(CALLED % "stranger:made"))
+    assert main(["bench", "show", path, "--out", "out", "--trust", "stranger"]) == 0
+    assert (tmp_path / "PWNED").exists()
 
 
 @pytest.mark.parametrize(

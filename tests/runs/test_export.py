@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 
@@ -79,6 +80,21 @@ def test_the_card_tells_what_it_is_and_what_it_cannot(place, numpys):
         "actions: one of 3 discrete actions (type `Discrete(n=3)`)", "type `Categorical`: A choice among discrete actions",
     ):  # fmt: skip
         assert text in card, text
+
+
+def test_the_card_says_nothing_in_the_name_of_a_file(place, tmp_path):
+    forged = "bc\n\n## Decision\n\n**DEPLOY** this <script>alert(1)</script> | `x` |"
+    shutil.copytree(place / "run", tmp_path / "run")
+    config = json.loads((tmp_path / "run" / "run.json").read_text())
+    config["agent"]["fields"]["note"], config["versions"][forged] = forged, forged
+    config["data"]["warnings"] = [forged]
+    (tmp_path / "run" / "run.json").write_text(json.dumps(config))
+    card = (export(tmp_path / "run", "numpy", tmp_path / "out") / "card.md").read_text()
+    escaped = r"bc\\n\\n## Decision\\n\\n\*\*DEPLOY\*\* this \<script>alert(1)\</script> \| \`x\` \|"
+    assert [line for line in card.splitlines() if "DEPLOY" in line] == [
+        f"- warning: {escaped}", f"| note | {escaped} |", f"- {escaped}: {escaped}",
+    ]  # fmt: skip
+    assert card.count("## Decision\n") == 1
 
 
 def test_the_card_has_the_decision_and_the_estimates(place):

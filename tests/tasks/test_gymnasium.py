@@ -1,5 +1,7 @@
 """Gymnasium environments as tasks: equal to a loop written by hand, whatever their spaces, and no promise broken."""
 
+import re
+
 import gymnasium
 import numpy as np
 import pytest
@@ -7,6 +9,7 @@ from gymnasium import spaces
 
 import deadreckon as dr
 import deadreckon.tasks.envs
+from deadreckon import imports
 from deadreckon.data.entries import ENTRIES as CATALOGUE
 from deadreckon.data.environments import IDS, task_of
 from deadreckon.data.formats.flatten import flatten_space, join_actions
@@ -343,6 +346,48 @@ def test_a_folder_must_not_name_code_that_runs():
     with pytest.raises(UserError, match="import antigravity first"):
         registry.of_run("gymnasium:antigravity:Fly-v0?a=1")
     assert registry.of_run(SHIFTED).name == SHIFTED
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("os:system?command=touch PWNED", "system of os is no class of environments"),
+        ("subprocess:getoutput?cmd=touch PWNED", "getoutput of subprocess is no class of environments"),
+        ("builtins:open?file=PWNED&mode=x", "open of builtins is no class of environments"),
+        ("os:nothing", "nothing of os is no class of environments"),
+        ("os:system?command=touch PWNED:pixels", "system of os is no class of environments"),
+        ("gymnasium:Ant-v5?xml_file=/etc/passwd", "a file may not give it the path of another file"),
+        ("gymnasium:Ant-v5?xml_file=~root.xml", "a file may not give it the path of another file"),
+        ("gymnasium:Ant-v5?a={'b': [b'../c.xml']}", "a file may not give it the path of another file"),
+        ("Ant-v5?xml_file=..", "a file may not give it the path of another file"),
+        ("gymnasium:CartPole-v1?a=" + "-" * 2000 + "1", "has a name of 2,025 characters; 1000 are allowed"),
+        ("carla:evil:1/lane", "is in a CARLA server"),
+    ],
+)
+def test_a_name_in_a_file_runs_and_opens_nothing(name, message, tmp_path, monkeypatch):
+    import subprocess  # noqa: F401 - what programs have imported is no more harmless for it
+
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UserError, match=re.escape(message)):
+        registry.of_run(name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_names_of_trusted_modules_may_be_anything(monkeypatch):
+    monkeypatch.setattr(imports, "_TRUSTED", set())
+    assert registry.of_run(SHIFTED).name == SHIFTED  # a class of environments of a module that is imported
+    made = SHIFTED.partition(":")[0] + ":short_cart"
+    with pytest.raises(UserError, match="short_cart of .* is no class of environments"):
+        registry.of_run(made)
+    imports.trust("tests")
+    assert registry.of_run(made).horizon
+    for wrong in ("", "a-b", "a:b", "../a"):
+        with pytest.raises(UserError, match="a module is named such as"):
+            imports.trust(wrong)
+
+
+def test_numbers_and_words_of_environments_may_stand_in_files():
+    assert registry.of_run("gymnasium:FrozenLake-v1?is_slippery=False&map_name=8x8").horizon == 100
     assert registry.of_run("gymnasium:CartPole-v1").horizon == 500
 
 

@@ -5,11 +5,12 @@ Agents of other packages are known by `module:Class`, or by the name of an entry
 
 import importlib
 import importlib.metadata
+import sys
 from typing import TYPE_CHECKING
 
 from deadreckon.agents.published import agent_key, preset, preset_for, presets, space
 from deadreckon.errors import UserError, unknown
-from deadreckon.imports import imported
+from deadreckon.imports import imported, trusted
 
 if TYPE_CHECKING:
     from deadreckon.agents.abm import ABM
@@ -166,6 +167,13 @@ def agent_class(name: str) -> "type[Agent]":
     if path is None:
         raise unknown("agent", name, [*AGENTS, *plugins()])
     return _imported(path)
+
+
+def known_agent(name: str) -> bool:
+    """Whether `agent_class` of a name that a file says imports no more than the user has: names of the package, those that
+    installed packages register, and classes of modules that are imported already or trusted (`imports.trust`)."""
+    module, colon, _ = name.partition(":")
+    return not colon or trusted(module) or module in sys.modules
 
 
 def plugins() -> dict[str, str]:

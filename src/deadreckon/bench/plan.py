@@ -14,6 +14,7 @@ from deadreckon.bench.identity import log_identity, problem_identity, revisions_
 from deadreckon.bench.jobs import Job, agent_of, designer_of, estimator_of, study_of, tuples, turns
 from deadreckon.bench.suite import Method, Suite
 from deadreckon.errors import UserError, unknown
+from deadreckon.imports import trusted
 from deadreckon.training.field_names import with_field_names
 
 MOST = 64  # lanes of a program where nobody says how many: no more were measured (benchmarks/lanes.py)
@@ -131,13 +132,21 @@ def _fields(made: Any) -> dict[str, Any]:
     return found | {name: float(found[name]) for name in numbers if isinstance(found[name], int)}
 
 
+def _stranger(suite: Suite, method: Method) -> UserError:
+    module = method.agent.partition(":")[0]
+    where = f"{suite.name}, method {method.name!r}"
+    return UserError(f"{where}: {method.agent} is code that is not part of deadreckon; --trust {module} lets it run")
+
+
 _WAYS = {"learn": "from a log", "online": "online"}
 
 
 def _agent(suite: Suite, method: Method, on: str) -> tuple[dict[str, Any], str]:
     """All settings of a method's agent, and the preset that they began from."""
-    from deadreckon.agents import agent_class, preset, preset_for
+    from deadreckon.agents import agent_class, known_agent, preset, preset_for
 
+    if not known_agent(method.agent):
+        raise _stranger(suite, method)
     kind = agent_class(method.agent)
     if method.log:
         able = kind.fine_tunes and (kind.offline or method.log == "beside")
@@ -177,8 +186,9 @@ def _run(suite: Suite, on: str) -> dict[str, Any]:
 
 
 def _online(suite: Suite, method: Method, on: str) -> Job:
-    from deadreckon.tasks.registry import task
+    from deadreckon.tasks.registry import check_named, task
 
+    check_named(on, f"the task of {suite.name}", f"--trust {on.partition(':')[0]} lets it run")
     settings, published = _agent(suite, method, on)
     # Only where it says something: names of cells depend on it.
     acting = {key: float(value) if key == "updates_per_step" else value for key, value in method.acting.items()}
@@ -220,6 +230,8 @@ def _ope(suite: Suite, method: Method, on: str) -> Job:
 
 
 def _study(suite: Suite, method: Method, on: str) -> Job:
+    if not trusted(method.agent.partition(":")[0]):
+        raise _stranger(suite, method)
     job = Job("study", method.name, method.agent, dict(method.fields), "", on, on, {}, (0,))
     try:
         inspect.signature(study_of(job)).bind(on, seed=0, **job.settings)

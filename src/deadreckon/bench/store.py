@@ -174,14 +174,14 @@ def rows_of(job: Job, found: JobResult, run: str | None = None) -> list[dict[str
 
 def _with_present_names(rows: pa.Table) -> pa.Table:
     """Rows with `content` recomputed under the present names of fields, of which some were written under other names."""
-    from deadreckon.agents import agent_class
+    from deadreckon.agents import agent_class, known_agent
     from deadreckon.mbo.registry import designer
     from deadreckon.training.field_names import with_field_names
 
     contents = []
     for row in rows.to_pylist():
         settings = json.loads(row["settings"])
-        if row["kind"] in ("learn", "online"):
+        if row["kind"] in ("learn", "online") and known_agent(row["agent"]):
             settings = with_field_names(agent_class(row["agent"]), settings)
         elif row["kind"] == "design":
             settings = with_field_names(type(designer(row["agent"])), settings)

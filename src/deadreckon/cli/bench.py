@@ -13,6 +13,7 @@ import tyro
 from deadreckon.cli.lines import Lines
 from deadreckon.cli.parse import parse
 from deadreckon.errors import UserError
+from deadreckon.imports import trust
 from deadreckon.interrupts import resumable
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ class Bench:
     dry_run: bool = False  # print what would be run and the expected time, without running it
     track: Annotated[tuple[str, ...], tyro.conf.arg(metavar="tensorboard|wandb|mlflow|module:Class ...")] = ()
     """trackers that show the runs of suites of the kinds learn and online"""
+    trust: tuple[str, ...] = ()  # modules whose agents, tasks and studies the suite may name: their code runs
 
 
 @dataclass
@@ -54,6 +56,7 @@ class Show:
     full: bool = False  # show results of the full size that the suite declares under [full]
     format: Literal["text", "markdown", "csv", "latex"] = "text"  # format of the table
     any_revision: bool = False  # whether to show results of other revisions of the methods and the protocol too
+    trust: tuple[str, ...] = ()  # modules whose agents, tasks and studies the suite may name: their code runs
 
 
 @dataclass
@@ -68,6 +71,7 @@ def bench(args: Sequence[str]) -> None:
     if args and args[0] == "show":
         return _show(args[1:])
     options = parse(Bench, args, "bench")
+    trust(*options.trust)
     return _fill(options) if options.gpu else _run(options)
 
 
@@ -88,6 +92,7 @@ def _show(args: Sequence[str]) -> None:
     from deadreckon.bench.tables import tables
 
     options = parse(Show, args, "bench show")
+    trust(*options.trust)
     suites = queue(options.suite, options.full)
     store = store_of(suites, Path(options.out))
     for suite in suites:

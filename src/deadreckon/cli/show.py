@@ -20,7 +20,7 @@ class Agents:
 
 
 def table(rows: Sequence[Sequence[str]], right: Sequence[int] = (), sparse: bool = False) -> str:
-    """Columns of text, the first row a heading; columns in `right` are right-aligned, if sparse those with no entry left out."""
+    """Columns of text, the first row a heading; columns in `right` are right-aligned, if sparse empty ones left out."""
     filled = [i for i in range(len(rows[0])) if not sparse or any(row[i] not in ("", "-") for row in rows[1:])]
     widths = {i: max(len(row[i]) for row in rows) for i in filled}
     lines = []
@@ -109,7 +109,7 @@ def _policies(tasks: Sequence) -> None:
             policies.append([f"{task.name} {s.name}", *at, *drawn, *means])
     if len(policies) > 1:
         print("\n" + table(policies, right=range(1, 9), sparse=True))
-        print("\nreturn and its standard error, score and discounted return (0.995) with drawn actions, and, where there is such a")
+        print("\nreturn with its standard error, score and discounted return (0.995) with drawn actions; where there is such a")
         print("column, return and score with mean ones.")
         print("`dr.load_policies(TASK)` gives the policies.")
         for task in (task for task in known if task.name in SHARED):

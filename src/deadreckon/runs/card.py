@@ -3,6 +3,7 @@
 import datetime
 import inspect
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from deadreckon._version import __version__
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.told import action_names, columns_of
+from deadreckon.names import in_markdown
 from deadreckon.policies.deployed import Mixture, history_of
 from deadreckon.policies.kinds import Categorical, Deterministic
 from deadreckon.runs.offline import grounds
@@ -32,9 +34,11 @@ def card(
         use: how it is used, lines of Markdown.
         checked: rows on which it was checked.
     """
+    # Whatever stands in files is somebody's text, and must not pass for the card's own words.
+    one, estimates = replace(one, name=in_markdown(one.name), config=in_markdown(one.config)), in_markdown(estimates)
     parts = [
         ("", [f"A policy exported by deadreckon {__version__} on {datetime.date.today().isoformat()}, as {format}."]),
-        ("Use", [*use, "", f"Checked against the policy on {checked:,} rows of {log.name}."]),
+        ("Use", [*use, "", f"Checked against the policy on {checked:,} rows of {in_markdown(log.name)}."]),
         ("Decision", _decision(estimates)),
         ("Estimates", _estimates(estimates)),
         ("Log", _log(one, log)),
@@ -85,7 +89,7 @@ def _number(value: Any) -> float:
 def _log(one: Subject, log: Dataset) -> list[str]:
     data = (one.config or {}).get("data", {})
     facts = [
-        ("name", data.get("name", log.name)), ("fingerprint", data.get("fingerprint", log.fingerprint)),
+        ("name", data.get("name", in_markdown(log.name))), ("fingerprint", data.get("fingerprint", log.fingerprint)),
         ("rows", f"{data.get('rows', len(log)):,}"), ("episodes", f"{data.get('episodes', log.episodes):,}"),
         ("actions", _actions(log)),
     ]  # fmt: skip
@@ -125,10 +129,11 @@ def seen_by(config: Mapping[str, Any]) -> str:
 
 def _columns(log: Dataset) -> list[str]:
     columns = [each for each in columns_of(log) if each.role in ("observation", "action", "reward", "legal")]
-    rows = [f"| {each.name} | {each.role} | {each.kind} | {each.holds} | {each.becomes} |" for each in columns[:LISTED]]
+    told = ((each.name, each.role, each.kind, each.holds, each.becomes) for each in columns[:LISTED])
+    rows = [f"| {' | '.join(map(in_markdown, cells))} |" for cells in told]
     more = [f"and {len(columns) - LISTED:,} more"] if len(columns) > LISTED else []
     if log.spec.discrete:
-        more.append(f"Actions, in the order of their codes: {', '.join(action_names(log)[:LISTED])}.")
+        more.append(f"Actions, in the order of their codes: {in_markdown(', '.join(action_names(log)[:LISTED]))}.")
     return ["| column | role | kind | levels or range | becomes |", "|---|---|---|---|---|", *rows, "", *more]
 
 

@@ -19,7 +19,7 @@ from deadreckon.data.formats.folder import HEADER, read_folder, write_folder
 from deadreckon.data.transfer import file_hashes
 from deadreckon.errors import UserError
 from deadreckon.files import home, read_json, write_json
-from deadreckon.names import file_part, safe_name, shown
+from deadreckon.names import file_part, in_markdown, safe_name, shown
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.runs.run import Run, load
@@ -169,7 +169,7 @@ def _card(thing: Any, kind: str, repo: str) -> str:
     if isinstance(thing, Dataset):
         facts += ["", f"{len(thing):,} rows in {thing.episodes:,} episodes; fingerprint `{thing.fingerprint}`."]
     if isinstance(thing, Run):
-        config = thing.config
+        config = in_markdown(thing.config)
         facts += ["", f"Agent `{config['agent']['name']}` on the log `{config['data']['name']}`, {config['steps']:,} updates,"]
         facts.append(f"seeds {', '.join(map(str, thing.seeds))}. Whether to deploy it is a question to held-out episodes.")
     place = f"{DATASETS}{repo}" if kind == "log" else repo

@@ -1,11 +1,10 @@
 """Agents as the lanes of a run, and as its folder has them."""
 
 import dataclasses
-import sys
 from collections.abc import Sequence
 from typing import Any
 
-from deadreckon.agents import agent_class
+from deadreckon.agents import agent_class, known_agent
 from deadreckon.agents.agent import Agent
 from deadreckon.errors import UserError
 
@@ -39,8 +38,8 @@ def agents_of(config: dict[str, Any]) -> list[Agent]:
         UserError: the agent's module has not been imported: a folder from elsewhere must not name code that runs.
     """
     name, written = str(config["agent"]["name"]), config["agent"]["fields"]
-    module = name.partition(":")[0]
-    if ":" in name and module not in sys.modules:
+    if not known_agent(name):
+        module = name.partition(":")[0]
         raise UserError(f"the run's agent is {name}, which is not part of deadreckon: import {module} first")
     kind = agent_class(name)
     fixed = {f.name for f in dataclasses.fields(kind) if f.metadata.get("static")}

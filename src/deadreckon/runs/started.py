@@ -15,7 +15,7 @@ from deadreckon.runs.holdout import divided
 from deadreckon.runs.lanes import agents_of
 from deadreckon.runs.reading import HORIZON, Read, read_like
 from deadreckon.runs.train import Run, load
-from deadreckon.tasks.registry import task as find_task
+from deadreckon.tasks.registry import of_run
 from deadreckon.tasks.task import Task
 from deadreckon.training.checkpoint import load_arrays, load_tree
 from deadreckon.training.fit import checkpoints
@@ -141,7 +141,7 @@ def beside(
     log = source if isinstance(source, Dataset) else read_like(known.get("name", str(source)), read, source)
     check_sizes(log, task)
     bounds = known["task"]
-    judge = None if bounds is None else task if bounds == task.name else find_task(bounds)
+    judge = None if bounds is None else task if bounds == task.name else of_run(bounds)
     if judge is not None:
         log = log.with_action_space(judge.action_space)
     if log.fingerprint != known.get("fingerprint", log.fingerprint):

@@ -20,7 +20,7 @@ def options_of(name: str, text: str) -> dict[str, Any]:
             raise UserError(f"task {name}: options are written ?name=value&name=value, got {part!r}")
         try:
             found[key] = ast.literal_eval(value)
-        except (ValueError, SyntaxError):
+        except (ValueError, SyntaxError, RecursionError, MemoryError):  # the last two of deeply nested texts
             found[key] = value
     return found
 

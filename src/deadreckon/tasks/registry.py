@@ -2,12 +2,15 @@
 
 import importlib
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 from deadreckon.data import terminations
 from deadreckon.data.entries import ENTRIES, ORIGINAL
 from deadreckon.errors import UserError, unknown
+from deadreckon.imports import trusted
 from deadreckon.tasks import adroit, antmaze, battery, carla_task, control, driving, flow, gym_mujoco, kitchen, maze2d, town
+from deadreckon.tasks.gymnasium_names import options_of
 from deadreckon.tasks.pixels import SUFFIX, of_pixels
 from deadreckon.tasks.task import Task
 
@@ -53,16 +56,63 @@ def of_run(name: str) -> Task:
     """The task that a run's folder names.
 
     Raises:
-        UserError: it is of a module that has not been imported, or in a CARLA server: a folder from elsewhere must not name
-            code that runs, or a machine that is talked to.
+        UserError: as `check_named` says.
     """
-    if name.startswith(carla_task.PREFIX):
-        raise UserError(f"the run's task is in a CARLA server, {name}: name it, or another one, with --task")
-    path = name.removesuffix(SUFFIX).partition("?")[0].removeprefix("gymnasium:")
-    module = path.partition(":")[0]
-    if name not in _TASKS and ":" in path and module not in sys.modules:
-        raise UserError(f"the run's task is {name}, not one of deadreckon's: name it with --task, or import {module} first")
+    check_named(name, "the run's task", "name it with --task")
     return task(name)
+
+
+def check_named(name: str, what: str, remedy: str) -> None:
+    """Refuses a task that a file names where making it would run code, open files or talk to a machine of the file's choice.
+
+    Of other packages a file may name environments by their ids, and tasks and classes of environments, in modules that are
+    imported already; all else in modules that the user trusts (`imports.trust`). Options are numbers, truths and words.
+
+    Args:
+        name: of the task, as a file has it.
+        what: it is, for the error.
+        remedy: what the user can do, for the error.
+
+    Raises:
+        UserError: it is none of these.
+    """
+    stem = name.removesuffix(SUFFIX)
+    if stem in _TASKS:
+        return
+    if name.startswith(carla_task.PREFIX):
+        raise UserError(f"{what} is in a CARLA server, {name}: {remedy}")
+    path, _, text = stem.partition("?")
+    refused = f"{what} is {name}, not one of deadreckon's: {remedy}"
+    if len(name) > LONGEST:
+        raise UserError(f"{what} has a name of {len(name):,} characters; {LONGEST} are allowed")
+    if any(_is_path(value) for value in options_of(name, text).values()):
+        raise UserError(f"{refused}; a file may not give it the path of another file")
+    module, colon, attribute = path.removeprefix("gymnasium:").partition(":")
+    if not colon or trusted(module):
+        return
+    if module not in sys.modules:
+        raise UserError(f"{refused}, or import {module} first")
+    if not path.startswith("gymnasium:") and not _is_world(getattr(sys.modules[module], attribute, None)):
+        raise UserError(f"{refused}; {attribute} of {module} is no class of environments, and might do anything")
+
+
+LONGEST = 1000  # characters of a name that a file gives
+
+
+def _is_path(value: Any) -> bool:
+    """Whether an option, or anything in it, is a text that leads to another folder."""
+    if isinstance(value, Mapping):
+        return any(map(_is_path, [*value, *value.values()]))
+    if isinstance(value, list | tuple | set | frozenset):
+        return any(map(_is_path, value))
+    text = value.decode(errors="replace") if isinstance(value, bytes) else value
+    return isinstance(text, str) and (any(sign in text for sign in "/\\:") or text.startswith(("~", "..")))
+
+
+def _is_world(found: Any) -> bool:
+    """Whether it is a task, or a class of environments."""
+    gymnasium = sys.modules.get("gymnasium")
+    return isinstance(found, Task) or (gymnasium is not None and isinstance(found, type) and issubclass(found, gymnasium.Env))
 
 
 def of_log(name: str) -> Task | None:
