@@ -82,14 +82,16 @@ def check_named(name: str, what: str, remedy: str) -> None:
     if name.startswith(carla_task.PREFIX):
         raise UserError(f"{what} is in a CARLA server, {name}: {remedy}")
     path, _, text = stem.partition("?")
-    refused = f"{what} is {name}, not one of deadreckon's: {remedy}"
     if len(name) > LONGEST:
         raise UserError(f"{what} has a name of {len(name):,} characters; {LONGEST} are allowed")
-    if any(_is_path(value) for value in options_of(name, text).values()):
-        raise UserError(f"{refused}; a file may not give it the path of another file")
     module, colon, attribute = path.removeprefix("gymnasium:").partition(":")
-    if not colon or trusted(module):
+    if colon and trusted(module):
         return
+    if any(_is_path(value) for value in options_of(name, text).values()):
+        raise UserError(f"{what} is {name}: a file may not give an environment the path of another file")
+    if not colon:
+        return
+    refused = f"{what} is {name}, not one of deadreckon's: {remedy}"
     if module not in sys.modules:
         raise UserError(f"{refused}, or import {module} first")
     if not path.startswith("gymnasium:") and not _is_world(getattr(sys.modules[module], attribute, None)):
