@@ -35,7 +35,7 @@ choose_opengl()  # before anything imports MuJoCo, which looks for OpenGL once
 
 from deadreckon.imports import trust  # noqa: E402
 
-trust("tests", "studies_of_tests")  # suites in tests name agents and studies of these
+trust("tests", "studies_of_tests", "zoomed_studies_of_tests")  # suites in tests name agents and studies of these
 
 
 @pytest.fixture(scope="session", autouse=True)

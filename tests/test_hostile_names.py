@@ -137,10 +137,14 @@ seeds = 1
 {ledger}
 cases = [{case}, "plain"]
 [methods]
-{method} = {{ agent = "json:loads" }}
+{method} = {{ agent = "tests.test_hostile_names:counted" }}
 [metrics]
 value = {{ words = "a value" }}
 """
+
+
+def counted(case, *, seed):
+    return {"value": 1.0}
 
 
 def suites(name, work):
