@@ -30,7 +30,8 @@ from deadreckon.agents import AGENTS, agent_class, plugins
 from deadreckon.errors import UserError, reading
 from deadreckon.files import alone, replacing, write_json
 from deadreckon.foreign.archive import read_arrays
-from deadreckon.foreign.door import file_size, refuse_link, refuse_links
+from deadreckon.foreign.door import refuse_link, refuse_links
+from deadreckon.foreign.parquet import read_parquet
 from deadreckon.interrupts import resumable
 from deadreckon.runs.records import read_run
 from deadreckon.training.field_names import with_field_names
@@ -196,10 +197,7 @@ class Folder:
 
 def _part(path: Path, kind: str) -> pa.Table:
     """One part of a table: numbers alone in columns that have names of their own, among them the step."""
-    file_size(path)
-    with reading(path, "a table of a run"):
-        found = pq.read_table(path, partitioning=None)  # pyright: ignore[reportArgumentType]
-        found.validate(full=True)
+    found = read_parquet(path, "a table of a run")
     names = found.column_names
     kinds = pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean
     numbers = all(any(test(each) for test in kinds) for each in found.schema.types)
