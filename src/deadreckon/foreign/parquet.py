@@ -81,11 +81,11 @@ def check_parquet(path: Path | str, kind: str = "Parquet", *, whole: bool = True
 def _size(values: Any) -> int:
     """Bytes of the texts of a column, each as often as it occurs."""
     import pyarrow as pa
-    from pyarrow import compute
+    import pyarrow.compute as pc
 
     if pa.types.is_dictionary(values.type):
-        lengths = compute.binary_length(values.dictionary).cast(pa.int64())
-        return compute.sum(lengths.take(values.indices)).as_py() or 0
+        lengths = pc.call_function("binary_length", [values.dictionary]).cast(pa.int64())
+        return pc.call_function("sum", [lengths.take(values.indices)]).as_py() or 0
     if pa.types.is_struct(values.type):
         return sum(map(_size, values.flatten()))
     if pa.types.is_map(values.type):
