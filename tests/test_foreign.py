@@ -91,6 +91,8 @@ def test_members_of_one_name_are_refused(tmp_path):
         ("{'descr': [('a', '<f4')], 'fortran_order': False, 'shape': (2,)}", "arrays of numbers"),
         ("{'descr': '<f4', 'fortran_order': False, 'shape': __import__('os').abort()}", "cannot be read|no array's"),
         ("(" * 5_000, "no array's"),
+        ("{'descr': '<U0', 'fortran_order': False, 'shape': (1000000000,)}", "texts of no characters"),
+        ("{'descr': 'S0', 'fortran_order': False, 'shape': (4611686018427387904,)}", "texts of no characters"),
         ("{'descr': '<f4', 'fortran_order': False", "cannot be read"),
     ],
 )

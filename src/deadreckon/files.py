@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import platformdirs
 
 from deadreckon.errors import BusyError, UserError
+from deadreckon.foreign.door import refuse_links
 from deadreckon.foreign.text import read_json as read_json  # beside `write_json`
 from deadreckon.foreign.text import read_toml as read_toml
 from deadreckon.names import shown
@@ -136,9 +137,11 @@ def copy_folder(source: Path, target: Path | str) -> Path:
     """Copies a folder to a new place, where it appears only when it is complete; temporary files and locks stay behind.
 
     Raises:
-        UserError: there is something at `target`, or it cannot be written. Nothing is left behind.
+        UserError: there is something at `target`, or it cannot be written; or something in `source` is a link, which may
+            lead to what its user does not mean to give away. Nothing is left behind.
     """
     target = Path(target)
+    refuse_links(source, "a folder that is copied")
     if target.exists():
         raise UserError(f"{target} exists already; choose another place")
     made = missing_folders(target)

@@ -286,3 +286,17 @@ def test_wrong_claims_are_refused_in_one_line(folder, old, new, message):
     with pytest.raises(UserError) as error:
         claims("claims.toml")
     assert message in str(error.value)
+
+
+@pytest.mark.parametrize("key", ["suite", "beside"])
+@pytest.mark.parametrize("name", ["../suite.toml", "{}/suite.toml"])
+def test_suites_that_lie_elsewhere_are_not_read(folder, key, name):
+    (folder / "inner").mkdir()
+    (folder / "inner" / "own.toml").write_text(SUITE)
+    test = {"suite": "own.toml", key: name.format(folder)}
+    text = ", ".join(f'{each} = "{value}"' for each, value in test.items())
+    rest = 'method = "BC"' + (', than = ["TD3"]' if key == "suite" else "")
+    path = folder / "inner" / "claims.toml"
+    path.write_text(f'[[claims]]\nid = "A"\nsays = "x"\nplace = "1"\ntests = [{{ {text}, {rest} }}]\n')
+    with pytest.raises(UserError, match=r"claims\.toml, claim A: suite .*: part .*(lead to another folder|is empty)"):
+        claims(path)

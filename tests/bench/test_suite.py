@@ -10,7 +10,7 @@ import pytest
 from deadreckon import UserError, imports
 from deadreckon.bench.jobs import Program, agent_of, turns
 from deadreckon.bench.plan import plan
-from deadreckon.bench.suite import names, read
+from deadreckon.bench.suite import names, queue, read
 from deadreckon.bench.work import perform
 from deadreckon.cli.main import main
 from deadreckon.online import Online
@@ -124,6 +124,29 @@ def test_wrong_suites_are_refused_in_one_line(written, old, new, message):
         read(written(SMALL.replace(old, new)))
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("log", ["/etc/passwd", "../../x.csv", "a/../../x.csv", "~/x", "C:\\\\x", "..\\\\x", "a\\n"])
+def test_logs_that_lie_elsewhere_are_not_read(written, log):
+    with pytest.raises(UserError, match=r"small\.toml: log .* leads elsewhere; .*: put the log, or a link to it, there"):
+        read(written(SMALL.replace("maze2d-umaze-v1", log)))
+    with pytest.raises(UserError, match="leads elsewhere"):
+        read(written(f'kind = "online"\ntasks = ["a"]\ndata = {{ a = "{log}" }}\n[methods]\nA = {{ agent = "sac" }}\n'))
+
+
+@pytest.mark.parametrize("log", ["my.csv", "logs/my..old.csv", "./my.csv", "minari:D4RL/x/y-v2", "hopper-medium-v2@d4rl"])
+def test_logs_of_the_catalogue_and_below_the_folder_are(written, log):
+    assert read(written(SMALL.replace("maze2d-umaze-v1", log))).on == (log,)
+
+
+@pytest.mark.parametrize("name", ["../other.toml", "{}/other.toml"])
+def test_a_queue_names_suites_beside_it(written, tmp_path, name):
+    (tmp_path / "inner").mkdir()
+    written(SMALL, "other")
+    (tmp_path / "inner" / "queue.toml").write_text(f'suites = ["{name.format(tmp_path)}"]')
+    with pytest.raises(UserError, match=r"queue\.toml: suite .*: part .*(lead to another folder|is empty)"):
+        queue(tmp_path / "inner" / "queue.toml")
+    assert [suite.name for suite in queue(written('suites = ["other.toml"]', "queue"))] == ["other"]
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """A new log against a policy's own: nothing where nothing has changed, and each change by its name."""
 
 import json
+import shutil
 
 import jax.numpy as jnp
 import numpy as np
@@ -219,3 +220,22 @@ def test_a_log_that_is_gone_or_has_changed_is_not_compared_with(place, tmp_path)
     (tmp_path / "log.csv").unlink()
     with pytest.raises(UserError, match="is not at .* any more; name it with --reference"):
         monitor(run, place / "same.csv")
+
+
+@pytest.mark.parametrize("kind", ["secret", "long", "control", "unknown"])
+def test_a_run_from_elsewhere_cannot_have_any_file_quoted(place, tmp_path, kind):
+    config = json.loads((place / "run" / "run.json").read_text())
+    lines = (place / "log.csv").read_text().splitlines()
+    cells = ",".join("swordfish" for _ in lines[0].split(","))
+    (tmp_path / "secret.csv").write_text("\n".join([*lines[:9], cells]) + "\n")
+    path = {"long": "x" * 5_000, "control": "a\n\x1b[31m\0"}.get(kind, str(tmp_path / "secret.csv"))
+    config["data"]["provenance"]["path"] = path
+    if kind == "unknown":
+        del config["data"]["fingerprint"]
+    shutil.copytree(place / "run", tmp_path / "run")
+    (tmp_path / "run" / "run.json").write_text(json.dumps(config))
+    words = {"secret": "cannot be read again", "unknown": "has no fingerprint"}.get(kind, "is not at .* any more")
+    with pytest.raises(UserError, match=f"{words}.*name it with --reference") as caught:
+        monitor(tmp_path / "run", place / "same.csv")
+    assert caught.value.__suppress_context__ or caught.value.__context__ is None  # nor in what a traceback shows
+    assert not any(word in str(caught.value) for word in ("swordfish", "\n", "\x1b"))

@@ -9,7 +9,7 @@
     place = "thesis 4.6, Figure 4.3"
 
     [[claims.tests]]
-    suite = "constraint.toml"               # beside this file
+    suite = "constraint.toml"               # beside this file, or below it
     method = "BEAR"                         # or a list, whose mean is taken
     than = ["BC", "TD3"]                    # methods of the suite; or one number
     on = ["walker2d-medium-v2"]             # of the suite's logs, tasks, problems or cases; all where it is absent
@@ -32,6 +32,7 @@ from deadreckon.bench.suite import Suite, read
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml
 from deadreckon.foreign.shapes import checked
+from deadreckon.names import safe_path
 
 
 class _Said(TypedDict):
@@ -116,9 +117,10 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
         if not own or len(set(own)) < len(own):
             raise UserError(f"{where}: method must be a method, or different ones, got {own!r}")
         names = [test["suite"], *([test["beside"]] if "beside" in test else [])]
+        places = {name: path.parent / safe_path(name, f"{where}: suite") for name in names}
         agents: dict[str, str] = {}
         for name in names:
-            suite = suites.setdefault(name, read(path.parent / name))
+            suite = suites.setdefault(name, read(places[name]))
             methods = {method.name: method.agent for method in suite.methods}
             for method in [*own, *(than if isinstance(than, list) else ())]:
                 if method not in methods:
@@ -138,9 +140,9 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
             raise UserError(f"{where}: with among, logs of a task are compared, but no two of {', '.join(left)} share one")
         if both := set(left) & set(other):
             raise UserError(f"{where}: {min(both)} is in {names[0]} and in {names[1]}, which must have logs of their own")
-        given = test | {"suite": path.parent / names[0], "method": tuple(own), "on": left}
+        given = test | {"suite": places[names[0]], "method": tuple(own), "on": left}
         given |= {"than": tuple(than) if isinstance(than, list) else than}
-        given |= {"beside": path.parent / names[1], "beside_on": other} if "beside" in test else {}
+        given |= {"beside": places[names[1]], "beside_on": other} if "beside" in test else {}
         tests.append(Test(**given))
     return Claim(said["id"], said["says"], said["place"], tuple(tests), said.get("note", ""))
 

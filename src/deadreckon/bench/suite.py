@@ -26,13 +26,14 @@ A file that has `suites = ["a.toml", ...]` instead is a queue: its suites in the
 import re
 import tomllib
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
 from deadreckon.bench.methods import Method, check_count, method
-from deadreckon.errors import UserError, unknown
+from deadreckon.errors import UserError, is_control, unknown
 from deadreckon.files import read_toml
 from deadreckon.names import safe_name, safe_path
 
@@ -47,6 +48,7 @@ OWN = {
 }  # fmt: skip
 BUDGETS = ("full", "cpu")
 SIZES = {"seeds", "steps", "offline", "episodes", "evaluations", "rows", "designs", "budget"}  # what [full] may change
+_ELSEWHERE = re.compile(r"^[/\\~]|^[A-Za-z]:|(^|[/\\])\.\.($|[/\\])")  # beginnings and parts of paths, on any system
 STEPS = 100_000  # where a suite says nothing
 
 
@@ -156,7 +158,7 @@ def queue(name: Path | str, full: bool = False) -> list[Suite]:
         raise UserError(f"{where}: a queue has the key suites alone, got {', '.join(found)} too")
     if not isinstance(listed, list) or not listed or not all(isinstance(one, str) for one in listed):
         raise UserError(f"{where}: suites must be a list of files or names of suites, got {listed!r}")
-    each = [_toml(path.parent / one if one.endswith(".toml") else one) for one in listed]
+    each = [_toml(path.parent / safe_path(one, f"{where}: suite") if one.endswith(".toml") else one) for one in listed]
     suites = [_suite(*parts, full) for parts in each if not full or "full" in parts[2]]
     if not suites:
         raise UserError(f"{where}: none of its suites says what differs at full size, in a section [full]")
@@ -200,6 +202,7 @@ def _suite(path: Path, where: str, document: dict[str, Any], full: bool) -> Suit
     on = document.get(PLACES[kind])
     if not isinstance(on, list) or not on or not all(isinstance(one, str) for one in on) or len(set(on)) < len(on):
         raise UserError(f"{where}: {PLACES[kind]} must be a list of different names, got {on!r}")
+    _check_logs(where, on if PLACES[kind] == "logs" else ())
     methods = document.get("methods")
     if not isinstance(methods, dict) or not methods:
         raise UserError(f"{where}: [methods] must name at least one, such as BC = {{ agent = 'bc' }}")
@@ -242,7 +245,16 @@ def _logs(where: str, data: Any, on: list[str], methods: dict[str, Any]) -> dict
     if not texts or (needed and set(data) != set(on)):
         why = f" for the log of method {needed[0]!r}" if needed else ""
         raise UserError(f"{where}: data must name a log of each of {', '.join(on)}{why}, got {data!r}")
+    _check_logs(where, data.values())
     return {name: data[name] for name in on if name in data}
+
+
+def _check_logs(where: str, logs: Iterable[str]) -> None:
+    """Refuses names of logs that lead elsewhere: a suite from elsewhere could have any file read, and quoted in an error."""
+    for log in logs:
+        if _ELSEWHERE.search(log) or any(map(is_control, log)):
+            how = "a suite names logs of the catalogue, and files in the current folder or below it"
+            raise UserError(f"{where}: log {log[:200]!r} leads elsewhere; {how}: put the log, or a link to it, there")
 
 
 def _metrics(where: str, kind: str, table: Any) -> dict[str, tuple[Metric, ...]]:

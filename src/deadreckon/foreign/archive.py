@@ -113,6 +113,8 @@ def _parsed(where: str, text: str) -> tuple[tuple[int, ...], bool, np.dtype]:
     if not isinstance(shape, tuple) or len(shape) > 32 or not all(type(each) is int and each >= 0 for each in shape):
         raise UserError(f"{where} has the shape {str(shape)[:60]}, whole numbers of 0 or more are needed")
     dtype = np.dtype(kind) if isinstance(kind, str) else np.dtype(object)
+    if not dtype.itemsize and 0 not in shape:  # of texts without a character: no bytes, and as many as the header likes
+        raise UserError(f"{where} holds texts of no characters, which take no bytes; leave the array out")
     if dtype.kind not in _KINDS or type(fortran) is not bool:
         what = "Python objects" if dtype.kind == "O" else f"{kind!r:.60}"
         raise UserError(f"{where} holds {what}; arrays of numbers, truth values or texts are read")

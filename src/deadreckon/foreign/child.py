@@ -5,6 +5,7 @@ import json
 import mmap
 import os
 import select
+import signal
 import socket
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from deadreckon.errors import UserError
-from deadreckon.foreign.limits import LIMITS, RATE, SECONDS, max_unpacked
+from deadreckon.foreign.limits import LIMITS, RATE, SECONDS, UNPACKED, max_unpacked
 from deadreckon.foreign.reader import HEAD, SPARE, TASKS
 
 _PROGRAM = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from deadreckon.foreign.reader import main; main({})"
@@ -134,6 +135,8 @@ def read_apart(task: str, path: Path | str, kind: str, *, size: int, **arguments
         except (EOFError, OSError, ValueError) as error:
             code = _drop()
             why = f"it is damaged: the library that reads it crashed ({code})"
+            if code == -signal.SIGABRT:  # as libraries end that find no memory, in Rust and in C++
+                why = f"it is damaged, or needs more memory than a file of its size may take; {UNPACKED.variable} sets more"
             raise UserError(f"{path}: cannot be read as {kind}, {why}") from error
         except BaseException:  # such as the user's interrupt, after which the answer would be taken for the next one's
             _drop()

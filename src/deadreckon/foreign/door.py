@@ -53,6 +53,26 @@ def opened(path: Path | str) -> Iterator[BinaryIO]:
         yield file
 
 
+def refuse_links(folder: Path | str, what: str) -> None:
+    """Refuses a folder in which anything is a symbolic link: what is read, written or removed there would lie elsewhere.
+
+    The folder itself may be reached by links, which are its user's own.
+
+    Args:
+        folder: need not be there.
+        what: the folder is, in words, for the error.
+    """
+    for place, folders, names in os.walk(folder):
+        for name in (*folders, *names):
+            refuse_link(os.path.join(place, name), what)
+
+
+def refuse_link(path: Path | str, what: str) -> None:
+    """Refuses one path that is a symbolic link; see `refuse_links`."""
+    if os.path.islink(path):
+        raise UserError(f"{path} is a link, which is not followed in {what}; put what it leads to there itself")
+
+
 def read_bytes(path: Path | str) -> bytes:
     """All bytes of a file; raises as `opened`."""
     with opened(path) as file:

@@ -18,6 +18,7 @@ from deadreckon.errors import UserError, as_one_line
 TASKS = {
     "hdf5": "deadreckon.data.formats.hdf5_inside:contents",
     "pickle": "deadreckon.unpickle:inside",
+    "excel": "deadreckon.data.formats.excel:contents",
     "minari": "deadreckon.data.formats.minari_inside:contents",
 }
 HEAD = 8  # bytes before an answer that hold its length; 0: a sign of life

@@ -12,6 +12,12 @@ from deadreckon.foreign.limits import DEPTH, TEXT, beyond, check
 from deadreckon.foreign.shapes import checked
 
 _PARTS = re.compile(rb'"(?:[^"\\]|\\.)*"?|[\[{]|[\]}]', re.DOTALL)
+# Of TOML: what is in quotes, where dots mean nothing, and comments; parts of keys with dots between them. Neither looks twice
+# at what it has seen, whatever the text is.
+_TEXTS = re.compile(
+    rb"""\"{3}(?:[^\\]|\\.?)*?(?:\"{3}|\Z)|'{3}.*?(?:'{3}|\Z)|"(?:[^"\\\n]|\\.)*+"?|'[^'\n]*+'?|#[^\n]*+""", re.DOTALL
+)
+_DOTTED = re.compile(rb"(?<![\w-])[\w-]++(?:[ \t]*+\.[ \t]*+[\w-]++)++")
 _HALVES = re.compile(rb"\\u[dD][89a-fA-F]")
 
 
@@ -49,14 +55,43 @@ def read_toml(path: Path | str, shape: Any = Any) -> dict[str, Any]:
     check(path, file_size(path), TEXT, "has")
     data = read_bytes(path)
     _check_depth(path, data)
+    _check_keys(path, data)
     try:
-        return checked(tomllib.loads(data.decode("utf-8")), shape, path)
+        found = tomllib.loads(data.decode("utf-8"))
+        _check_nested(path, found)
+        return checked(found, shape, path)
     except UnicodeDecodeError as error:
         raise UserError(f"cannot read {path}: {error}") from error
     except (tomllib.TOMLDecodeError, RecursionError, ValueError) as error:
         if isinstance(error, UserError):
             raise
         raise UserError(f"{path} is not TOML: {as_one_line(error)}") from error
+
+
+def _check_keys(path: Path | str, data: bytes) -> None:
+    """Refuses keys of TOML with more parts than levels may be: each part is a level, and their time grows with the square."""
+    most = DEPTH.value
+    if data.count(b".") < most:
+        return
+    bare = _TEXTS.sub(_without, data)
+    deepest = max((found[0].count(b".") + 1 for found in _DOTTED.finditer(bare)), default=0)
+    if deepest > most:
+        raise beyond(path, deepest, most, DEPTH, "is nested in")
+
+
+def _without(found: re.Match[bytes]) -> bytes:
+    """What stands for a text, or part of a key, in quotes; nothing for a comment."""
+    return b"" if found[0].startswith(b"#") else b"_"
+
+
+def _check_nested(path: Path | str, value: Any) -> None:
+    """Refuses a value that is nested deeper than it may be, as inner tables with dotted keys are together."""
+    most = DEPTH.value
+    level, depth = [value], 0
+    while level := [each for each in level if isinstance(each, dict | list)]:
+        if (depth := depth + 1) > most + 1:  # the document itself is none
+            raise beyond(path, depth - 1, most, DEPTH, "is nested in")
+        level = [part for each in level for part in (each.values() if isinstance(each, dict) else each)]
 
 
 def _check_depth(path: Path | str, data: bytes) -> None:

@@ -16,6 +16,8 @@ from deadreckon.errors import UserError, unknown
 from deadreckon.mbo.variables import Variable
 
 _NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
+_LONGEST, _EXPONENT = 100, 300  # characters of a number, and its exponent of ten
+_LARGEST = 1e300
 COMPARED = {
     "=": operator.eq, "!=": operator.ne, "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
 }  # fmt: skip
@@ -223,7 +225,7 @@ def _terms(side: str, text: str, variables: Sequence[Variable], name: str) -> li
         if found is None or (found[2] is None and found[3] is None) or (out and found[1] is None):
             where = side[at:].strip()
             raise UserError(f"{name}: constraint {text!r} cannot be read at {where!r}; a sum such as a + 2 b is needed")
-        factor = Fraction(found[2] or 1) * (-1 if found[1] == "-" else 1)
+        factor = (Fraction(1) if found[2] is None else _exact(found[2], name)) * (-1 if found[1] == "-" else 1)
         out.append((factor, None if found[3] is None else _column(found[3], variables, name)))
         at = found.end()
     if not out:
@@ -274,6 +276,23 @@ def _level(text: str, v: Variable, name: str) -> int:
 
 def _fraction(text: str, v: Variable, name: str) -> Fraction:
     try:
-        return Fraction(text.strip())
-    except (ValueError, ZeroDivisionError):
+        return _exact(text.strip(), name)
+    except (ValueError, ZeroDivisionError) as error:
+        if isinstance(error, UserError):
+            raise
         raise UserError(f"{name}: {v.name} is compared with {text.strip()!r}, a number is needed") from None
+
+
+def _exact(text: str, name: str) -> Fraction:
+    """A number as it is written; raises ValueError where there is none.
+
+    As a fraction, 1e999999999 would have a billion digits; what no float holds is no bound of a design either.
+    """
+    exponent = re.search(r"[eE]([+-]?\d+)\s*$", text)
+    if len(text) > _LONGEST or (exponent is not None and abs(int(exponent[1])) > _EXPONENT):
+        most = f"up to {_LONGEST} characters and exponents from -{_EXPONENT} to {_EXPONENT}"
+        raise UserError(f"{name}: the number {text[:40]!r} is too long or too large; numbers have {most}")
+    found = Fraction(text)
+    if abs(found) > _LARGEST:
+        raise UserError(f"{name}: the number {text[:40]!r} is too large; numbers are at most {_LARGEST:.0e} from zero")
+    return found

@@ -1,5 +1,6 @@
 """What a policy file holds, read without JAX: its JSON tree and its arrays."""
 
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
@@ -8,9 +9,14 @@ import numpy as np
 
 from deadreckon.errors import UserError, as_one_line, reading
 from deadreckon.foreign.archive import read_arrays
-from deadreckon.foreign.shapes import checked
+from deadreckon.foreign.shapes import checked, wrong
 from deadreckon.foreign.text import parse_json
 from deadreckon.policies import portable
+
+_ACTIONS = 100_000  # discrete ones
+_NUMBER = 1_000_000  # any whole number
+_PICTURE = 20_000_000  # numbers of a picture
+_POLICIES = 1_000  # in a file, of mixtures and what is around others
 
 
 class _Policy(TypedDict):
@@ -36,9 +42,45 @@ def read_policy(path: Path | str) -> tuple[dict[str, Any], dict[str, np.ndarray]
     """
     arrays = read_arrays(path, "a policy file")
     if (text := arrays.get("policy.json")) is not None:
-        checked(parse_json(path, text.tobytes()), _Tree, path)
+        own = [array for name, array in arrays.items() if name.startswith("policy.") and name != "policy.json"]
+        _check_numbers(path, checked(parse_json(path, text.tobytes()), _Tree, path), own)
     with reading(path, "a policy file"):
         return portable.tree_of(arrays)
+
+
+def _check_numbers(path: Path | str, tree: dict[str, Any], arrays: Iterable[np.ndarray]) -> None:
+    """Refuses numbers by which few bytes would ask for more memory or time than policies of this package take."""
+    space = ((tree.get("meta") or {}).get("log") or {}).get("action_space")
+    if isinstance(space, dict) and space.get("n") is not None:
+        _whole(path, "meta.log.action_space.n", space["n"], _ACTIONS)
+    widest = max(
+        (size for array in arrays if array.size for size in array.shape), default=1
+    )  # of what a network takes or gives
+    nodes, policies = [("policy", tree["policy"])], 0
+    while nodes:
+        name, node = nodes.pop()
+        if type(node) is int:
+            _whole(path, name, node, _NUMBER, least=-_NUMBER)
+        elif isinstance(node, list):
+            nodes += [(f"{name}.{i}", part) for i, part in enumerate(node)]
+        elif isinstance(node, dict):
+            if node.get("kind") == "EnvPolicy" and (policies := policies + 1) > _POLICIES:
+                raise UserError(f"{path}: it is made of more than {_POLICIES:,} policies, which no mixture needs")
+            if node.get("kind") == "History":
+                steps, size, actions = (node.get(key, 1) for key in ("steps", "observation_size", "action_size"))
+                for key, value in (("steps", steps), ("observation_size", size), ("action_size", actions)):
+                    _whole(path, f"{name}.{key}", value, widest)
+                _whole(path, f"{name}: the size of its histories", steps * size + (steps - 1) * actions, widest)
+            if node.get("kind") == "Encoder" and isinstance(shape := node.get("shape"), list):
+                for size in shape:
+                    _whole(path, f"{name}.shape", size, _NUMBER)
+                _whole(path, f"{name}.shape: the numbers of a picture", math.prod(shape), _PICTURE)
+            nodes += [(f"{name}.{key}", part) for key, part in node.items()]
+
+
+def _whole(path: Path | str, name: str, value: Any, most: int, least: int = 1) -> None:
+    if type(value) is not int or not least <= value <= most:
+        raise wrong(path, name[:200], f"a whole number from {least:,} to {most:,}", value)
 
 
 def numpy_player(path: Path | str, tree: dict[str, Any], arrays: dict[str, np.ndarray]) -> portable.NumpyPolicy | None:

@@ -36,6 +36,7 @@ RENAMED = {
     "Supported": ("ThresholdedPolicy", {"share": "threshold"}),
 }
 _EDGE = 1.0 - 1e-6
+MOST_SAMPLES = 100_000
 _CHOOSING = ("Categorical", "GreedyActions", "ThresholdedPolicy")  # among discrete actions
 _SAMPLERS = ("TanhGaussian", "VAEDecoder", "PerturbedPolicy", "OneStep")
 KINDS = (*_CHOOSING, *_SAMPLERS, "Deterministic", "GreedyQ", "Gaussian", "ClippedGaussian", "TanhMeanGaussian")
@@ -84,6 +85,8 @@ def _with_noise(node, arrays, name):
         return node
     node = {field: _with_noise(part, arrays, f"{name}.{field}") for field, part in node.items()}
     if node["kind"] == "GreedyQ" and "samples" in node:
+        if type(node["samples"]) is not int or not 1 <= node["samples"] <= MOST_SAMPLES:  # before they are drawn
+            raise ValueError(f"{name}: samples must be from 1 to {MOST_SAMPLES:,}, got {node['samples']!r:.40}")
         noise = np.random.default_rng(0).standard_normal((node.pop("samples"), _noise_size(node["actor"], arrays)))
         node["noise"], arrays[f"{name}.noise"] = f"@{name}.noise", noise.astype(np.float32)
     return node

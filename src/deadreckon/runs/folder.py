@@ -30,11 +30,14 @@ from deadreckon.agents import AGENTS, agent_class, plugins
 from deadreckon.errors import UserError, reading
 from deadreckon.files import alone, replacing, write_json
 from deadreckon.foreign.archive import read_arrays
-from deadreckon.foreign.door import file_size
+from deadreckon.foreign.door import refuse_link, refuse_links
+from deadreckon.foreign.parquet import read_parquet
 from deadreckon.interrupts import resumable
 from deadreckon.runs.records import read_run
 from deadreckon.training.field_names import with_field_names
 from deadreckon.versions import differences
+
+_WHAT = "a run's folder"
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,7 @@ class Folder:
     def alone(self) -> Iterator[None]:
         """Lets one process at a time write here, and may be gone on with; another is refused with a `BusyError`."""
         with alone(self.path.with_name(f"{self.path.name}.run"), what=str(self.path)), resumable(self.config):
+            refuse_links(self.path, _WHAT)  # a folder from elsewhere could have what is written and removed lie outside of it
             yield
 
     @property
@@ -103,6 +107,7 @@ class Folder:
 
     def write_part(self, kind: str, step: int, columns: dict[str, Any]) -> None:
         """Writes one immutable part; writing it again after a kill gives the same."""
+        refuse_link(self.path / kind, _WHAT)
         with replacing(self.part(kind, step)) as temporary:
             pq.write_table(pa.table(columns), temporary)
 
@@ -115,7 +120,10 @@ class Folder:
 
     def drop_after(self, step: int) -> None:
         """Forgets what a killed run wrote beyond its last checkpoint, and temporary files it left."""
+        refuse_links(self.path, _WHAT)
         for path in (self.path / "metrics").glob("*.parquet"):
+            if not re.fullmatch("[0-9]+", path.stem):
+                raise UserError(f"{path}: parts of metrics are called after a number of updates; take this file away")
             if int(path.stem) > step:
                 path.unlink()
         for path in self.path.rglob(".*.tmp"):
@@ -189,10 +197,7 @@ class Folder:
 
 def _part(path: Path, kind: str) -> pa.Table:
     """One part of a table: numbers alone in columns that have names of their own, among them the step."""
-    file_size(path)
-    with reading(path, "a table of a run"):
-        found = pq.read_table(path, partitioning=None)  # pyright: ignore[reportArgumentType]
-        found.validate(full=True)
+    found = read_parquet(path, "a table of a run")
     names = found.column_names
     kinds = pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean
     numbers = all(any(test(each) for test in kinds) for each in found.schema.types)

@@ -19,6 +19,7 @@ from deadreckon.data.formats.folder import HEADER, read_folder, write_folder
 from deadreckon.data.transfer import file_hashes
 from deadreckon.errors import UserError
 from deadreckon.files import home, read_json, write_json
+from deadreckon.foreign.door import refuse_links
 from deadreckon.names import file_part, in_markdown, safe_name, shown
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
@@ -63,6 +64,7 @@ def push_to_hub(thing: Dataset | Run | EnvPolicy, repo: str, *, private: bool = 
         if isinstance(thing, Dataset):
             write_folder(thing, folder)
         elif isinstance(thing, Run):
+            refuse_links(thing.path, "a run's folder")  # which may lead to what nobody means to publish
             for path in sorted(thing.path.rglob("*")):
                 name = path.relative_to(thing.path).as_posix()
                 if path.is_file() and _FILES["run"].fullmatch(name):

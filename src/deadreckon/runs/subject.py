@@ -12,7 +12,8 @@ from deadreckon.data.formats.io import read
 from deadreckon.data.held import HELD
 from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
-from deadreckon.files import read_json
+from deadreckon.files import is_there, read_json
+from deadreckon.names import shown
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.runs.decision_record import read_results
@@ -84,15 +85,18 @@ class Subject:
             raise UserError(f"{self.name} does not say where its log lies; name it with {option}")
         if "online" in (self.config or {}):
             raise UserError(f"{self.name} learned in a simulator and has no log of its own; name one with {option}")
-        if path is not None and not Path(path).exists():
-            raise UserError(f"the log that {self.name} learned from is not at {path} any more; name it with {option}")
+        where = shown(known["name"] if path is None else path)[:500]
+        if path is not None and not is_there(path):
+            raise UserError(f"the log that {self.name} learned from is not at {where} any more; name it with {option}")
+        if is_there(known["name"] if path is None else path) and known.get("fingerprint") is None:
+            text = f"nothing tells whether {where} is the log that {self.name} learned from"
+            raise UserError(f"{text}: its run.json has no fingerprint; name it with {option}")
         try:
             found = self._like(path) if path is not None else catalogue.load(known["name"])
-        except UserError as error:
+        except UserError:  # which may quote the file, and a folder from elsewhere may say that any file is its log
             text = f"the log that {self.name} learned from cannot be read again, so name it with {option}"
-            raise UserError(f"{text}: {error}") from error
+            raise UserError(f"{text} (it was {where})") from None
         if "fingerprint" in known and found.fingerprint != known["fingerprint"]:
-            where = path or known["name"]
             raise UserError(f"the log that {self.name} learned from has changed ({where}); name a copy of it with {option}")
         return found
 

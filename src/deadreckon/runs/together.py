@@ -15,6 +15,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.flat_pictures import SHAPES
 from deadreckon.data.history import stacked
 from deadreckon.errors import UserError
+from deadreckon.foreign.door import refuse_link, refuse_links
 from deadreckon.runs.diagnostics import logged_value
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.holdout import Divided, divided
@@ -111,6 +112,8 @@ def train_lanes(
     configs = [config | common for one in learned for config in _configs(one, seeds, len(lanes))]
     configs = [json.loads(json.dumps(config, default=str)) for config in configs]
     kept = Folder(out).checkpoints
+    refuse_links(kept, "a run's folder")
+    refuse_link(kept, "a run's folder")
     if out != folders[0].path and kept.exists() and not all(folder.config.exists() for folder in folders):
         raise UserError(f"{kept} is of other runs; give {', '.join(folder.path.name for folder in folders)} another folder")
     # Built before anything is written: whatever does not fit is told while the disk is untouched.

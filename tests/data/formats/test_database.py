@@ -209,3 +209,23 @@ def test_numbers_of_sqlite_keep_their_type(tmp_path):
     log = read(path)
     assert log.episodes == 20
     assert log.action_space == Box((0.0,), (20.0,))
+
+
+@pytest.mark.parametrize(
+    ("kind", "view"),
+    [
+        ("sqlite", "SELECT replace(hex(zeroblob(30000000)), '0', 'x') AS s"),  # one value
+        ("sqlite", "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c LIMIT 200) "
+                   "SELECT printf('%.*c', 1000000, 'x') AS s FROM c"),
+        ("duckdb", "SELECT repeat('x', 100000) AS s FROM range(2000)"),
+    ],
+)  # fmt: skip
+def test_a_view_computes_no_more_than_a_file_may_unpack_to(tmp_path, monkeypatch, kind, view):
+    path = made(tmp_path, kind, f"CREATE VIEW v AS {view}")
+    monkeypatch.setenv("DEADRECKON_MAX_UNPACKED", "50M")
+    with pytest.raises(UserError, match=r"string or blob too big|DEADRECKON_MAX_UNPACKED|out of memory"):
+        read_table(path)
+    assert not list(tmp_path.glob("*.tmp"))
+    monkeypatch.delenv("DEADRECKON_MAX_UNPACKED")
+    found, _, _ = read_table(path, query="SELECT substr(s, 1, 3) AS s, 1.5 AS y FROM v LIMIT 1")
+    assert found.to_pydict() == {"s": ["xxx"], "y": [1.5]}

@@ -165,3 +165,15 @@ def test_without_the_extra(tmp_path, monkeypatch):
 
 def test_letters_of_columns():
     assert [letters_of(column) for column in (0, 25, 26, 51, 52, 701, 702)] == ["A", "Z", "AA", "AZ", "BA", "ZZ", "AAA"]
+
+
+def test_a_cell_that_is_far_away_ends_no_process_but_the_one_that_reads(tmp_path, monkeypatch):
+    rows = [["x", *[None] * 16_382, "y"], *[[]] * 50_000, [1]]  # 50,001 rows of 16,384 cells, nearly all of them empty
+    path = write_xlsx(tmp_path / "log.xlsx", {"Log": rows})
+    assert path.stat().st_size < 1_000_000
+    monkeypatch.setenv("DEADRECKON_MAX_UNPACKED", "100M")
+    with pytest.raises(UserError, match=r"log\.xlsx: cannot be read as a spreadsheet, it .* more memory than a file"):
+        read_table(path)
+    small = write_xlsx(tmp_path / "small.xlsx", {"Log": ROWS})
+    monkeypatch.setenv("DEADRECKON_MAX_UNPACKED", "1M")
+    assert read_table(small)[0].num_rows == 2

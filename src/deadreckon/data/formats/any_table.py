@@ -11,9 +11,8 @@ from deadreckon.data.formats.cells import NOTHING, PLAIN, Known, converted
 from deadreckon.data.formats.dialect import Dialect
 from deadreckon.data.formats.kind import DIALECT, READING, no_options, sniff
 from deadreckon.data.schema import Schema
-from deadreckon.errors import UserError, reading
-from deadreckon.foreign.door import file_size
-from deadreckon.foreign.limits import check_unpacked
+from deadreckon.errors import UserError
+from deadreckon.foreign.parquet import read_parquet
 
 
 def read_table(
@@ -77,17 +76,9 @@ def table_of_kind(
         found, dialect, told = read_delimited(path, asked, known=known)
         return found, dialect, told + of_totals(found)
     if kind == "parquet":
-        from pyarrow import parquet
-
         from deadreckon.data.text_dates import with_dates
 
-        size = file_size(path)
-        with reading(path, "Parquet"):
-            about = parquet.read_metadata(path)
-            groups = (about.row_group(group).total_byte_size for group in range(about.num_row_groups))
-            check_unpacked(path, sum(groups), size)
-            stored = parquet.read_table(path)
-            stored.validate(full=True)
+        stored = read_parquet(path)
         found, order, told = with_dates(stored, asked.dates)
         for index, name in enumerate(found.column_names):
             found = found.set_column(index, name, stored[name]) if name in known.texts else found

@@ -4,9 +4,12 @@ Files are opened for reading alone, and neither a query nor a view can write or 
 """
 
 import contextlib
+import itertools
 import sqlite3
+import sys
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -16,14 +19,17 @@ import pyarrow as pa
 from deadreckon.data.formats.values import column_of
 from deadreckon.errors import UserError, as_one_line, reading, unknown
 from deadreckon.foreign.door import file_size
-from deadreckon.foreign.limits import RATE, SECONDS
+from deadreckon.foreign.limits import RATE, SECONDS, UNPACKED, beyond, max_unpacked
 
 _BATCH = 10_000  # rows that are fetched at once
 _STEPS = 100_000  # of SQLite's machine between two looks at the clock
 # What a query may do; VACUUM INTO and ATTACH would write files although the database is opened for reading alone.
 _MAY = (sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE)
-# A query, which may be somebody else's, and the views of a file read no other file, and no variables of Python.
-_CLOSED: dict[str, Any] = {"enable_external_access": False, "python_enable_replacements": False}
+# A query, which may be somebody else's, and the views of a file read no other file, and no variables of Python; and nothing is
+# written beside the file where memory ends.
+_CLOSED: dict[str, Any] = {"enable_external_access": False, "python_enable_replacements": False,
+                           "temp_directory": ""}  # fmt: skip
+_DUCKDB = 2e8  # bytes that DuckDB has at least, for its own work
 
 
 def read_database(
@@ -45,9 +51,10 @@ def read_database(
     """
     if query is not None and table is not None:
         raise UserError(f"{path}: --query and --table exclude each other; name the table in the query")
-    seconds = SECONDS.value + file_size(path) / RATE  # which also says why a file cannot be opened, as SQLite does not
+    size = file_size(path)  # which also says why a file cannot be opened, as SQLite does not
+    seconds, most = SECONDS.value + size / RATE, max_unpacked(size)
     with reading(path, f"a database of {'SQLite' if kind == 'sqlite' else 'DuckDB'}"):
-        found, told = (_sqlite if kind == "sqlite" else _duckdb)(path, query, table, seconds)
+        found, told = (_sqlite if kind == "sqlite" else _duckdb)(path, query, table, seconds, most)
     seen: set[str] = set()
     for index, name in enumerate(found.column_names):
         if not name.strip():
@@ -58,7 +65,7 @@ def read_database(
     return found, told
 
 
-def _sqlite(path: Path | str, query: str | None, table: str | None, seconds: float) -> tuple[pa.Table, list[str]]:
+def _sqlite(path: Path | str, query: str | None, table: str | None, seconds: float, most: float) -> tuple[pa.Table, list[str]]:
     denied: list[int] = []
 
     def allowed(action: int, *_: Any) -> int:
@@ -67,10 +74,21 @@ def _sqlite(path: Path | str, query: str | None, table: str | None, seconds: flo
         denied.append(action)
         return sqlite3.SQLITE_DENY
 
+    taken = 0
+
+    def measured(rows: sqlite3.Cursor) -> Iterator[tuple[Any, ...]]:
+        """Rows one by one, for a batch of them could take more than there is."""
+        nonlocal taken
+        for row in rows:
+            if (taken := taken + sum(map(sys.getsizeof, row))) > most:
+                raise beyond(path, taken, most, UNPACKED, "unpacks to")
+            yield row
+
     place = f"file:{quote(str(Path(path).absolute()))}?mode=ro"
     try:
         with contextlib.closing(sqlite3.connect(place, uri=True)) as base:
             base.set_authorizer(allowed)
+            base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, int(min(most, 2**31 - 1)))  # of one value, which a view may compute
             until = time.monotonic() + seconds
             base.set_progress_handler(lambda: time.monotonic() > until, _STEPS)  # a view may have rows without end
             if query is None:
@@ -83,7 +101,7 @@ def _sqlite(path: Path | str, query: str | None, table: str | None, seconds: flo
                 raise UserError(f"{path}: --query takes a SELECT, which gives rows, not {query[:60]!r}")
             names = [name for name, *_ in rows.description]
             columns: list[list[Any]] = [[] for _ in names]
-            while batch := rows.fetchmany(_BATCH):
+            while batch := list(itertools.islice(measured(rows), _BATCH)):
                 for values, more in zip(columns, zip(*batch, strict=True), strict=True):
                     values.extend(more)
     except (sqlite3.Error, sqlite3.Warning) as error:  # a Warning: of several statements
@@ -98,13 +116,14 @@ def _sqlite(path: Path | str, query: str | None, table: str | None, seconds: flo
     return pa.table(arrays, names=names), told
 
 
-def _duckdb(path: Path | str, query: str | None, table: str | None, seconds: float) -> tuple[pa.Table, list[str]]:
+def _duckdb(path: Path | str, query: str | None, table: str | None, seconds: float, most: float) -> tuple[pa.Table, list[str]]:
     try:
         import duckdb
     except ImportError as error:
         raise UserError(f"{path}: DuckDB's files are read with duckdb: pip install 'deadreckon[tables]'") from error
     try:
-        with contextlib.closing(duckdb.connect(str(path), read_only=True, config=_CLOSED)) as base:
+        config = _CLOSED | {"memory_limit": f"{int(max(most, _DUCKDB))}B"}
+        with contextlib.closing(duckdb.connect(str(path), read_only=True, config=config)) as base:
             if query is None:
                 listed = base.execute("SELECT table_schema, table_name FROM information_schema.tables ORDER BY 1, 2").fetchall()
                 known = {
@@ -117,11 +136,20 @@ def _duckdb(path: Path | str, query: str | None, table: str | None, seconds: flo
                 raise UserError(f"{path}: --query takes one SELECT, which gives rows, not {query[:60]!r}")
             ends = threading.Timer(seconds, base.interrupt)
             ends.start()
+            taken = 0
             try:
-                found = base.sql(query).to_arrow_table()
+                asked: Any = base.sql(query)
+                read = getattr(asked, "to_arrow_reader", None) or asked.fetch_record_batch  # its name in older versions
+                rows = read(_BATCH)
+                batches: list[pa.RecordBatch] = []
+                for batch in rows:
+                    batches.append(batch)
+                    if (taken := taken + batch.nbytes) > most:
+                        raise beyond(path, taken, most, UNPACKED, "unpacks to")
+                found = pa.Table.from_batches(batches, rows.schema)
             finally:
                 ends.cancel()
-    except duckdb.Error as error:
+    except (duckdb.Error, OSError, pa.ArrowException) as error:  # Arrow's of what DuckDB raises while batches are made
         raise _wrong(path, "DuckDB", error, query, seconds) from error
     for name, values in zip(found.column_names, found.columns, strict=True):
         if pa.types.is_binary(values.type) or pa.types.is_large_binary(values.type):

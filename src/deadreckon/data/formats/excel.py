@@ -1,16 +1,22 @@
-"""Sheets of spreadsheets (.xlsx, and .xls and .ods, which the same library reads) as pyarrow tables."""
+"""Sheets of spreadsheets (.xlsx, and .xls and .ods, which the same library reads) as pyarrow tables.
+
+The library makes room for all cells up to the farthest one, and the process ends where there is none: so another one reads.
+"""
 
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 
 from deadreckon.data.formats.values import column_of
 from deadreckon.errors import UserError, reading, unknown
+from deadreckon.foreign.child import read_apart
 from deadreckon.foreign.door import file_size
-from deadreckon.foreign.limits import check_unpacked
+from deadreckon.foreign.limits import check_unpacked, max_unpacked
+from deadreckon.foreign.reader import alive, bound_memory
 
 
 def read_excel(path: Path | str, sheet: str | int | None = None) -> tuple[pa.Table, list[str]]:
@@ -27,16 +33,43 @@ def read_excel(path: Path | str, sheet: str | int | None = None) -> tuple[pa.Tab
         UserError: one line with the cell, or with the sheets where one must be named.
     """
     try:
-        import python_calamine as calamine
+        import python_calamine  # noqa: F401 - whether it is there
     except ImportError as error:
         raise UserError(f"{path}: spreadsheets are read with python-calamine: pip install 'deadreckon[tables]'") from error
+    found = read_apart("excel", path, "a spreadsheet", size=file_size(path), file=str(path), sheet=sheet)
+    return pa.ipc.open_stream(pa.py_buffer(found["table"])).read_all(), found["told"]
+
+
+def contents(file: str, sheet: str | int | None, shared: Any) -> dict[str, Any]:
+    """What `read_excel` gives, for the process that reads: `table`, the bytes of a stream of Arrow, and `told`.
+
+    Args:
+        file: its path.
+        sheet: see there.
+        shared: not used, for the table is put together in memory.
+
+    Raises:
+        UserError: see there.
+    """
+    bound_memory(int(max_unpacked(file_size(file))))
+    table, told = _read(file, sheet)
+    alive()
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema) as writer:
+        writer.write_table(table)
+    return {"table": np.frombuffer(sink.getvalue(), np.uint8), "told": told}
+
+
+def _read(path: str, sheet: str | int | None) -> tuple[pa.Table, list[str]]:
+    import python_calamine as calamine
+
     size = file_size(path)
     with reading(path, "a spreadsheet"):
         if zipfile.is_zipfile(path):  # all but .xls
             with zipfile.ZipFile(path) as archive:
                 check_unpacked(path, sum(each.file_size for each in archive.infolist()), size)
         try:
-            book = calamine.CalamineWorkbook.from_path(str(path))
+            book = calamine.CalamineWorkbook.from_path(path)
         except calamine.PasswordError as error:
             raise UserError(f"{path}: the spreadsheet needs a password; save it without one") from error
         with book:

@@ -15,7 +15,7 @@ from deadreckon.data.spec import action_space_from_json
 from deadreckon.errors import UserError, naming
 from deadreckon.files import alone, read_json
 from deadreckon.foreign.child import read_apart
-from deadreckon.foreign.door import file_size
+from deadreckon.foreign.door import file_size, refuse_links
 from deadreckon.imports import environment_variable
 from deadreckon.names import safe_name
 from deadreckon.temporaries import beside, put, recover
@@ -126,10 +126,5 @@ def _size(folder: Path) -> int:
     Raises:
         UserError: one is no file, or is a link.
     """
-    size = 0
-    for place, folders, names in os.walk(folder):
-        for name in (*folders, *names):
-            if (path := Path(place, name)).is_symlink():
-                raise UserError(f"{path} is a link, which is not followed in a Minari data set; put the file itself there")
-        size += sum(file_size(Path(place, name)) for name in names)
-    return size
+    refuse_links(folder, "a Minari data set")
+    return sum(file_size(Path(place, name)) for place, _, names in os.walk(folder) for name in names)

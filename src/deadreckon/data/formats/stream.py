@@ -32,10 +32,11 @@ from deadreckon.data.scratch import Scratch
 from deadreckon.data.text_dates import with_dates
 from deadreckon.errors import UserError, reading
 from deadreckon.files import alone, read_json, write_json
+from deadreckon.foreign.door import file_size
+from deadreckon.foreign.parquet import ROWS, check_parquet
 from deadreckon.interrupts import resumable
 from deadreckon.progress import Progress, unwatched
 
-_ROWS = 65_536  # of a batch
 _PART = 1_000_000  # rows of a part, at least
 _LARGE = 2**28  # bytes of a text file beyond which it is not read whole
 _PARTS = 256  # at most, because each is an open file
@@ -50,7 +51,12 @@ def streamed_format(source: Path | str, separator: str | None = None) -> str | N
     if source.is_dir():
         if (source / HEADER).is_file():
             return None
-        return "parquet" if next(source.rglob("*.parquet"), None) is not None else None
+        files = [each for each in source.rglob("*") if not each.is_dir()]
+        if not any(each.suffix == ".parquet" for each in files):
+            return None
+        for each in files:  # before Arrow opens one that waits
+            file_size(each)
+        return "parquet"
     if not source.is_file():
         return None
     with reading(source, "a table"), open(source, "rb") as file:
@@ -180,6 +186,8 @@ def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> t
         schema, told = _all_columns(source, found)
         found = found if schema is None else opened(schema=schema)
         groups = _groups(found, kind)
+    for file in found.files if kind == "parquet" else ():
+        check_parquet(file, whole=False)
     rows = sum(count for _, count in groups)
     if not rows:
         raise UserError(f"{source}: the table has no rows")
@@ -256,6 +264,6 @@ def _parts(groups: Sequence[tuple[Any, int]], rows: int) -> Iterator[tuple[list[
 def _batches(source: Path | str, fragments: Sequence[Any], schema: pa.Schema) -> Iterator[pa.RecordBatch]:
     for fragment in fragments:
         with reading(source, "a table"):
-            for batch in fragment.to_batches(schema=schema, batch_size=_ROWS, batch_readahead=2, fragment_readahead=1):
+            for batch in fragment.to_batches(schema=schema, batch_size=ROWS, batch_readahead=2, fragment_readahead=1):
                 batch.validate(full=True)  # texts that are no UTF-8 would fail wherever they are first looked at
                 yield batch

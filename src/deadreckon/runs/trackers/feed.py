@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any, TypedDict
 
 import numpy as np
-import pyarrow.parquet as pq
 
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
+from deadreckon.foreign.parquet import read_parquet
 from deadreckon.names import safe_name
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.trackers.tracker import Tracker
@@ -119,7 +119,7 @@ class Tracking:
         points: dict[int, dict[str, float]] = {}
         for kind, prefix in (("metrics", "train"), ("evaluations", "evaluation")):
             path = self.folder.part(kind, step)
-            table = pq.read_table(path).to_pydict() if path.exists() else {}
+            table = read_parquet(path, "a table of a run").to_pydict() if path.exists() else {}
             seeds = np.asarray(table.get("seed", []))
             for seed in dict.fromkeys(seeds.tolist()):
                 means = {
