@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NotRequired, TypedDict, get_args
 
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml, replacing
@@ -28,6 +28,30 @@ ALLOWED: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 # What [table] may hold: the file, and the options of `formats.any_table.read_table`.
 _TABLE = ("path", "separator", "decimal", "thousands", "encoding", "dates", "sheet", "query", "table")
+
+Level = str | int | float | bool
+
+
+class ColumnValues(TypedDict):
+    """The shape of a column in JSON and TOML."""
+
+    role: Role
+    kind: NotRequired[Kind]
+    levels: NotRequired[list[Level] | None]
+    unit: NotRequired[str]
+    low: NotRequired[float | None]
+    high: NotRequired[float | None]
+    fill: NotRequired[float | None]
+    marked: NotRequired[bool | None]
+    keep: NotRequired[bool]
+    of: NotRequired[str | None]
+
+
+class SchemaValues(TypedDict):
+    """The shape of a schema in JSON and TOML."""
+
+    columns: dict[str, ColumnValues]
+    table: NotRequired[dict[str, str | int]]
 
 
 @dataclass(frozen=True)

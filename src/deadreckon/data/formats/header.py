@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Literal, NotRequired, TypedDict
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.provenance import Provenance
+from deadreckon.data.provenance import Extra, Provenance
 from deadreckon.data.spec import Box, Discrete, action_space_from_json, action_space_to_json
 from deadreckon.errors import UserError
 from deadreckon.foreign.shapes import checked
@@ -20,7 +20,7 @@ class _Provenance(TypedDict):
     seed: int | None
     versions: dict[str, str]
     path: str | None
-    extra: dict[str, Any]
+    extra: Extra
 
 
 class _Discrete(TypedDict):
