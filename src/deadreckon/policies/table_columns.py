@@ -159,6 +159,12 @@ class Legal:
         self.columns, self.actions = columns, [text_of(action) for action in actions]
         self.places = {action: place for place, action in enumerate(self.actions)}
 
+    @property
+    def strangers(self) -> list[str]:
+        """The columns that are for an action which there is not."""
+        given = {key: column.get("of") for key, column in self.columns.items()}
+        return [key for key, of in given.items() if of is not None and text_of(of) not in self.places]
+
     def of(self, columns: Mapping[str, np.ndarray], count: int, name: str) -> np.ndarray:
         """(rows, actions) float32, 1 where an action is legal, by the columns of `count` rows."""
         if not self.columns:

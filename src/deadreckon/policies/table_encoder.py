@@ -197,6 +197,8 @@ class TableEncoder:
         """
         actions = np.asarray(actions)
         if self.discrete:
+            if self.levels is not None and (wrong := actions[(actions < 0) | (actions >= len(self.levels))]).size:
+                raise RowsError(f"{self.name}: the policy chose action {wrong[0]}, and its log has {len(self.levels)} actions")
             return actions if self.levels is None else self.levels[actions]
         if not self.actions:
             return actions

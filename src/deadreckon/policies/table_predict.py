@@ -126,6 +126,32 @@ class Predictor:
             return Prediction(named, told, flags)
         return Prediction(_row(named), None if told is None else _row(told), None if flags is None else bool(flags[0]))
 
+    def misfit(self) -> str:
+        """How the policy differs from what its file says of its log, in words; empty where it does not, or nothing is said."""
+        encoder = self.encoder
+        if encoder.shape is None:
+            return ""
+        width = encoder.width + encoder.count * encoder.masked
+        if encoder.observed and encoder.shape != (width,):
+            return f"observations of its log have the shape {encoder.shape}, and the columns of its schema make {width} numbers"
+        if strange := encoder.allowed.strangers:
+            return f"column {strange[0]} of its schema says where an action is legal that is none of its log's"
+        size, chosen = self._acts()
+        if encoder.discrete and encoder.count and (size is not None or (chosen or encoder.count) != encoder.count):
+            acts = f"one of {chosen} actions" if size is None else f"{size} numbers"
+            return f"it acts by {acts}, and its log has {encoder.count} discrete actions"
+        if encoder.actions and not encoder.discrete and size != len(encoder.actions):
+            acts = "a discrete action" if size is None else f"{size} numbers"
+            return f"it acts by {acts}, and its log has {len(encoder.actions)} columns of continuous actions"
+        return ""
+
+    def _acts(self) -> tuple[int | None, int | None]:
+        """How many numbers its actions are, None of discrete ones, and how many of these there are, None where not told."""
+        first = _Episodes(np.zeros(1, int), np.zeros(1, int), None)
+        seen = np.ones((1, *(self.encoder.shape or ())), np.float32)  # of ones, so that every action is legal
+        with np.errstate(all="ignore"):
+            actions, probs = acted(self.player, seen, first, np.random.default_rng(0), True, self.encoder.discrete)
+        return actions.shape[1] if actions.ndim > 1 else None, None if probs is None else probs.shape[1]
 
     def columns(self, done: Any) -> dict[str, Any]:
         """What `predict` gave by columns: those of the actions, then `probability=ACTION` and `outside_the_log`."""
