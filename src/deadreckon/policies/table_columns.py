@@ -199,7 +199,7 @@ class Legal:
         for part in parts:
             if part not in self.places:
                 close = near(part, self.actions, "actions")
-                raise RowsError(f"{name}: column {key} has {part!r} in row {row}, which is no action{close}")
+                raise RowsError(f"{name}: column {key} has {shown(part)} in row {row}, which is no action{close}")
         return parts
 
 
@@ -207,7 +207,7 @@ def _unwrapped(cell: str) -> Any:
     """The actions of a cell that is a list in JSON; of another one the text within its brackets. As `data.legal_columns`."""
     text = cell.strip()
     if text.startswith("["):
-        with contextlib.suppress(json.JSONDecodeError):
+        with contextlib.suppress(ValueError, RecursionError):  # also of thousands of digits or brackets, which name no action
             return json.loads(text)
     inner = text[1:-1]
     return inner if text[:1] + text[-1:] in ("[]", "()", "{}") and not set(inner) & {text[0], text[-1]} else text

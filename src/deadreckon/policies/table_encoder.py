@@ -159,8 +159,10 @@ class TableEncoder:
         """Observations that are given as they are."""
         try:
             x = np.asarray(rows, np.float32)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             text = f"rows are a data frame, dictionaries or arrays of numbers, got {kind(rows)}"
+            if isinstance(error, OverflowError):
+                text = "observations hold a number that is too large for float32"
             raise RowsError(f"{self.name}: {text}") from error
         if outside == "flag":
             raise RowsError(f"{self.name}: rows outside the log can be flagged where they have named columns, not in arrays")

@@ -11,10 +11,10 @@ import numpy as np
 
 if __package__:
     from deadreckon.policies.table_encoder import Encoded, TableEncoder
-    from deadreckon.policies.table_rows import RowsError, is_missing
+    from deadreckon.policies.table_rows import RowsError, first, is_missing, shown
 else:  # copied beside `portable.py`
     from table_encoder import Encoded, TableEncoder  # pyright: ignore[reportMissingImports]
-    from table_rows import RowsError, is_missing  # pyright: ignore[reportMissingImports]
+    from table_rows import RowsError, first, is_missing, shown  # pyright: ignore[reportMissingImports]
 
 OUTSIDE = "outside_the_log"  # the column of a table of predictions
 
@@ -115,6 +115,9 @@ class Predictor:
         remembers = self.steps > 1 or self.player.members
         episodes = _Episodes.of(self.encoder, found, self.steps) if remembers else None
         actions, probs = acted(self.player, found.observations, episodes, rng, greedy, probabilities)
+        for values in (actions, probs):
+            if values is not None and (wrong := ~np.isfinite(values)).any():
+                raise RowsError(f"{self.encoder.name}: no finite action in row {first(wrong)}, which may be too large")
         named = self.encoder.named(actions)
         if not probabilities and outside == "raise":
             return _row(named) if found.single else named
@@ -137,11 +140,10 @@ class Predictor:
         if strange := encoder.allowed.strangers:
             return f"column {strange[0]} of its schema says where an action is legal that is none of its log's"
         size, chosen = self._acts()
+        acts = f"one of {chosen or 'several'} actions" if size is None else f"{size} numbers"
         if encoder.discrete and encoder.count and (size is not None or (chosen or encoder.count) != encoder.count):
-            acts = f"one of {chosen} actions" if size is None else f"{size} numbers"
             return f"it acts by {acts}, and its log has {encoder.count} discrete actions"
         if encoder.actions and not encoder.discrete and size != len(encoder.actions):
-            acts = "a discrete action" if size is None else f"{size} numbers"
             return f"it acts by {acts}, and its log has {len(encoder.actions)} columns of continuous actions"
         return ""
 
@@ -212,6 +214,8 @@ class _Episodes(NamedTuple):
         for row, name in enumerate(names):
             if is_missing(name):
                 raise RowsError(f"{encoder.name}: column {key} is empty in row {row}; it tells episodes apart")
+            if isinstance(name, list | dict | np.ndarray):
+                raise RowsError(f"{encoder.name}: column {key} has {shown(name)} in row {row}, a text or a number is needed")
             number[row] = numbers.setdefault(name, len(numbers))
             before = last.get(name)
             position[row] = 0 if before is None else position[before] + 1
@@ -233,7 +237,7 @@ def _later(first: Any, second: Any) -> bool:
     """Whether the first moment is later: of numbers and dates, or texts of either."""
     try:
         return float(first) > float(second)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return type(first) is type(second) and first > second
 
 
