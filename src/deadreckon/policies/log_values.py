@@ -6,10 +6,10 @@ from typing import Any, Literal, NotRequired, TypedDict
 
 from deadreckon.data.provenance import Extra
 from deadreckon.data.schema import Schema
+from deadreckon.data.spec import MOST_ACTIONS
 from deadreckon.errors import UserError
 from deadreckon.foreign.shapes import wrong
 
-MOST_ACTIONS = 1_000_000  # each of which has a name in memory
 MOST_NUMBERS = 10_000_000  # of an observation
 
 
