@@ -3,10 +3,16 @@
 import copy
 import json
 
+import jax
 import numpy as np
 import pytest
 
 from deadreckon.errors import UserError
+from deadreckon.nets.encoder import Encoder
+from deadreckon.nets.mlp import MLP
+from deadreckon.policies import store
+from deadreckon.policies.deployed import EnvPolicy, Seeing
+from deadreckon.policies.kinds import Deterministic
 from deadreckon.policies.loaded import load_policy
 from deadreckon.runs.player import predictor
 
@@ -123,3 +129,18 @@ def test_a_column_of_a_legal_action_that_there_is_not_is_refused(tmp_path):
     log = changed("extra.schema.columns.L", LEGAL | {"of": "zz"}) | {"observation_shape": [5]}
     with pytest.raises(UserError, match="column L of its schema says where an action is legal that is none of its log's"):
         predictor(file(tmp_path / "policy.npz", log))
+
+
+def test_pictures_are_taken_as_a_list_of_whole_numbers_too(tmp_path):
+    encoder = Encoder.create("patches", (16, 16, 3), 8, jax.random.key(0))
+    member = EnvPolicy(Deterministic(MLP.create(8, (4,), 2, jax.random.key(1))), None, None, None, None)
+    policy = EnvPolicy(Seeing(encoder, member), None, None, None, None)
+    store.save(tmp_path / "policy.npz", policy, {"log": {"observation_shape": [16, 16, 3]}})
+    pictures = np.random.default_rng(0).integers(0, 256, (2, 16, 16, 3))
+    for reader in (predictor, load_policy):
+        found = reader(tmp_path / "policy.npz")
+        for given in (pictures.astype(np.uint8), pictures.tolist()):
+            np.testing.assert_allclose(found.predict(given), policy(pictures.astype(np.uint8)), atol=1e-6)
+        for given in (pictures / 255, pictures * 2, pictures * np.nan, -pictures):
+            with pytest.raises(UserError, match="rows: pictures hold whole numbers from 0 to 255"):
+                found.predict(given)

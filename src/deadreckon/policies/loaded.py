@@ -12,6 +12,7 @@ from deadreckon.errors import UserError
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy, History, Mixture, first_actions
 from deadreckon.policies.file import fitting
+from deadreckon.policies.table_encoder import like
 from deadreckon.policies.table_predict import Predictor
 
 
@@ -80,9 +81,9 @@ class TablePolicy(Predictor):
 
     def _acts(self) -> tuple[int | None, int | None]:
         """As of `Predictor`, by shapes alone, because compiling takes seconds."""
-        seen = jax.ShapeDtypeStruct((1, *(self.encoder.shape or ())), np.float32)
-        shape = jax.eval_shape(lambda one: first_actions(self.policy, one, jax.random.key(0), True), seen).shape
-        return shape[1] if len(shape) > 1 else None, None
+        seen = jax.ShapeDtypeStruct((1, *(shape := self.encoder.shape or ())), like(shape))
+        acts = jax.eval_shape(lambda one: first_actions(self.policy, one, jax.random.key(0), True), seen).shape
+        return acts[1] if len(acts) > 1 else None, None
 
 
 def load_policy(path: Path | str) -> TablePolicy:

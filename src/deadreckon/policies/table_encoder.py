@@ -166,6 +166,10 @@ class TableEncoder:
             raise RowsError(f"{self.name}: {text}") from error
         if outside == "flag":
             raise RowsError(f"{self.name}: rows outside the log can be flagged where they have named columns, not in arrays")
+        if like(self.shape or ()) is np.uint8:
+            if not ((x >= 0) & (x <= 255) & (x == np.round(x))).all():
+                raise RowsError(f"{self.name}: pictures hold whole numbers from 0 to 255")
+            x = x.astype(np.uint8)
         rank = 1 if self.shape is None else len(self.shape)
         x = x[None] if (single := x.ndim == rank) else x
         if legal is not None:
@@ -237,6 +241,11 @@ class TableEncoder:
     def names(self) -> list[Any]:
         """Of discrete actions, in the order of their codes."""
         return list(range(self.count)) if self.levels is None else self.levels.tolist()
+
+
+def like(shape: tuple[int, ...]) -> type[np.generic]:
+    """The type of observations of a shape: pictures are of uint8."""
+    return np.uint8 if len(shape) == 3 else np.float32
 
 
 def _only(columns: Mapping[str, Any]) -> Any:

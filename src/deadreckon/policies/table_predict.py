@@ -10,10 +10,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 if __package__:
-    from deadreckon.policies.table_encoder import Encoded, TableEncoder
+    from deadreckon.policies.table_encoder import Encoded, TableEncoder, like
     from deadreckon.policies.table_rows import RowsError, first, is_missing, shown
 else:  # copied beside `portable.py`
-    from table_encoder import Encoded, TableEncoder  # pyright: ignore[reportMissingImports]
+    from table_encoder import Encoded, TableEncoder, like  # pyright: ignore[reportMissingImports]
     from table_rows import RowsError, first, is_missing, shown  # pyright: ignore[reportMissingImports]
 
 OUTSIDE = "outside_the_log"  # the column of a table of predictions
@@ -150,7 +150,7 @@ class Predictor:
     def _acts(self) -> tuple[int | None, int | None]:
         """How many numbers its actions are, None of discrete ones, and how many of these there are, None where not told."""
         first = _Episodes(np.zeros(1, int), np.zeros(1, int), None)
-        seen = np.ones((1, *(self.encoder.shape or ())), np.float32)  # of ones, so that every action is legal
+        seen = np.ones((1, *(shape := self.encoder.shape or ())), like(shape))  # of ones, so that every action is legal
         with np.errstate(all="ignore"):
             actions, probs = acted(self.player, seen, first, np.random.default_rng(0), True, self.encoder.discrete)
         return actions.shape[1] if actions.ndim > 1 else None, None if probs is None else probs.shape[1]
