@@ -236,7 +236,13 @@ def test_relative_paths_are_those_of_this_process(tmp_path, monkeypatch):
         assert load_pickle("x.pkl") == name
 
 
-RUN = {"agent": {"name": "bc", "fields": {}}, "data": {"name": "x"}, "task": None, "seeds": [0, 1], "steps": 4}
+RUN = {
+    "agent": {"name": "bc", "fields": {}},
+    "data": {"name": "x", "fingerprint": "y"},
+    "task": None,
+    "seeds": [0, 1],
+    "steps": 4,
+}
 
 
 @pytest.mark.parametrize(
@@ -249,7 +255,10 @@ RUN = {"agent": {"name": "bc", "fields": {}}, "data": {"name": "x"}, "task": Non
         ({"agent": {"name": "bc"}}, "agent lacks fields"),
         ({"agent": {"name": None, "fields": {}}}, "agent.name must be a text, got None"),
         ({"data": []}, "data must be an object, got a list of 0"),
-        ({"data": {"name": "x", "behavior": {"mean": 1.0, "low": "x", "high": 2}}}, "data.behavior.low must be a number"),
+        (
+            {"data": {"name": "x", "fingerprint": "y", "behavior": {"mean": 1.0, "low": "x", "high": 2}}},
+            "data.behavior.low must be a number",
+        ),
         ({"task": 3}, "task must be a text or null, got 3"),
         ({"online": {"copies": 8, "more": 1}}, "online: unknown entry 'more'"),
         ({"evaluation": {"every": []}}, "evaluation.every must be a whole number or null, got a list of 0"),

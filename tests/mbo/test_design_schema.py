@@ -84,3 +84,57 @@ def test_schemas_that_are_refused(tmp_path, text, words):
     with pytest.raises(UserError, match=words) as told:
         DesignSchema.load(tmp_path / "s.toml")
     assert "\n" not in str(told.value)
+
+
+SCHEMA = """
+[columns.a]
+role = "input"
+kind = "continuous"
+{a}
+[columns.c]
+role = "input"
+kind = "categorical"
+{c}
+[columns.y]
+role = "target"
+[columns.cost]
+role = "weighted"
+weight = {weight}
+[table]
+{table}
+"""
+USUAL = {"first": "", "a": "", "c": "", "weight": "1.0", "table": ""}
+LONG = "1" + "0" * 400
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"table": "separator = 5"}, "table.separator must be a text, got 5"),
+        ({"table": 'separator = ["a"]'}, "table.separator must be a text, got a list of 1"),
+        ({"table": "encoding = 5"}, "table.encoding must be a text, got 5"),
+        ({"table": 'decimal = ["."]'}, "table.decimal must be a text, got a list of 1"),
+        ({"table": "sheet = [1]"}, r"table\['sheet'\] must be a text or a whole number"),
+        ({"table": 'encoding = "undefined"'}, "--encoding undefined: unknown"),
+        ({"table": 'encoding = "a\\u0000b"'}, "--encoding .*: unknown"),
+        ({"c": 'levels = [["u"], {a = 1}]'}, r"columns\['c'\].levels\[0\] must be"),
+        ({"c": f"levels = [{LONG}]"}, r"columns\['c'\].levels\[0\] must be"),
+        ({"a": f"low = -{LONG}\nhigh = 1"}, r"columns\['a'\].low must be a number, got -1000"),
+        ({"a": 'log = "x"'}, r"columns\['a'\].log must be true or false, got 'x'"),
+        ({"a": "fix = {a = 1}"}, r"columns\['a'\].fix must be"),
+        ({"a": "unit = 5"}, r"columns\['a'\].unit must be a text, got 5"),
+        ({"weight": LONG}, r"columns\['cost'\].weight must be a number, got 1000"),
+        ({"first": 'max_distance = "x"'}, "max_distance must be a number, got 'x'"),
+        ({"first": "mixtures = [1]"}, r"mixtures\[0\] must be a list of texts, got 1"),
+        ({"first": 'mixtures = [[["a"]]]'}, r"mixtures\[0\]\[0\] must be a text"),
+        ({"first": 'constraints = [["a"]]'}, r"constraints\[0\] must be a text"),
+        ({"first": 'minimise = "x"'}, "minimise must be true or false, got 'x'"),
+    ],
+)
+def test_values_of_other_types_are_refused(changes, words, tmp_path):
+    parts = USUAL | changes
+    (tmp_path / "schema.toml").write_text(parts["first"] + SCHEMA.format(**parts))
+    (tmp_path / "table.csv").write_text("a,c,y,cost\n" + "\n".join(f"0.{i},u,{i}.5,1.{i}" for i in range(12)) + "\n")
+    with pytest.raises(UserError, match=words) as caught:
+        DesignSchema.load(tmp_path / "schema.toml").read(tmp_path / "table.csv")
+    assert "\n" not in str(caught.value)

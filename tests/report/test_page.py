@@ -20,6 +20,7 @@ from deadreckon.runs.folder import Folder
 from deadreckon.tasks import registry
 
 SECTIONS = ["simulator", "scores", "learning", "values", "distance", "training", "mazes", "provenance"]
+HELD = {"held": 2, "learning": 8}  # episodes
 
 
 def test_page_is_whole_and_loads_nothing(runs, tmp_path):
@@ -149,11 +150,11 @@ def test_command_to_reproduce(runs):
     [
         ({"history": 3}, "--history 3"),
         ({"encoder": "drq", "shift": 2}, "--encoder drq --shift 2"),
-        ({"holdout": {"share": 0.3, "by": "time", "seed": 0, "held": 3}}, "--holdout 0.3 --holdout-by time"),
-        ({"holdout": {"share": 0.2, "by": "random", "seed": 0, "held": 2}}, "--holdout 0.2 --holdout-by random"),
-        ({"holdout": {"share": 0.2, "by": "random", "seed": 0, "held": 2}, "task": None}, ""),
-        ({"holdout": {"share": 0.2, "by": "user", "seed": 0, "held": 2}, "task": None}, "--holdout 0.2 --holdout-by user"),
-        ({"holdout": {"fold": 1, "folds": 5, "by": "random", "seed": 0, "held": 2}, "task": None}, ""),
+        ({"holdout": {"share": 0.3, "by": "time", "seed": 0, **HELD}}, "--holdout 0.3 --holdout-by time"),
+        ({"holdout": {"share": 0.2, "by": "random", "seed": 0, **HELD}}, "--holdout 0.2 --holdout-by random"),
+        ({"holdout": {"share": 0.2, "by": "random", "seed": 0, **HELD}, "task": None}, ""),
+        ({"holdout": {"share": 0.2, "by": "user", "seed": 0, **HELD}, "task": None}, "--holdout 0.2 --holdout-by user"),
+        ({"holdout": {"share": 0.2, "fold": 1, "folds": 5, "by": "random", "seed": 0, **HELD}, "task": None}, ""),
         ({"task": None}, "--holdout 0"),
     ],
 )  # fmt: skip
@@ -248,7 +249,7 @@ def test_a_log_without_an_original_is_not_called_collected_again(log, again, tmp
 def test_the_page_says_what_the_policy_sees_and_what_was_held_out(tmp_path):
     folder = Folder(write_run(tmp_path / "run", "bc"))
     config = folder.read_config() | {"encoder": "drq", "shift": 2}
-    config["data"]["holdout"] = {"share": 0.25, "by": "user", "seed": 3, "held": 1200}
+    config["data"]["holdout"] = {"share": 0.25, "by": "user", "seed": 3, "held": 1200, "learning": 3600}
     write_json(folder.config, config)
     text = write([folder.path], tmp_path / "page.html").read_text()
     assert "<dd>encoder drq, random shifts of up to 2 pixels during training</dd>" in text

@@ -16,14 +16,13 @@ from typing import Any, NotRequired, TypedDict
 
 import pyarrow as pa
 
+from deadreckon.bench.checked import OBJECTS
 from deadreckon.bench.jobs import Job, file_name
 from deadreckon.bench.store import CURVE, RESULT, Store
 from deadreckon.bench.suite import Suite
 from deadreckon.errors import UserError, reading
 from deadreckon.files import read_json, replacing
 from deadreckon.foreign.shapes import wrong
-
-_OBJECTS = ("settings", "asked", "more", "revisions", "versions")  # JSON in the columns of a store, objects here
 
 
 class _Cell(TypedDict):
@@ -34,7 +33,7 @@ class _Cell(TypedDict):
     suite: str
     kind: str
     method: str
-    agent: NotRequired[str | None]
+    agent: str
     settings: dict[str, Any]
     preset: NotRequired[str | None]
     on: str
@@ -46,13 +45,13 @@ class _Cell(TypedDict):
     more: NotRequired[dict[str, Any]]
     episodes: NotRequired[list[float | None] | None]
     log: NotRequired[str | None]
-    failure: NotRequired[str | None]
-    seconds: NotRequired[float | None]
-    steps: NotRequired[int | None]
+    failure: str
+    seconds: float
+    steps: int
     revisions: NotRequired[dict[str, Any] | None]
-    versions: NotRequired[dict[str, Any]]
+    versions: dict[str, Any]
     finished: str
-    job: NotRequired[str | None]
+    job: str
     curve: list[list[float | None]]
 
 
@@ -78,7 +77,7 @@ class Ledger(Store):
         for row in rows:
             path = self._file(row)
             curve = [[point[name] for name in CURVE.names[1:]] for point in curves if point["cell"] == row["cell"]]
-            whole = {name: json.loads(value) if name in _OBJECTS else value for name, value in row.items()}
+            whole = {name: json.loads(value) if name in OBJECTS else value for name, value in row.items()}
             exact = {name: whole.pop(name) for name in ("settings", "asked")}  # which identify the cell
             text = json.dumps(_short(whole | {"curve": curve}) | exact, sort_keys=True, allow_nan=False)
             with replacing(path, keep=True) as temporary:
@@ -136,7 +135,7 @@ def _results(files: tuple[str, ...]) -> pa.Table:
 
 
 def _flat(cell: dict[str, Any], name: str) -> Any:
-    if name in _OBJECTS and name in cell:
+    if name in OBJECTS and name in cell:
         return json.dumps(cell[name])
     return math.nan if name == "score" and cell[name] is None else cell.get(name)
 

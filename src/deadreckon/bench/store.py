@@ -21,6 +21,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from deadreckon.bench.checked import check_part
 from deadreckon.bench.jobs import Job, Program, file_name
 from deadreckon.files import read_json, replacing, write_json
 from deadreckon.foreign.parquet import read_parquet
@@ -148,8 +149,9 @@ class Store:
     def _all(self, kind: str, schema: pa.Schema) -> pa.Table:
         # The newest last, of which `tables` makes use.
         parts = sorted((part.stat().st_mtime_ns, part.name, part) for part in (self.path / kind).glob("*.parquet"))
-        tables = [_read(part, when) for when, _, part in parts]
-        return pa.concat_tables([schema.empty_table(), *tables], promote_options="default")  # older parts may lack a column
+        tables = [_checked(part, when, kind) for when, _, part in parts]
+        with reading(self.path / kind, "tables of results"):  # older parts may lack a column
+            return pa.concat_tables([schema.empty_table(), *tables], promote_options="default")
 
     def of(self, jobs: Sequence[Job], any_revision: bool = False) -> pa.Table:
         """The rows of these jobs' cells; with `any_revision` also those that other revisions of the code made."""
@@ -189,6 +191,12 @@ def _with_present_names(rows: pa.Table) -> pa.Table:
                   options=json.loads(row["asked"]), seeds=(row["seed"],))  # fmt: skip
         contents.append(job.content(row["seed"]))
     return rows.set_column(rows.schema.get_field_index("content"), "content", pa.array(contents, pa.string()))
+
+
+@cache
+def _checked(part: Path, written: int, kind: str) -> pa.Table:
+    """A part of a kind, read and checked once."""
+    return check_part(part, kind, RESULT if kind == "results" else CURVE, _read(part, written))
 
 
 @cache

@@ -10,6 +10,7 @@ import numpy as np
 
 from deadreckon.agents import agent_class
 from deadreckon.bench import published
+from deadreckon.bench.checked import number as checked_number
 from deadreckon.bench.jobs import Job
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Metric, Suite
@@ -159,7 +160,7 @@ def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_
 
 def number(row: dict[str, Any], column: str) -> float:
     """What a row of results has under a name, in a column or in its `more`; NaN where it has nothing."""
-    found = row[column] if column in row else json.loads(row["more"] or "{}").get(column)
+    found = checked_number(row, column, {} if column in row else json.loads(row["more"] or "{}"))
     return np.nan if found is None else float(found)
 
 

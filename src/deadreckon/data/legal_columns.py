@@ -100,11 +100,16 @@ def _cells(name: str, table: pa.Table, column: str) -> list[list[str] | None]:
     cells = decoded(values).to_pylist()
     texts: dict[str, Any] = {}
     if is_text(values.type):  # few different ones, which are looked at once
-        texts = {cell: _unwrapped(cell) for cell, missing in zip(cells, gone) if not missing}
+        try:
+            texts = {cell: _unwrapped(cell) for cell, missing in zip(cells, gone) if not missing}
+        except RecursionError as error:
+            raise UserError(f"{name}: column {column} has lists in lists without end; a list of actions is needed") from error
     for row, cell in enumerate(cells):
         found = texts.get(cell) if isinstance(cell, str) else cell
         if isinstance(found, list) and None in found:
             raise UserError(f"{name}: column {column} lists an empty action in row {row}; leave such entries out of the list")
+        if isinstance(found, list) and any(isinstance(each, list | dict) for each in found):
+            raise UserError(f"{name}: column {column} has lists in a list in row {row}; a list of actions is needed")
     if not is_text(values.type):
         return [None if missing else [_text(each) for each in cell] for cell, missing in zip(cells, gone)]
     plain = [text for text in texts.values() if isinstance(text, str)]
@@ -120,7 +125,7 @@ def _unwrapped(cell: str) -> str | list[Any]:
     if text.startswith("["):
         try:
             return json.loads(text)
-        except json.JSONDecodeError:
+        except ValueError:  # also of a number of thousands of digits
             pass
     inner = text[1:-1]
     wrapped = text[:1] + text[-1:] in ("[]", "()", "{}") and not set(inner) & {text[0], text[-1]}

@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NotRequired, TypedDict, get_args
 
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml, replacing
@@ -28,6 +28,30 @@ ALLOWED: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 # What [table] may hold: the file, and the options of `formats.any_table.read_table`.
 _TABLE = ("path", "separator", "decimal", "thousands", "encoding", "dates", "sheet", "query", "table")
+
+Level = str | int | float | bool
+
+
+class ColumnValues(TypedDict):
+    """The shape of a column in JSON and TOML."""
+
+    role: Role
+    kind: NotRequired[Kind]
+    levels: NotRequired[list[Level] | None]
+    unit: NotRequired[str]
+    low: NotRequired[float | None]
+    high: NotRequired[float | None]
+    fill: NotRequired[float | None]
+    marked: NotRequired[bool | None]
+    keep: NotRequired[bool]
+    of: NotRequired[str | None]
+
+
+class SchemaValues(TypedDict):
+    """The shape of a schema in JSON and TOML."""
+
+    columns: dict[str, ColumnValues]
+    table: NotRequired[dict[str, str | int]]
 
 
 @dataclass(frozen=True)
@@ -76,8 +100,8 @@ class Column:
             raise UserError(f"{where}: kind {self.kind} does not go with the role {self.role}; possible: {', '.join(allowed)}")
         for key in ("low", "high", "fill"):
             value = getattr(self, key)
-            if value is not None and (isinstance(value, bool) or not isinstance(value, int | float) or value - value != 0):
-                raise UserError(f"{where}: {key} must be a finite number, got {value!r}")
+            if value is not None and not _is_number(value):
+                raise UserError(f"{where}: {key} must be a finite number, got {value!r:.60}")
         if self.low is not None and self.high is not None and not self.low < self.high:
             raise UserError(f"{where}: low must be smaller than high, got {self.low:g} and {self.high:g}")
         if self.role == "action" and self.kind == "number" and (self.low is None) != (self.high is None):
@@ -85,8 +109,8 @@ class Column:
         if self.levels is not None:
             if not isinstance(self.levels, list | tuple) or not self.levels:
                 raise UserError(f"{where}: levels must be a list of the values that the column may have, got {self.levels!r}")
-            if wrong := [level for level in self.levels if not isinstance(level, str | int | float | bool)]:
-                raise UserError(f"{where}: levels are texts, numbers or truth values, got {wrong[0]!r}")
+            if wrong := [level for level in self.levels if not (isinstance(level, str | bool) or _is_number(level))]:
+                raise UserError(f"{where}: levels are texts, numbers or truth values, got {wrong[0]!r:.60}")
             # 1 and 1.0 are one level, as are true and the text that truth values become; true and 1 are two.
             if len({str(each).lower() if isinstance(each, bool) else each for each in self.levels}) < len(self.levels):
                 raise UserError(f"{where}: a level is listed twice: {', '.join(map(str, self.levels))}")
@@ -241,6 +265,11 @@ class Schema:
         if not Path(path).exists():
             raise UserError(f"no file {path}; `deadreckon data describe TABLE --save {path}` drafts a schema")
         return cls.from_json(read_toml(path), str(path))
+
+
+def _is_number(value: Any) -> bool:
+    """Whether a value is a finite number that float64 holds; a whole one may have any number of digits."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and -1e300 < value < 1e300
 
 
 def as_schema(schema: "Schema | Mapping[str, Any] | Path | str") -> Schema:

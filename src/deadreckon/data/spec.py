@@ -53,6 +53,7 @@ class Discrete:
         return self.n
 
 
+MOST_ACTIONS = 1_000_000  # discrete ones, of files from elsewhere: each takes room in memory
 PICTURED = 2**24  # numbers of pictures that are in memory as float64 at once
 
 

@@ -22,6 +22,8 @@ from deadreckon.data.formats.kind import READING
 from deadreckon.data.schema import toml_value
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml, replacing
+from deadreckon.foreign.shapes import checked, wrong
+from deadreckon.mbo.design_values import DesignValues
 from deadreckon.mbo.designs import Designs, name_of
 from deadreckon.mbo.variables import KINDS
 from deadreckon.names import shown
@@ -157,6 +159,9 @@ class DesignSchema:
         for key in given.get("table", {}):
             if key not in READING:
                 raise UserError(f"{path}, [table]: {unknown('entry', key, READING)}")
+            if key != "sheet" and not isinstance(given["table"][key], str):
+                raise wrong(path, f"table.{key}", "a text", given["table"][key])
+        checked(given, DesignValues, path)
         rest = {key: value for key, value in given.items() if key != "columns"}
         rest |= {key: tuple(map(tuple if key == "mixtures" else str, rest[key])) for key in _LISTS if key in rest}
         return cls(columns, **rest)

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict
+from typing import Any, NotRequired, TypedDict, TypeVar
 
 import numpy as np
 
@@ -12,6 +12,10 @@ from deadreckon.foreign.archive import read_arrays
 from deadreckon.foreign.shapes import checked, wrong
 from deadreckon.foreign.text import parse_json
 from deadreckon.policies import portable
+from deadreckon.policies.log_values import LogValues, check_log
+from deadreckon.policies.table_predict import Predictor
+
+P = TypeVar("P", bound=Predictor)
 
 _ACTIONS = 100_000  # discrete ones
 _NUMBER = 1_000_000  # any whole number
@@ -31,7 +35,7 @@ class _Tree(TypedDict):
 
 
 class _Meta(TypedDict):
-    log: NotRequired[dict[str, Any] | None]
+    log: NotRequired[LogValues | None]
 
 
 def read_policy(path: Path | str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -42,8 +46,10 @@ def read_policy(path: Path | str) -> tuple[dict[str, Any], dict[str, np.ndarray]
     """
     arrays = read_arrays(path, "a policy file")
     if (text := arrays.get("policy.json")) is not None:
+        told = checked(parse_json(path, text.tobytes()), _Tree, path)
         own = [array for name, array in arrays.items() if name.startswith("policy.") and name != "policy.json"]
-        _check_numbers(path, checked(parse_json(path, text.tobytes()), _Tree, path), own)
+        _check_numbers(path, told, own)
+        check_log(path, told.get("meta", {}).get("log") or {})
     with reading(path, "a policy file"):
         return portable.tree_of(arrays)
 
@@ -129,3 +135,19 @@ def observation_sizes(layers: Iterable[tuple[int, int]]) -> list[int]:
     """
     inputs, outputs = zip(*layers) if (layers := list(layers)) else ((), ())
     return [size for size in dict.fromkeys(taken - beside for beside in (0, *outputs) for taken in inputs) if size > 0]
+
+
+def fitting(path: Path | str, predictor: P) -> P:
+    """What takes rows by the columns of a log, which its policy fits.
+
+    Args:
+        path: of the file, for errors.
+        predictor: made of it.
+
+    Raises:
+        UserError: the policy takes other observations, or gives other actions, than its file says of the log.
+    """
+    with reading(path, "a policy file"):
+        if found := predictor.misfit():
+            raise UserError(f"{path}: its policy is not of its log: {found}")
+    return predictor

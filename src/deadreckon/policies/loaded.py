@@ -11,6 +11,8 @@ import numpy as np
 from deadreckon.errors import UserError
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy, History, Mixture, first_actions
+from deadreckon.policies.file import fitting
+from deadreckon.policies.table_encoder import like
 from deadreckon.policies.table_predict import Predictor
 
 
@@ -77,6 +79,12 @@ class TablePolicy(Predictor):
         super().__init__(JaxPlayer(policy), log, name)
         self.policy = policy
 
+    def _acts(self) -> tuple[int | None, int | None]:
+        """As of `Predictor`, by shapes alone, because compiling takes seconds."""
+        seen = jax.ShapeDtypeStruct((1, *(shape := self.encoder.shape or ())), like(shape))
+        acts = jax.eval_shape(lambda one: first_actions(self.policy, one, jax.random.key(0), True), seen).shape
+        return acts[1] if len(acts) > 1 else None, None
+
 
 def load_policy(path: Path | str) -> TablePolicy:
     """A policy from its file, which takes rows by the names of the columns that it learned from.
@@ -89,4 +97,4 @@ def load_policy(path: Path | str) -> TablePolicy:
     """
     if Path(path).is_dir():
         raise UserError(f"{path} is a folder; load_run({str(path)!r}).predict takes the policy of a run")
-    return TablePolicy(store.load(path), store.meta(path).get("log", {}))
+    return fitting(path, TablePolicy(store.load(path), store.meta(path).get("log") or {}))

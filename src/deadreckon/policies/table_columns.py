@@ -159,6 +159,12 @@ class Legal:
         self.columns, self.actions = columns, [text_of(action) for action in actions]
         self.places = {action: place for place, action in enumerate(self.actions)}
 
+    @property
+    def strangers(self) -> list[str]:
+        """The columns that are for an action which there is not."""
+        given = {key: column.get("of") for key, column in self.columns.items()}
+        return [key for key, of in given.items() if of is not None and text_of(of) not in self.places]
+
     def of(self, columns: Mapping[str, np.ndarray], count: int, name: str) -> np.ndarray:
         """(rows, actions) float32, 1 where an action is legal, by the columns of `count` rows."""
         if not self.columns:
@@ -193,7 +199,7 @@ class Legal:
         for part in parts:
             if part not in self.places:
                 close = near(part, self.actions, "actions")
-                raise RowsError(f"{name}: column {key} has {part!r} in row {row}, which is no action{close}")
+                raise RowsError(f"{name}: column {key} has {shown(part)} in row {row}, which is no action{close}")
         return parts
 
 
@@ -201,7 +207,7 @@ def _unwrapped(cell: str) -> Any:
     """The actions of a cell that is a list in JSON; of another one the text within its brackets. As `data.legal_columns`."""
     text = cell.strip()
     if text.startswith("["):
-        with contextlib.suppress(json.JSONDecodeError):
+        with contextlib.suppress(ValueError, RecursionError):  # also of thousands of digits or brackets, which name no action
             return json.loads(text)
     inner = text[1:-1]
     return inner if text[:1] + text[-1:] in ("[]", "()", "{}") and not set(inner) & {text[0], text[-1]} else text

@@ -159,11 +159,17 @@ class TableEncoder:
         """Observations that are given as they are."""
         try:
             x = np.asarray(rows, np.float32)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError) as error:
             text = f"rows are a data frame, dictionaries or arrays of numbers, got {kind(rows)}"
+            if isinstance(error, OverflowError):
+                text = "observations hold a number that is too large for float32"
             raise RowsError(f"{self.name}: {text}") from error
         if outside == "flag":
             raise RowsError(f"{self.name}: rows outside the log can be flagged where they have named columns, not in arrays")
+        if like(self.shape or ()) is np.uint8:
+            if not ((x >= 0) & (x <= 255) & (x == np.round(x))).all():
+                raise RowsError(f"{self.name}: pictures hold whole numbers from 0 to 255")
+            x = x.astype(np.uint8)
         rank = 1 if self.shape is None else len(self.shape)
         x = x[None] if (single := x.ndim == rank) else x
         if legal is not None:
@@ -197,6 +203,8 @@ class TableEncoder:
         """
         actions = np.asarray(actions)
         if self.discrete:
+            if self.levels is not None and (wrong := actions[(actions < 0) | (actions >= len(self.levels))]).size:
+                raise RowsError(f"{self.name}: the policy chose action {wrong[0]}, and its log has {len(self.levels)} actions")
             return actions if self.levels is None else self.levels[actions]
         if not self.actions:
             return actions
@@ -233,6 +241,11 @@ class TableEncoder:
     def names(self) -> list[Any]:
         """Of discrete actions, in the order of their codes."""
         return list(range(self.count)) if self.levels is None else self.levels.tolist()
+
+
+def like(shape: tuple[int, ...]) -> type[np.generic]:
+    """The type of observations of a shape: pictures are of uint8."""
+    return np.uint8 if len(shape) == 3 else np.float32
 
 
 def _only(columns: Mapping[str, Any]) -> Any:

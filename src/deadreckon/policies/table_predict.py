@@ -10,11 +10,11 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 if __package__:
-    from deadreckon.policies.table_encoder import Encoded, TableEncoder
-    from deadreckon.policies.table_rows import RowsError, is_missing
+    from deadreckon.policies.table_encoder import Encoded, TableEncoder, like
+    from deadreckon.policies.table_rows import RowsError, first, is_missing, shown
 else:  # copied beside `portable.py`
-    from table_encoder import Encoded, TableEncoder  # pyright: ignore[reportMissingImports]
-    from table_rows import RowsError, is_missing  # pyright: ignore[reportMissingImports]
+    from table_encoder import Encoded, TableEncoder, like  # pyright: ignore[reportMissingImports]
+    from table_rows import RowsError, first, is_missing, shown  # pyright: ignore[reportMissingImports]
 
 OUTSIDE = "outside_the_log"  # the column of a table of predictions
 
@@ -115,6 +115,9 @@ class Predictor:
         remembers = self.steps > 1 or self.player.members
         episodes = _Episodes.of(self.encoder, found, self.steps) if remembers else None
         actions, probs = acted(self.player, found.observations, episodes, rng, greedy, probabilities)
+        for values in (actions, probs):
+            if values is not None and (wrong := ~np.isfinite(values)).any():
+                raise RowsError(f"{self.encoder.name}: no finite action in row {first(wrong)}, which may be too large")
         named = self.encoder.named(actions)
         if not probabilities and outside == "raise":
             return _row(named) if found.single else named
@@ -126,6 +129,31 @@ class Predictor:
             return Prediction(named, told, flags)
         return Prediction(_row(named), None if told is None else _row(told), None if flags is None else bool(flags[0]))
 
+    def misfit(self) -> str:
+        """How the policy differs from what its file says of its log, in words; empty where it does not, or nothing is said."""
+        encoder = self.encoder
+        if encoder.shape is None:
+            return ""
+        width = encoder.width + encoder.count * encoder.masked
+        if encoder.observed and encoder.shape != (width,):
+            return f"observations of its log have the shape {encoder.shape}, and the columns of its schema make {width} numbers"
+        if strange := encoder.allowed.strangers:
+            return f"column {strange[0]} of its schema says where an action is legal that is none of its log's"
+        size, chosen = self._acts()
+        acts = f"one of {chosen or 'several'} actions" if size is None else f"{size} numbers"
+        if encoder.discrete and encoder.count and (size is not None or (chosen or encoder.count) != encoder.count):
+            return f"it acts by {acts}, and its log has {encoder.count} discrete actions"
+        if encoder.actions and not encoder.discrete and size != len(encoder.actions):
+            return f"it acts by {acts}, and its log has {len(encoder.actions)} columns of continuous actions"
+        return ""
+
+    def _acts(self) -> tuple[int | None, int | None]:
+        """How many numbers its actions are, None of discrete ones, and how many of these there are, None where not told."""
+        first = _Episodes(np.zeros(1, int), np.zeros(1, int), None)
+        seen = np.ones((1, *(shape := self.encoder.shape or ())), like(shape))  # of ones, so that every action is legal
+        with np.errstate(all="ignore"):
+            actions, probs = acted(self.player, seen, first, np.random.default_rng(0), True, self.encoder.discrete)
+        return actions.shape[1] if actions.ndim > 1 else None, None if probs is None else probs.shape[1]
 
     def columns(self, done: Any) -> dict[str, Any]:
         """What `predict` gave by columns: those of the actions, then `probability=ACTION` and `outside_the_log`."""
@@ -186,6 +214,8 @@ class _Episodes(NamedTuple):
         for row, name in enumerate(names):
             if is_missing(name):
                 raise RowsError(f"{encoder.name}: column {key} is empty in row {row}; it tells episodes apart")
+            if isinstance(name, list | dict | np.ndarray):
+                raise RowsError(f"{encoder.name}: column {key} has {shown(name)} in row {row}, a text or a number is needed")
             number[row] = numbers.setdefault(name, len(numbers))
             before = last.get(name)
             position[row] = 0 if before is None else position[before] + 1
@@ -207,7 +237,7 @@ def _later(first: Any, second: Any) -> bool:
     """Whether the first moment is later: of numbers and dates, or texts of either."""
     try:
         return float(first) > float(second)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return type(first) is type(second) and first > second
 
 

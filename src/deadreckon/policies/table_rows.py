@@ -100,7 +100,8 @@ def _array(values: Any) -> np.ndarray:
         values = values.to_pylist()  # Arrow forgets which are missing
     kinds = {type(value) for value in values}
     if kinds <= _PLAIN:
-        return np.asarray(values, None if len(kinds) < 2 else np.float64)
+        with contextlib.suppress(OverflowError):  # of whole numbers beyond float64, which are refused where the column is known
+            return np.asarray(values, None if len(kinds) < 2 else np.float64)
     out = np.empty(len(values), object)
     for row, value in enumerate(values):  # at once, lists would be taken for further dimensions
         out[row] = value

@@ -16,9 +16,10 @@ from deadreckon.foreign.archive import read_arrays
 from deadreckon.online import Online
 from deadreckon.runs.crossfit import NAME as CROSS_FIT
 from deadreckon.runs.folder import Folder
-from deadreckon.runs.records import read_status
+from deadreckon.runs.records import checked_array, checked_rows, read_status
 from deadreckon.runs.train import Run
 from deadreckon.tasks import registry
+from deadreckon.tasks.flow import Flow
 from deadreckon.tasks.task import Task
 
 # How agents are written, where that is not the name of their class.
@@ -134,12 +135,15 @@ class Entry:
     @cached_property
     def segments(self) -> np.ndarray | None:
         """(stretches, steps, dimensions) of the log, if they were kept."""
-        return _array(self.folder.log, "segments")
+        return _array(self.folder.log, "segments", ("stretches", "steps", "dimensions"))
 
     @cached_property
     def trajectories(self) -> np.ndarray | None:
-        """(seeds, episodes, steps, dimensions) of the last policies, if they were recorded."""
-        found = [_array(folder.trajectories, "trajectories") for folder, _ in self.folders]
+        """(seeds, episodes, steps, dimensions) of the last policies, if they were recorded; in traffic (..., cars, numbers)."""
+        name = self.config["task"]
+        of_cars = name in registry.names() and isinstance(registry.task(name), Flow)
+        shape = ("seeds", "episodes", "steps", *(("cars", "numbers") if of_cars else ("dimensions",)))
+        found = [_array(folder.trajectories, "trajectories", shape) for folder, _ in self.folders]
         shapes = {None if each is None else each.shape[1:] for each in found}
         return np.concatenate(found) if None not in shapes and len(shapes) == 1 else None  # type: ignore[arg-type]
 
@@ -257,12 +261,13 @@ def _entry(group: list[tuple[Path, dict[str, Any]]], label: str) -> Entry:
 def _columns(folders: Sequence[Folder], kind: str) -> Columns:
     tables = []
     for folder in folders:
-        tables.append(folder.table(kind))
+        tables.append(checked_rows(folder.path / kind, kind, folder.table(kind)))
     table = pa.concat_tables([table for table in tables if len(table)] or tables[:1], promote_options="permissive")
     return {name: table[name].to_numpy() for name in table.column_names}
 
 
-def _array(path: Path, name: str) -> np.ndarray | None:
-    if not path.exists():
+def _array(path: Path, name: str, shape: tuple[str, ...]) -> np.ndarray | None:
+    """An array of at least two numbers of a thing, which are its place; None where it was not kept."""
+    if not path.exists() or (found := read_arrays(path, "arrays of a run").get(name)) is None:
         return None
-    return read_arrays(path, "arrays of a run").get(name)
+    return checked_array(path, name, found, shape, 2)

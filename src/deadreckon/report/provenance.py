@@ -41,7 +41,7 @@ def command(entry: Entry) -> str:
 def _from_log(entry: Entry, seeds: list[int]) -> list[Any]:
     config = entry.config
     data, every = config["data"], config.get("evaluation", {})
-    words = ["--data", data.get("provenance", {}).get("path") or data["name"]]
+    words = ["--data", (data.get("provenance") or {}).get("path") or data["name"]]
     words += ["--task", config["task"]] if config["task"] else []
     words += ["--steps", config["steps"], *_seeds(seeds)]
     if every.get("every") not in (None, max(config["steps"] // 10, 1)):

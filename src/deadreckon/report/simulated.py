@@ -152,7 +152,7 @@ def _why(page: Page, best: Row, cloning: Row, log: Row | None) -> list[str]:
     assert best.entry is not None
     out = []
     directed = not isinstance(page.task, Maze) or "undirected data" not in page.task.properties
-    undirected = not directed and bool(best.entry.config["data"].get("provenance", {}).get("recipe"))
+    undirected = not directed and bool((best.entry.config["data"].get("provenance") or {}).get("recipe"))
     level = f" (the behaviour policy is worth {score(log.worth.value)})" if log and log.worth else ""
     if undirected:
         out.append(

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from deadreckon.errors import UserError
-from deadreckon.policies.file import numpy_player, read_policy
+from deadreckon.policies.file import fitting, numpy_player, read_policy
 from deadreckon.policies.table_predict import Predictor
 from deadreckon.runs.decision_record import read_results
 from deadreckon.runs.folder import Folder, policy_seed
@@ -103,9 +103,9 @@ def predictor(file: Path, name: str = "rows") -> Predictor:
     """
     tree, arrays = read_policy(file)
     log = tree.get("meta", {}).get("log") or {}
-    if (player := numpy_player(file, tree, arrays)) is not None:
-        return Predictor(player, log, name)
-    from deadreckon.policies import store
-    from deadreckon.policies.loaded import TablePolicy
+    if (player := numpy_player(file, tree, arrays)) is None:
+        from deadreckon.policies import store
+        from deadreckon.policies.loaded import TablePolicy
 
-    return TablePolicy(store.load(file), log, name)
+        return fitting(file, TablePolicy(store.load(file), log, name))
+    return fitting(file, Predictor(player, log, name))

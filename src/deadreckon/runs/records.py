@@ -6,9 +6,18 @@ Keys that older versions did not write need not be there, and keys that are not 
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
+import numpy as np
+import pyarrow as pa
+
+from deadreckon.data.provenance import Extra
+from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.foreign.shapes import same_length, wrong
 from deadreckon.online import Online
+
+# Columns of whole numbers in the tables of a run: those that every row must have, and those that it may have.
+_NEEDED = {"metrics": ("step", "seed"), "evaluations": ("step", "seed", "episode")}
+_WHOLE = ("step", "seed", "episode", "length")
 
 
 class Agent(TypedDict):
@@ -26,7 +35,7 @@ class Provenance(TypedDict):
     seed: NotRequired[int | None]
     versions: NotRequired[dict[str, Any] | None]
     path: NotRequired[str | None]
-    extra: NotRequired[dict[str, Any] | None]
+    extra: NotRequired[Extra | None]
 
 
 class Behavior(TypedDict):
@@ -37,15 +46,27 @@ class Behavior(TypedDict):
     high: float
 
 
+class Holdout(TypedDict):
+    """What is held out, as `data.split` tells it, and how many episodes that is; `fold` and `folds` of a cross-fit's run."""
+
+    share: float
+    by: str
+    seed: int
+    held: int
+    learning: int
+    fold: NotRequired[int]
+    folds: NotRequired[int]
+
+
 class Data(TypedDict):
     """The log of a run."""
 
     name: str
-    fingerprint: NotRequired[str | None]
+    fingerprint: str
     rows: NotRequired[int]
     episodes: NotRequired[int]
     usable: NotRequired[int]
-    holdout: NotRequired[dict[str, Any] | None]
+    holdout: NotRequired[Holdout | None]
     warnings: NotRequired[list[str]]
     behavior: NotRequired[Behavior | None]
     provenance: NotRequired[Provenance | None]
@@ -65,19 +86,23 @@ class Start(TypedDict):
     updates: int
 
 
-class Held(TypedDict):
-    """How many episodes are held out."""
-
-    held: int
-
-
 class Log(TypedDict):
     """The log in an online run's replay."""
 
     name: str
+    fingerprint: str
     rows: int
     share: float
-    holdout: Held | None
+    path: str | None
+    task: str | None
+    holdout: Holdout | None
+
+
+class LogRead(TypedDict):
+    """How that log was read."""
+
+    extra: NotRequired[Extra | None]
+    path: NotRequired[str | None]
 
 
 class RunConfig(TypedDict):
@@ -95,10 +120,11 @@ class RunConfig(TypedDict):
     start: NotRequired[Start | None]
     log: NotRequired[Log | None]
     demonstrations: NotRequired[dict[str, Any] | None]
-    history: NotRequired[Any]
-    encoder: NotRequired[Any]
-    shift: NotRequired[Any]
-    together: NotRequired[Any]
+    log_read: NotRequired[LogRead | None]
+    history: NotRequired[int]
+    encoder: NotRequired[str]
+    shift: NotRequired[int]
+    together: NotRequired[list[str] | None]
 
 
 class Status(TypedDict):
@@ -136,6 +162,17 @@ def read_run(path: Path | str) -> dict[str, Any]:
     seeds = found["seeds"]
     if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
         raise wrong(path, "seeds", "different whole numbers of 0 or more, at least one", seeds)
+    for field, holdout in (
+        ("data.holdout", found["data"].get("holdout")),
+        ("log.holdout", (found.get("log") or {}).get("holdout")),
+    ):
+        if holdout is not None and "fold" in holdout:
+            if "folds" not in holdout:
+                raise UserError(f"{path}: {field} lacks folds")
+            if not 0 <= holdout["fold"] < holdout["folds"]:
+                raise wrong(path, f"{field}.fold", f"a whole number from 0 to {holdout['folds'] - 1}", holdout["fold"])
+    if ("encoder" in found) != ("shift" in found):
+        raise UserError(f"{path}: it lacks {'shift' if 'encoder' in found else 'encoder'}, which goes with the other")
     return found
 
 
@@ -152,4 +189,49 @@ def read_cross_fit(path: Path | str) -> dict[str, Any]:
     found = read_json(path, CrossFitConfig)
     if not 2 <= found["folds"] <= 1_000:
         raise wrong(path, "folds", "a whole number from 2 to 1,000", found["folds"])
+    return found
+
+
+def checked_rows(path: Path | str, kind: str, table: pa.Table) -> pa.Table:
+    """A table of a run, whose columns are numbers: one that says of every row which it is, or that is empty.
+
+    Args:
+        path: of the file or the folder of its parts, for errors.
+        kind: `metrics` or `evaluations`.
+        table: it.
+
+    Raises:
+        UserError: it lacks a column, or one that must have whole numbers or truth values in all rows has none in some.
+    """
+    if not table.num_rows:
+        return table
+    for name in _NEEDED[kind]:
+        if name not in table.column_names:
+            raise UserError(f"{path}: {kind} need a column {name}; the file is damaged or of another kind")
+    for field in table.schema:
+        if field.name in _WHOLE and not pa.types.is_integer(field.type):
+            raise UserError(f"{path}: column {field.name} of {kind} must hold whole numbers, got {field.type}")
+        if table[field.name].null_count and (field.name in _WHOLE or pa.types.is_boolean(field.type)):
+            raise UserError(f"{path}: column {field.name} of {kind} must have a value in every row, got null")
+    return table
+
+
+def checked_array(path: Path | str, name: str, found: np.ndarray, shape: tuple[str, ...], least: int) -> np.ndarray:
+    """An array of a run.
+
+    Args:
+        path: of its file, for errors.
+        name: of the array.
+        found: it.
+        shape: what its dimensions are, in words.
+        least: of the last dimension.
+
+    Raises:
+        UserError: it holds something else than numbers, or has other dimensions.
+    """
+    if found.dtype.kind not in "biuf":
+        raise UserError(f"{path}: {name} must hold numbers, got {found.dtype}")
+    if found.ndim != len(shape) or found.shape[-1] < least:
+        text = f"must be of shape ({', '.join(shape)}) with {least} {shape[-1]} or more, got {found.shape}"
+        raise UserError(f"{path}: {name} {text}")
     return found

@@ -14,7 +14,7 @@ from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.loaded import TablePolicy
 from deadreckon.provided import Shown
 from deadreckon.runs.folder import Folder, policy_seed
-from deadreckon.runs.records import read_status
+from deadreckon.runs.records import checked_rows, read_status
 from deadreckon.training.fit import Failure
 
 
@@ -45,12 +45,12 @@ class Run(Shown):
     @property
     def metrics(self) -> pa.Table:
         """step, seed and one column a metric, a row per chunk and seed."""
-        return Folder(self.path).table("metrics")
+        return checked_rows(self.path / "metrics", "metrics", Folder(self.path).table("metrics"))
 
     @property
     def evaluations(self) -> pa.Table:
         """One row an episode of every periodic evaluation."""
-        return Folder(self.path).table("evaluations")
+        return checked_rows(self.path / "evaluations", "evaluations", Folder(self.path).table("evaluations"))
 
     @property
     def taught(self) -> np.ndarray | None:

@@ -80,7 +80,7 @@ class Dialect:
             try:
                 codecs.lookup(encoding)
                 "".encode(encoding)  # refuses codecs that are no encodings of text
-            except LookupError as error:
+            except (LookupError, ValueError) as error:  # a null character, or an encoding that there is not on purpose
                 raise UserError(
                     f"--encoding {encoding}: unknown; known are utf-8, utf-16, latin-1, cp1252 and others"
                 ) from error

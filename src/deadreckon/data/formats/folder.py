@@ -11,7 +11,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.build import build, columns_of
 from deadreckon.data.formats.header import Header, damaged
 from deadreckon.errors import UserError
-from deadreckon.files import drop_empty, missing_folders
+from deadreckon.files import drop_empty, is_there, missing_folders
 from deadreckon.foreign.archive import read_array
 from deadreckon.foreign.door import read_bytes
 from deadreckon.names import safe_name
@@ -73,7 +73,7 @@ def read_folder(path: Path | str, *, mmap: bool = True, strict: bool = False, na
     columns = {}
     for key in keys:
         file = path / f"{key}.npy"
-        if Path(key).name != key or not file.is_file():
+        if Path(key).name != key or not is_there(file):
             raise UserError(f"{path}: column file {key}.npy is missing")
         columns[key] = read_array(file, mmap=mmap)
     return build(path, columns, header, name=name, strict=strict)

@@ -5,10 +5,10 @@ from pathlib import Path
 from typing import Any, Literal, NotRequired, TypedDict
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.provenance import Provenance
-from deadreckon.data.spec import Box, Discrete, action_space_from_json, action_space_to_json
+from deadreckon.data.provenance import Extra, Provenance
+from deadreckon.data.spec import MOST_ACTIONS, Box, Discrete, action_space_from_json, action_space_to_json
 from deadreckon.errors import UserError
-from deadreckon.foreign.shapes import checked
+from deadreckon.foreign.shapes import checked, wrong
 from deadreckon.foreign.text import parse_json
 
 FORMAT = 1  # raised when an older deadreckon could not read what we write
@@ -20,7 +20,7 @@ class _Provenance(TypedDict):
     seed: int | None
     versions: dict[str, str]
     path: str | None
-    extra: dict[str, Any]
+    extra: Extra
 
 
 class _Discrete(TypedDict):
@@ -92,6 +92,8 @@ class Header:
             raise UserError(f"{path}: written by a newer deadreckon (format {version}); update to read it")
         try:
             checked(value, _Header, path)
+            if (n := (value["action_space"] or {}).get("n", 1)) > MOST_ACTIONS:
+                raise wrong(path, "action_space.n", f"a whole number up to {MOST_ACTIONS:,}", n)
             space = None if value["action_space"] is None else action_space_from_json(value["action_space"])
             provenance = Provenance(**value["provenance"])
         except (KeyError, TypeError, ValueError) as error:
