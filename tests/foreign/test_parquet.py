@@ -78,3 +78,9 @@ def test_nobody_waits_for_a_pipe(tmp_path):
     for read in (lambda: streamed_format(tmp_path / "log"), Store(tmp_path).results, lambda: Folder(tmp_path).table("metrics")):
         with pytest.raises(UserError, match=r"x\.parquet is a named pipe, and a file is needed"):
             read()
+
+
+def test_columns_of_one_name_are_refused(tmp_path):
+    parquet.write_table(pa.Table.from_arrays([pa.array([1]), pa.array([2])], names=["x", "x"]), tmp_path / "x.parquet")
+    with pytest.raises(UserError, match=r"x\.parquet: two of its columns are called 'x'"):
+        read_parquet(tmp_path / "x.parquet")

@@ -6,9 +6,10 @@ A text that stands once in a file's dictionary may be meant by millions of rows,
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from deadreckon.errors import reading
+from deadreckon.errors import UserError, reading
 from deadreckon.foreign.door import file_size
 from deadreckon.foreign.limits import UNPACKED, beyond, max_unpacked
+from deadreckon.names import repeated
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -27,7 +28,7 @@ def read_parquet(path: Path | str, kind: str = "Parquet", *, threads: bool = Tru
         threads: read columns side by side.
 
     Raises:
-        UserError: see `check_parquet`.
+        UserError: see `check_parquet`; or two columns have one name.
     """
     from pyarrow import parquet
 
@@ -35,7 +36,9 @@ def read_parquet(path: Path | str, kind: str = "Parquet", *, threads: bool = Tru
     with reading(path, kind), parquet.ParquetFile(path) as file:
         found = file.read(use_threads=threads)
         found.validate(full=True)  # texts that are no UTF-8 would fail wherever they are first looked at
-        return found
+    if twice := repeated(found.column_names):
+        raise UserError(f"{path}: two of its columns are called {twice[0]!r}, and only one can be meant; rename one")
+    return found
 
 
 def check_parquet(path: Path | str, kind: str = "Parquet", *, whole: bool = True) -> None:
