@@ -81,7 +81,7 @@ def test_tasks_with_the_same_episodes_share_them(capsys):
     row = next(line for line in out.splitlines() if line.startswith("antmaze-umaze snapshot-10")).split()
     last = library.library("antmaze-umaze")[-1]
     worth = [f"{x:.2f}" for x in (last.sampled.mean, last.sampled.error)]
-    assert row[2:] == ["22,000", "0", *worth, "80.0", f"{last.sampled.discounted:.2f}", f"{last.greedy.mean:.2f}", "93.0"]
+    assert row[2:] == ["22,000", *worth, "80.0", f"{last.sampled.discounted:.2f}", f"{last.greedy.mean:.2f}", "93.0"]
 
 
 def test_the_command_shows_them(capsys):

@@ -23,6 +23,7 @@ import pyarrow.parquet as pq
 
 from deadreckon.bench.checked import check_part
 from deadreckon.bench.jobs import Job, Program, file_name
+from deadreckon.errors import reading
 from deadreckon.files import read_json, replacing, write_json
 from deadreckon.foreign.parquet import read_parquet
 from deadreckon.names import safe_name
