@@ -37,3 +37,16 @@ def test_a_second_error_widens_by_its_own_students_quantile():
     np.testing.assert_allclose(half, [np.hypot(5.0, 4.302653 * np.sqrt(18)), 7.0], rtol=1e-6)
     np.testing.assert_allclose(inference.beside(np.zeros(2), deviations, 0.01)[0], 9.924843 * np.sqrt(18), rtol=1e-6)
     np.testing.assert_array_equal(inference.beside(np.ones(2), np.array([[np.nan, 0.0]])), [np.nan, 1.0])
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_is_too_large_to_square_has_no_interval_and_no_warning():
+    """As products of weights over hundreds of steps are; the other estimate keeps its interval."""
+    influence = np.random.default_rng(0).standard_normal((40, 3))
+    own = inference.gains(np.zeros(2), influence[:, :2], 0)
+    influence[:, 2] *= 1e200
+    difference, low, high = inference.gains(np.zeros(3), influence, 0)
+    assert np.isinf(inference.errors(influence)[2])
+    assert (low[2], high[2]) == (-np.inf, np.inf)
+    assert np.isfinite([low[1], high[1]]).all()
+    assert high[1] - low[1] >= own[2][1] - own[1][1]  # two are compared at once

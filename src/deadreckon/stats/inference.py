@@ -15,12 +15,13 @@ SURE = 0.01  # error rate of a test that weights average one, for each policy
 def errors(influence: np.ndarray) -> np.ndarray:
     """(policies,) standard errors of estimates from their (units, policies) influence functions.
 
-    sqrt(sum_u (psi_u - mean psi)^2 / (n (n - 1))), infinite where there is one unit.
+    sqrt(sum_u (psi_u - mean psi)^2 / (n (n - 1))), infinite where there is one unit, or squares are too large for floats.
     """
     n = len(influence)
     if n < 2:
         return np.full(influence.shape[1:], np.inf)
-    return influence.std(0, ddof=1) / np.sqrt(n)
+    with np.errstate(over="ignore"):
+        return influence.std(0, ddof=1) / np.sqrt(n)
 
 
 def student(value: np.ndarray, influence: np.ndarray, alpha: float = ALPHA) -> tuple[np.ndarray, np.ndarray]:
@@ -37,7 +38,7 @@ def studentised(influence: np.ndarray, seed: int = 0, n_bootstrap: int = N_BOOTS
     A redraw of equal units has no spread: its t is infinite, or zero where it is at the mean itself.
     """
     n = len(influence)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         psi = (influence - influence.mean(0)) / influence.std(0)
     # The same for all that is compared with one seed.
     counts = resample_counts(generator(seed, "resamples"), n, n_bootstrap)
@@ -108,7 +109,8 @@ def simultaneous(influence: np.ndarray, alpha: float = ALPHA, seed: int = 0) -> 
         The factor; infinite where there are fewer than two units, or where the bootstrap samples do not reach so far.
     """
     n = len(influence)
-    psi = influence[:, influence.std(0) > 0]
+    with np.errstate(over="ignore"):  # where products of weights are huge, and the interval has no ends
+        psi = influence[:, influence.std(0) > 0]
     if n < 2:
         return np.inf
     t = studentised(psi, seed).max(1) if psi.shape[1] else np.zeros(N_BOOTSTRAP)
