@@ -26,6 +26,7 @@ from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.metrics import published
 from deadreckon.ope.registry import PUBLIC, as_estimator, with_fields
+from deadreckon.ope.select import unbounded_where_unsupported
 from deadreckon.policies import BlackBoxPolicy, library
 from deadreckon.report.dope import write_bench
 from deadreckon.report.text import number
@@ -189,6 +190,24 @@ def test_what_an_interval_does_not_know_makes_it_endless(diagnostics, ess, why):
         assert why in choice.reason
         assert (choice.low, choice.high) == (-np.inf, np.inf)
         assert choice.gains[0, 1] == -np.inf
+
+
+@pytest.mark.parametrize(
+    ("diagnostics", "ess", "bounded"),
+    [
+        ({}, 100.0, True),
+        ({}, 1.0, False),
+        ({"effective share": 0.1}, 40.0, False),
+        ({"mean weight": 0.6, "mean weight high": 0.9}, 100.0, False),
+        ({"mean weight": 0.6, "mean weight high": 1.1}, 100.0, True),
+    ],
+)
+def test_values_have_no_interval_either_where_weights_miss_the_policy(diagnostics, ess, bounded):
+    found = weighted(1.0, 0.1, diagnostics, ess)
+    found = dataclasses.replace(found, low=found.value - 0.2, high=found.value + 0.2)
+    shown = unbounded_where_unsupported(found, None)
+    assert (shown.low[0], shown.high[0]) == ((0.8, 1.2) if bounded else (-np.inf, np.inf))
+    assert (shown.low[1], shown.high[1]) == (-0.2, 0.2)  # the log's own
 
 
 def test_learned_propensities_that_do_not_fit_widen_intervals():
