@@ -93,8 +93,8 @@ def test_rows_that_lack_something_are_refused(changes, words, asked, tmp_path):
             lambda table: table.set_column(0, "cell", pa.array([1])),
             "column cell of its results must be of type string, got int64",
         ),
-        (lambda table: table.append_column("cell", table["cell"]), "two columns of its results are called cell"),
-        (lambda table: table.append_column("more", table["cell"]), "two columns of its results are called more"),
+        (lambda table: table.append_column("cell", table["cell"]), "two of its columns are called 'cell'"),
+        (lambda table: table.append_column("more", table["cell"]), "two of its columns are called 'more'"),
     ],
 )
 def test_columns_of_another_table_are_refused(change, words, asked, tmp_path):

@@ -234,8 +234,9 @@ def test_a_run_from_elsewhere_cannot_have_any_file_quoted(place, tmp_path, kind)
         del config["data"]["fingerprint"]
     shutil.copytree(place / "run", tmp_path / "run")
     (tmp_path / "run" / "run.json").write_text(json.dumps(config))
-    words = {"secret": "cannot be read again", "unknown": "has no fingerprint"}.get(kind, "is not at .* any more")
-    with pytest.raises(UserError, match=f"{words}.*name it with --reference") as caught:
+    again = "cannot be read again.*name it with --reference"
+    words = {"secret": again, "unknown": "data lacks fingerprint"}.get(kind, "is not at .* any more; name it with --reference")
+    with pytest.raises(UserError, match=words) as caught:
         monitor(tmp_path / "run", place / "same.csv")
     assert caught.value.__suppress_context__ or caught.value.__context__ is None  # nor in what a traceback shows
     assert not any(word in str(caught.value) for word in ("swordfish", "\n", "\x1b"))

@@ -31,12 +31,9 @@ def check_part(path: Path | str, kind: str, schema: pa.Schema, found: pa.Table) 
         found: the part.
 
     Raises:
-        UserError: a column is there twice, is of another type, lacks a value that every row has, or holds no JSON.
+        UserError: a column is of another type, lacks a value that every row has, or holds no JSON.
     """
     names = found.column_names
-    for name in names:
-        if names.count(name) > 1:
-            raise UserError(f"{path}: two columns of its {kind} are called {name}")
     for field in schema:
         if field.name not in names:
             continue

@@ -74,9 +74,9 @@ def _check_keys(path: Path | str, data: bytes) -> None:
     if data.count(b".") < most:
         return
     bare = _TEXTS.sub(_without, data)
-    deepest = max((found[0].count(b".") + 1 for found in _DOTTED.finditer(bare)), default=0)
-    if deepest > most:
-        raise beyond(path, deepest, most, DEPTH, "is nested in")
+    longest = max((found[0].count(b".") + 1 for found in _DOTTED.finditer(bare)), default=0)
+    if longest > most:
+        raise beyond(path, longest, most, DEPTH, "is nested in")
 
 
 def _without(found: re.Match[bytes]) -> bytes:
