@@ -18,7 +18,8 @@ from deadreckon.runs.trackers.wandb_runs import WandB
 
 SETTINGS = {"steps": 60, "seeds": 2, "chunk": 20, "evaluate_every": 30, "task": False, "holdout": 0}
 
-CONFIG = {"agent": {"name": "bc", "fields": {}}, "data": {"name": "log", "fingerprint": "0" * 32}, "task": None, "seeds": [0], "steps": 50}
+DATA = {"name": "log", "fingerprint": "0" * 32}
+CONFIG = {"agent": {"name": "bc", "fields": {}}, "data": DATA, "task": None, "seeds": [0], "steps": 50}
 
 
 @pytest.fixture(scope="module")
