@@ -12,7 +12,7 @@ from typing import Any
 
 from deadreckon.errors import UserError, is_control, shown
 
-_MARKS = re.compile(r"[\\`*<|]")
+_MARKS = re.compile(r"[\\`*<|!\[\]]")
 
 
 def in_markdown(value: Any) -> Any:

@@ -84,3 +84,15 @@ def test_columns_of_one_name_are_refused(tmp_path):
     parquet.write_table(pa.Table.from_arrays([pa.array([1]), pa.array([2])], names=["x", "x"]), tmp_path / "x.parquet")
     with pytest.raises(UserError, match=r"x\.parquet: two of its columns are called 'x'"):
         read_parquet(tmp_path / "x.parquet")
+
+
+@pytest.mark.parametrize("encoding", ["DELTA_BYTE_ARRAY", "DELTA_LENGTH_BYTE_ARRAY"])
+def test_texts_in_delta_encodings_are_read_and_counted(tmp_path, monkeypatch, encoding):
+    """Which other writers choose; their pages hold no dictionary."""
+    table = pa.table({"text": [f"{'same' * 50}{i}" for i in range(5_000)], "number": list(range(5_000))})
+    path = tmp_path / "x.parquet"
+    parquet.write_table(table, path, use_dictionary=False, column_encoding={"text": encoding, "number": "PLAIN"})
+    assert read_parquet(path).equals(table)
+    monkeypatch.setenv("DEADRECKON_MAX_UNPACKED", "500k")
+    with pytest.raises(UserError, match="unpacks to"):
+        read_parquet(path)

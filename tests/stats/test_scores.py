@@ -388,7 +388,8 @@ def test_the_ratio_of_variances_holds_no_more_often_than_its_level_says():
 
 
 def test_the_ratio_of_variances_needs_groups_and_runs_that_differ():
-    assert np.isnan(variance_ratio([np.array([[1.0, 1.0], [2.0, 2.0]])]).value)
+    for equal in (1.0, 0.1, 61.3):  # of which means differ by rounding
+        assert np.isnan(variance_ratio([np.full((2, 3), equal) * np.array([[1.0], [7.0]])]).value)
     for blocks in ([], [np.ones((1, 3))], [np.ones((2, 1))], [np.ones((2, 3)), np.ones((2, 4))]):
         with pytest.raises(UserError, match="two or more groups, and two or more runs"):
             variance_ratio(blocks)

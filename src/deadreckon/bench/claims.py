@@ -231,6 +231,8 @@ def _compared(
 
 def _gain(test: Test, ours: Mapping[str, np.ndarray], theirs: Mapping[str, np.ndarray], level: float) -> Interval:
     """As the kind of test has it, from a number a seed by log."""
+    if test.among and min(map(len, ours.values())) < 2:
+        return Interval(math.nan, math.nan, math.nan)
     if test.among:
         return variance_ratio([logs for logs in _by_task(ours).values() if len(logs) > 1], level)
     if test.beside is None:

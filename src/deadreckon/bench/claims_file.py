@@ -136,6 +136,8 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
         other = tuple(on for on in suites[names[1]].on if on not in void) if "beside" in test else ()
         if not left or ("beside" in test and not other):
             raise UserError(f"{where}: all its logs are ones on which an agent was tuned, so they decide nothing")
+        if "among" in forms and test.get("less", False):
+            raise UserError(f"{where}: with among, neither more nor less is claimed; leave less out")
         if "among" in forms and max(Counter(map(task_of, left)).values()) < 2:
             raise UserError(f"{where}: with among, logs of a task are compared, but no two of {', '.join(left)} share one")
         if both := set(left) & set(other):

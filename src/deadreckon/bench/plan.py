@@ -188,7 +188,8 @@ def _run(suite: Suite, on: str) -> dict[str, Any]:
 def _online(suite: Suite, method: Method, on: str) -> Job:
     from deadreckon.tasks.registry import check_named, task
 
-    check_named(on, f"the task of {suite.name}", f"--trust {on.partition(':')[0]} lets it run")
+    module, colon, _ = on.removeprefix("gymnasium:").partition("?")[0].partition(":")
+    check_named(on, f"the task of {suite.name}", f"--trust {module} lets it run" if colon else "leave that out")
     settings, published = _agent(suite, method, on)
     # Only where it says something: names of cells depend on it.
     acting = {key: float(value) if key == "updates_per_step" else value for key, value in method.acting.items()}

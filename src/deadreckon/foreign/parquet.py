@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 ROWS = 65_536  # of a batch, as those are read that go to the disk part by part
 _CELLS = 1 << 22  # of a batch
+_FEW = 1024  # rows of a batch of which each may be as long as all that was read before
 _WIDTHS = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "INT96": 8, "FLOAT": 4, "DOUBLE": 8, "BYTE_ARRAY": 8}
 
 
@@ -64,7 +65,8 @@ def check_parquet(path: Path | str, kind: str = "Parquet", *, whole: bool = True
         total = 0
         for i, leaf in enumerate(leaves):
             # Texts have 8 bytes that say where they are, and so have lists; decimals have 16, however few are stored.
-            width = _WIDTHS.get(leaf.physical_type, max(leaf.length, 16)) + 8 * leaf.max_repetition_level
+            known = _WIDTHS.get(leaf.physical_type, max(leaf.length, 16))
+            width = (max(known, 16) if leaf.logical_type.type == "DECIMAL" else known) + 8 * leaf.max_repetition_level
             counts = [max(group.column(i).num_values, group.num_rows) for group in groups]
             total += width * (sum(counts) if whole else min(max(counts, default=0), ROWS))
         if total > most:
@@ -72,8 +74,13 @@ def check_parquet(path: Path | str, kind: str = "Parquet", *, whole: bool = True
         texts = [leaf.path for leaf in leaves if leaf.physical_type == "BYTE_ARRAY"]
         if not texts:
             return
-        with parquet.ParquetFile(path, read_dictionary=texts) as file:
-            rows = max(min(_CELLS // len(texts), ROWS), 1)
+        # Texts that are told from the one before (delta encodings) cannot be read as a dictionary, and may all be long.
+        deltas = {
+            leaf.path for i, leaf in enumerate(leaves)
+            if any(name.startswith("DELTA") for group in groups for name in group.column(i).encodings)
+        }  # fmt: skip
+        with parquet.ParquetFile(path, read_dictionary=[name for name in texts if name not in deltas]) as file:
+            rows = max(min(_CELLS // len(texts), _FEW if deltas & set(texts) else ROWS), 1)
             for batch in file.iter_batches(rows, columns=texts):
                 size = sum(map(_size, batch.columns))
                 total = total + size if whole else size * (ROWS // rows)

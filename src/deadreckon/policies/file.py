@@ -17,7 +17,6 @@ from deadreckon.policies.table_predict import Predictor
 
 P = TypeVar("P", bound=Predictor)
 
-_ACTIONS = 100_000  # discrete ones
 _NUMBER = 1_000_000  # any whole number
 _PICTURE = 20_000_000  # numbers of a picture
 _POLICIES = 1_000  # in a file, of mixtures and what is around others
@@ -56,9 +55,6 @@ def read_policy(path: Path | str) -> tuple[dict[str, Any], dict[str, np.ndarray]
 
 def _check_numbers(path: Path | str, tree: dict[str, Any], arrays: Iterable[np.ndarray]) -> None:
     """Refuses numbers by which few bytes would ask for more memory or time than policies of this package take."""
-    space = ((tree.get("meta") or {}).get("log") or {}).get("action_space")
-    if isinstance(space, dict) and space.get("n") is not None:
-        _whole(path, "meta.log.action_space.n", space["n"], _ACTIONS)
     widest = max(
         (size for array in arrays if array.size for size in array.shape), default=1
     )  # of what a network takes or gives

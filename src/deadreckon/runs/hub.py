@@ -172,7 +172,7 @@ def _card(thing: Any, kind: str, repo: str) -> str:
         facts += ["", f"{len(thing):,} rows in {thing.episodes:,} episodes; fingerprint `{thing.fingerprint}`."]
     if isinstance(thing, Run):
         config = in_markdown(thing.config)
-        facts += ["", f"Agent `{config['agent']['name']}` on the log `{config['data']['name']}`, {config['steps']:,} updates,"]
+        facts += ["", f"Agent {config['agent']['name']} on the log {config['data']['name']}, {config['steps']:,} updates,"]
         facts.append(f"seeds {', '.join(map(str, thing.seeds))}. Whether to deploy it is a question to held-out episodes.")
     place = f"{DATASETS}{repo}" if kind == "log" else repo
     use = ["", "```python", "import deadreckon as dr", "", f'found = dr.from_hub("{place}")', "```"]

@@ -99,7 +99,7 @@ def variance_ratio(blocks: Sequence[np.ndarray], level: float = LEVEL) -> Interv
     freedoms = sum(len(block) - 1 for block in blocks), sum(len(block) * (runs - 1) for block in blocks)
     among = runs * sum(len(block) * float(block.mean(1).var()) for block in blocks) / freedoms[0]
     within = sum(float(block.var(1).sum()) * runs for block in blocks) / freedoms[1]
-    if within == 0.0:
+    if all(np.ptp(block, 1).max() == 0.0 for block in blocks):  # means of equal numbers may differ by rounding
         return Interval(math.nan, math.nan, math.nan)
     limits = (float(fdtri(*freedoms, p)) for p in ((1 + level) / 2, (1 - level) / 2))
     low, high = ((among / within / limit - 1.0) / runs for limit in limits)

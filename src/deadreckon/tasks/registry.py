@@ -88,14 +88,15 @@ def check_named(name: str, what: str, remedy: str) -> None:
     if colon and trusted(module):
         return
     if any(_is_path(value) for value in options_of(name, text).values()):
-        raise UserError(f"{what} is {name}: a file may not give an environment the path of another file")
+        raise UserError(f"{what} is {name}: a file may not give an environment the path of another file; {remedy}")
     if not colon:
         return
     refused = f"{what} is {name}, not one of deadreckon's: {remedy}"
     if module not in sys.modules:
         raise UserError(f"{refused}, or import {module} first")
     if not path.startswith("gymnasium:") and not _is_world(getattr(sys.modules[module], attribute, None)):
-        raise UserError(f"{refused}; {attribute} of {module} is no class of environments, and might do anything")
+        why = f"{attribute} of {module} is no class of environments, and might do anything"
+        raise UserError(f"{refused}; {why} (deadreckon.imports.trust allows it)")
 
 
 LONGEST = 1000  # characters of a name that a file gives
@@ -114,7 +115,10 @@ def _is_path(value: Any) -> bool:
 def _is_world(found: Any) -> bool:
     """Whether it is a task, or a class of environments."""
     gymnasium = sys.modules.get("gymnasium")
-    return isinstance(found, Task) or (gymnasium is not None and isinstance(found, type) and issubclass(found, gymnasium.Env))
+    return isinstance(found, Task) or (
+        gymnasium is not None and isinstance(found, type)
+        and issubclass(found, gymnasium.Env) and not issubclass(found, gymnasium.Wrapper)
+    )  # fmt: skip
 
 
 def of_log(name: str) -> Task | None:
