@@ -176,17 +176,17 @@ CALLED = 'kind = "study"\ncases = ["a"]\n[methods]\nA = { agent = "%s" }\n[metri
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (SMALL.replace('agent = "bc"', 'agent = "stranger:made"'), "stranger:made is code .*; --trust stranger lets it run"),
-        (CALLED % "stranger:made", "stranger:made is code that is not part of deadreckon; --trust stranger lets it run"),
+        (SMALL.replace('agent = "bc"', 'agent = "lone:made"'), "lone:made is code .*; --trust lone lets it run"),
+        (CALLED % "lone:made", "lone:made is code that is not part of deadreckon; --trust lone lets it run"),
         (CALLED % "json:loads", "json:loads is code that is not part of deadreckon; --trust json lets it run"),
-        (ONLINE % ("inverted-pendulum", "stranger:made"), "stranger:made is code .*; --trust stranger lets it run"),
-        (ONLINE % ("stranger:made", "sac"), "task of small is stranger:made, .* --trust stranger lets it run"),
+        (ONLINE % ("inverted-pendulum", "lone:made"), "lone:made is code .*; --trust lone lets it run"),
+        (ONLINE % ("lone:made", "sac"), "task of small is lone:made, .* --trust lone lets it run"),
         (ONLINE % ("os:system?command=touch PWNED", "sac"), "system of os is no class of environments"),
     ],
 )
 def test_a_suite_runs_no_code_but_the_users(written, text, message, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "stranger.py").write_text(STRANGER)
+    (tmp_path / "lone.py").write_text(STRANGER)
     path = written(text)
     with pytest.raises(UserError, match=message):
         plan(read(path))
@@ -199,10 +199,10 @@ def test_a_suite_runs_no_code_but_the_users(written, text, message, tmp_path, mo
 def test_a_suite_may_name_what_the_user_trusts(written, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(imports, "_TRUSTED", set())
-    monkeypatch.delitem(sys.modules, "stranger", raising=False)
-    (tmp_path / "stranger.py").write_text(STRANGER)
-    path = str(written(CALLED % "stranger:made"))
-    assert main(["bench", "show", path, "--out", "out", "--trust", "stranger"]) == 0
+    monkeypatch.delitem(sys.modules, "lone", raising=False)
+    (tmp_path / "lone.py").write_text(STRANGER)
+    path = str(written(CALLED % "lone:made"))
+    assert main(["bench", "show", path, "--out", "out", "--trust", "lone"]) == 0
     assert (tmp_path / "PWNED").exists()
 
 
