@@ -1,10 +1,10 @@
 """Cases one after the other, each once: a study that was ended goes on, and `--table` shows what there is.
 
     python -m tests.faults --kills 100                           # what `make faults` does
-    python -m tests.faults --table --results evidence/faults.jsonl   # tables in Markdown, as docs/reliability.md has them
+    python -m tests.faults --table                              # tables in Markdown, as docs/reliability.md has them
 
-A line of the results is a case: its number, command, fault, outcome, what was broken, and the processes that were killed. Those
-of the documentation are kept in the repository, so that their study outlasts the machine on which it began.
+A line of the results is a case: its number, command, fault, outcome, what was broken, and the processes that were killed. A
+file named by `--results` outlasts the folder, and can be kept in the repository.
 """
 
 import argparse

@@ -1,5 +1,7 @@
 """What tables of results that come from elsewhere must be, before anything looks into their rows."""
 
+import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -52,13 +54,15 @@ def check_part(path: Path | str, kind: str, schema: pa.Schema, found: pa.Table) 
     return found
 
 
-def number(row: Mapping[str, Any], column: str, more: Mapping[str, Any]) -> float | None:
-    """What a row has under a name, in a column or else in `more`, if it is a number; None where it has nothing.
+def number(row: Mapping[str, Any], column: str) -> float:
+    """What a row of results has under a name, in a column or in its `more`; NaN where it has nothing.
 
     Raises:
-        UserError: it is none.
+        UserError: it is no number.
     """
-    found = row[column] if column in row else more.get(column)
-    if found is None or type(found) is float or (type(found) is int and abs(found) < 1e300):
-        return found
+    found = row[column] if column in row else json.loads(row["more"] or "{}").get(column)
+    if found is None:
+        return math.nan
+    if type(found) is float or (type(found) is int and abs(found) < 1e300):
+        return float(found)
     raise wrong(f"{row['method']} on {row['on']}, seed {row['seed']} (cell {row['cell']})", column, "a number", found)

@@ -23,11 +23,11 @@ from typing import Any, Literal
 
 import numpy as np
 
+from deadreckon.bench.checked import number
 from deadreckon.bench.jobs import Job
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import read
-from deadreckon.bench.tables import number
 from deadreckon.errors import UserError, unknown
 from deadreckon.stats.comparison import between, paired, variance_ratio
 from deadreckon.stats.interval import ALPHA, Interval

@@ -150,7 +150,7 @@ class Store:
     def _all(self, kind: str, schema: pa.Schema) -> pa.Table:
         # The newest last, of which `tables` makes use.
         parts = sorted((part.stat().st_mtime_ns, part.name, part) for part in (self.path / kind).glob("*.parquet"))
-        tables = [_checked(part, when, kind) for when, _, part in parts]
+        tables = [_read(part, when, kind) for when, _, part in parts]
         with reading(self.path / kind, "tables of results"):  # older parts may lack a column
             return pa.concat_tables([schema.empty_table(), *tables], promote_options="default")
 
@@ -195,12 +195,8 @@ def _with_present_names(rows: pa.Table) -> pa.Table:
 
 
 @cache
-def _checked(part: Path, written: int, kind: str) -> pa.Table:
-    """A part of a kind, read and checked once."""
-    return check_part(part, kind, RESULT if kind == "results" else CURVE, _read(part, written))
-
-
-@cache
-def _read(part: Path, written: int) -> pa.Table:
-    """A part, read once; `written` tells it from what may lie there later."""
-    return read_parquet(part, "a table of results", threads=False)  # a third of the time of reading small parts with threads
+def _read(part: Path, written: int, kind: str) -> pa.Table:
+    """A part of a kind, read and checked once; `written` tells it from what may lie there later."""
+    # A third of the time of reading small parts with threads.
+    found = read_parquet(part, "a table of results", threads=False)
+    return check_part(part, kind, RESULT if kind == "results" else CURVE, found)

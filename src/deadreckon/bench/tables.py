@@ -10,7 +10,7 @@ import numpy as np
 
 from deadreckon.agents import agent_class
 from deadreckon.bench import published
-from deadreckon.bench.checked import number as checked_number
+from deadreckon.bench.checked import number
 from deadreckon.bench.jobs import Job
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Metric, Suite
@@ -156,12 +156,6 @@ def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_
     if any(printed.values()):
         notes.append(f"thesis: {SOURCES[suite.kind]}")
     return Table(suite, metric, cells, printed, means, (*notes, *_notes(jobs, missing, store, shown)))
-
-
-def number(row: dict[str, Any], column: str) -> float:
-    """What a row of results has under a name, in a column or in its `more`; NaN where it has nothing."""
-    found = checked_number(row, column, {} if column in row else json.loads(row["more"] or "{}"))
-    return np.nan if found is None else float(found)
 
 
 def _printed(suite: Suite, on: str, metric: Metric) -> dict[str, float]:
