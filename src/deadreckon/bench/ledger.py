@@ -7,6 +7,7 @@ Such a folder can lie in a repository, as files are only added. Runs and failure
 
 import json
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -99,7 +100,7 @@ class Ledger(Store):
 
     def _files(self) -> tuple[str, ...]:
         root = self.cells.absolute()  # whose own name is no pattern
-        return tuple(sorted(str(root / name) for name in glob("*/*/*.json", root_dir=root)))
+        return tuple(sorted(os.path.join(root, name) for name in glob("*/*/*.json", root_dir=root)))
 
 
 def store_of(suites: Sequence[Suite], path: Path) -> Store:

@@ -85,14 +85,9 @@ class MLP(eqx.Module):
         keys = jax.random.split(key, len(sizes) - 1)
         weights, biases = [], []
         for layer, (k, i, o) in enumerate(zip(keys, sizes, sizes[1:])):
-            kw, kb = jax.random.split(k)  # both are drawn alike
-            last = init.last if layer == len(hidden) else None
-            weights.append(_weights(init.weights, kw, i, o, last))
-            bound = _bound(i) if last is None else last
-            if init.bias is None or last is not None:
-                biases.append(jax.random.uniform(kb, (o,), minval=-bound, maxval=bound))
-            else:
-                biases.append(jnp.full(o, init.bias))
+            w, b = _layer(k, i, o, init._replace(last=init.last if layer == len(hidden) else None))
+            weights.append(w)
+            biases.append(b)
         return cls(tuple(weights), tuple(biases), activation, normalise, mask)
 
     def __call__(self, x: Float[Array, "*b i"]) -> Float[Array, "*b o"]:
@@ -120,15 +115,23 @@ class MLP(eqx.Module):
         return x
 
 
-def _weights(kind: str, key: PRNGKeyArray, inputs: int, outputs: int, last: float | None) -> Float[Array, "i o"]:
-    if kind == "orthogonal":
-        return jax.nn.initializers.orthogonal(math.sqrt(2.0))(key, (inputs, outputs))
-    if kind == "glorot":
-        return jax.nn.initializers.glorot_uniform()(key, (inputs, outputs))
-    if kind == "lecun":
-        return jax.nn.initializers.lecun_normal()(key, (inputs, outputs))
-    bound = _bound(inputs) if last is None else last
-    return jax.random.uniform(key, (inputs, outputs), minval=-bound, maxval=bound)
+@functools.partial(jax.jit, static_argnums=(1, 2, 3))  # one program a shape: an operation at a time takes ten times as long
+def _layer(key: PRNGKeyArray, inputs: int, outputs: int, init: Init) -> tuple[Float[Array, "i o"], Float[Array, "o"]]:
+    """Weights and biases of a layer; `init.last` is None in all but the last."""
+    k_weights, k_biases = jax.random.split(key)  # both are drawn alike
+    bound = _bound(inputs) if init.last is None else init.last
+    if init.bias is None or init.last is not None:
+        biases = jax.random.uniform(k_biases, (outputs,), minval=-bound, maxval=bound)
+    else:
+        biases = jnp.full(outputs, init.bias)
+    shape = (inputs, outputs)
+    if init.weights == "orthogonal":
+        return jax.nn.initializers.orthogonal(math.sqrt(2.0))(k_weights, shape), biases
+    if init.weights == "glorot":
+        return jax.nn.initializers.glorot_uniform()(k_weights, shape), biases
+    if init.weights == "lecun":
+        return jax.nn.initializers.lecun_normal()(k_weights, shape), biases
+    return jax.random.uniform(k_weights, shape, minval=-bound, maxval=bound), biases
 
 
 def _bound(inputs: int) -> np.float32:

@@ -98,12 +98,14 @@ def estimator(name: str, **changes: Any) -> Estimator:
     """
     if name not in ESTIMATORS:
         raise unknown("estimator", name, ESTIMATORS)
-    made = [make() for make, _ in ESTIMATORS.values()] if changes else []
+    own = ESTIMATORS[name][0]()
     for field in changes:
-        if not any(meant(type(each), field) for each in made):
-            fields = {field.name for each in made for field in dataclasses.fields(each)}
-            raise unknown("field of estimators", field, sorted(fields))
-    return with_fields(ESTIMATORS[name][0](), changes)
+        if not meant(type(own), field):
+            made = [make() for make, _ in ESTIMATORS.values()]
+            if not any(meant(type(each), field) for each in made):
+                fields = {field.name for each in made for field in dataclasses.fields(each)}
+                raise unknown("field of estimators", field, sorted(fields))
+    return with_fields(own, changes)
 
 
 def fits_name() -> str:
