@@ -62,6 +62,17 @@ def test_model_returns_measures_and_draws(tmp_path, monkeypatch, capsys, home):
 
 
 @pytest.mark.slow
+def test_returns_in_a_model_are_compared_with_those_of_its_run(monkeypatch, home):
+    monkeypatch.syspath_prepend(str(ROOT))
+    import evidence.studies.model_returns as study
+
+    small = {"hidden": (8,), "model_hidden": (16,), "model_weight_decay": (), "members": 2, "elites": 2, "model_epochs": 3}
+    found = study.agreement("hopper", seed=0, steps=5_600, updates_per_step=0.08, every=200, **small)
+    assert -1.0 <= found["correlation"] <= 1.0
+    assert found["ratio"] > 0
+
+
+@pytest.mark.slow
 def test_pictures_of_mazes(tmp_path, home):
     command = [sys.executable, str(ROOT / "evidence" / "studies" / "maze_coverage.py"), "--steps", "1500", "--shown", "2"]
     files = {name: tmp_path / f"{name}.svg" for name in ("trajectories", "coverage")}

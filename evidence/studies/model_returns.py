@@ -7,9 +7,10 @@ Policies that the run kept act in the simulator and in the run's last model, dra
 kind of first observation. Then actions of a real episode are done again in the model, many times over: its draws are the fan.
 """
 
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,6 +19,7 @@ import numpy as np
 import tyro
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from deadreckon.agents.mbpo import MBPO
 from deadreckon.agents.model_based import OnlineModelBasedAgent
 from deadreckon.cli.main import cache_compiled_programs
 from deadreckon.collect.rollouts import played
@@ -25,13 +27,13 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.step import Step
 from deadreckon.dynamics import Ensemble, transition
 from deadreckon.errors import UserError
-from deadreckon.online.model_learning import own
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.report import charts
 from deadreckon.report.picture import PANEL, sheet
 from deadreckon.runs.folder import Folder
-from deadreckon.runs.online import reopened
+from deadreckon.runs.online import reopened, train_online, turns_of
+from deadreckon.training.learner import lane_of
 
 REAL, MODEL = range(2)  # colours
 BAND = 5, 95  # percentiles of returns that bands and tables show
@@ -116,9 +118,21 @@ def banded(name: str, slot: int, x: np.ndarray, values: np.ndarray, percentiles:
     return charts.Series(name, slot, x, np.nanmean(values, 1), low, high)
 
 
-def main(options: Options) -> None:
-    """Measures, prints and draws."""
-    cache_compiled_programs()
+class Found(NamedTuple):
+    """What a run's policies reach, each as (steps, episodes) returns so far."""
+
+    agent: OnlineModelBasedAgent
+    ensemble: Ensemble
+    folder: Folder
+    kept: list[int]  # updates after which the policies were kept
+    steps: np.ndarray  # of the environment, after which they were
+    logs: list[Dataset]  # what they did
+    real: list[np.ndarray]
+    dreamed: list[np.ndarray]
+
+
+def measured(options: Options) -> Found:
+    """Policies of a run in the simulator and in the run's last model."""
     job, folder = reopened(options.run), Folder(Path(options.run))
     if options.seed not in job.seeds:
         raise UserError(f"{options.run} has the seeds {list(job.seeds)}, not {options.seed}")
@@ -126,7 +140,7 @@ def main(options: Options) -> None:
     agent, experience = job.learners[lane], job.source.experience
     if not isinstance(agent, OnlineModelBasedAgent):
         raise UserError(f"{options.run} is a run of {type(agent).__name__}, which has no model")
-    ensemble, task = own(job.states, lane).model, experience.task
+    ensemble, task = lane_of(job.states, lane).model, experience.task
     kept = [step for step in folder.policy_steps() if step <= job.step]
     asked = [kept[i] for i in np.unique(np.linspace(0, len(kept) - 1, options.policies).astype(int))]
 
@@ -139,7 +153,41 @@ def main(options: Options) -> None:
         real.append(so_far(log, options.horizon))
         dreamed.append(np.asarray(made_up(agent, ensemble, policy, starts, jax.random.fold_in(key, i), options.horizon)))
     steps = np.array([experience.settings.steps(step) for step in asked])
+    return Found(agent, ensemble, folder, asked, steps, logs, real, dreamed)
 
+
+def agreement(
+    case: str, *, seed: int, steps: int, updates_per_step: float, every: int = 1_000, **fields: Any
+) -> dict[str, float]:
+    """Whether a model foretells the returns of the policies that learned from it, those after the random steps at the start.
+
+    Args:
+        case: task to learn in by MBPO.
+        seed: of the run.
+        steps: in the simulator.
+        updates_per_step: of the policy.
+        every: steps between policies that are judged.
+        **fields: of MBPO, which are those of Table B.1 else.
+
+    Returns:
+        correlation: of mean returns in the last model with those in the simulator, over a policy for each `every` steps.
+        ratio: median over these of the return in the model divided by that in the simulator.
+    """
+    settings = turns_of(MBPO, case, False, updates_per_step=updates_per_step)
+    with tempfile.TemporaryDirectory() as folder:
+        plan: dict[str, Any] = {"evaluate_every": every, "episodes": 1, "settings": settings}
+        run = train_online(MBPO(**fields), case, steps=steps, seed=seed, out=folder, **plan)
+        found = measured(Options(run=str(run.path), seed=seed, policies=1 + steps // every, rows=5_000, episodes=500))
+    learned = found.steps > settings.explore
+    real, dreamed = (np.array([each[-1].mean() for each in part])[learned] for part in (found.real, found.dreamed))
+    return {"correlation": float(np.corrcoef(real, dreamed)[0, 1]), "ratio": float(np.median(dreamed / real))}
+
+
+def main(options: Options) -> None:
+    """Measures, prints and draws."""
+    cache_compiled_programs()
+    agent, ensemble, folder, asked, steps, logs, real, dreamed = measured(options)
+    key = jax.random.key(options.seed)
     print("| environment steps | real return (episodes) | return in the model, 5 % to 95 % |\n|---:|---:|---:|")
     for at, lived, thought in zip(steps, real, dreamed):
         low, high = np.percentile(thought[-1], BAND)
