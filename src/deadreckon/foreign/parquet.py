@@ -3,10 +3,12 @@
 A text that stands once in a file's dictionary may be meant by millions of rows, and a number that is repeated takes no bytes.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deadreckon.errors import UserError, reading
+from deadreckon.foreign.child import read_apart
 from deadreckon.foreign.door import file_size
 from deadreckon.foreign.limits import UNPACKED, beyond, max_unpacked
 from deadreckon.names import repeated
@@ -37,15 +39,21 @@ def read_parquet(path: Path | str, kind: str = "Parquet", *, threads: bool = Tru
     with reading(path, kind), parquet.ParquetFile(path) as file:
         found = file.read(use_threads=threads)
         found.validate(full=True)  # texts that are no UTF-8 would fail wherever they are first looked at
-    if twice := repeated(found.column_names):
-        raise UserError(f"{path}: two of its columns are called {twice[0]!r}, and only one can be meant; rename one")
+    check_names(path, found.column_names)
     return found
+
+
+def check_names(path: Path | str, names: Sequence[str]) -> None:
+    """Refuses a table with two columns of one name."""
+    if twice := repeated(names):
+        raise UserError(f"{path}: two of its columns are called {twice[0]!r}, and only one can be meant; rename one")
 
 
 def check_parquet(path: Path | str, kind: str = "Parquet", *, whole: bool = True) -> None:
     """Refuses a file whose values would take more memory than they may.
 
-    Columns of texts are read for this, with every text once: that takes no more memory than their pages do.
+    Columns of texts are read for this, with every text once: that takes no more memory than their pages do. Before that a row
+    of each part is read: Arrow ends the process where it is asked what a damaged file says of a column, and not where it reads.
 
     Args:
         path: of the file.
@@ -59,8 +67,13 @@ def check_parquet(path: Path | str, kind: str = "Parquet", *, whole: bool = True
 
     most = max_unpacked(file_size(path))
     with reading(path, kind):
-        with parquet.ParquetFile(path) as file:
+        with parquet.ParquetFile(path, pre_buffer=False, buffer_size=1 << 16) as file:  # reads few bytes for a row
             about, leaves = file.metadata, [file.schema.column(i) for i in range(len(file.schema))]
+            if any(leaf.max_repetition_level for leaf in leaves):  # a row of lists may hold very many values
+                read_apart("parquet", path, kind, size=file_size(path), file=str(path))
+            else:
+                for i in range(about.num_row_groups):
+                    next(file.iter_batches(1, row_groups=[i]), None)
             groups = [about.row_group(i) for i in range(about.num_row_groups)]
         total = 0
         for i, leaf in enumerate(leaves):
@@ -86,6 +99,17 @@ def check_parquet(path: Path | str, kind: str = "Parquet", *, whole: bool = True
                 total = total + size if whole else size * (ROWS // rows)
                 if total > most:
                     raise beyond(path, total, most, UNPACKED, "unpacks to")
+
+
+def said(file: str, shared: Any) -> dict[str, Any]:
+    """Asks for what a file says of its columns, in the process that may end with it; `file` is its path."""
+    from pyarrow import parquet
+
+    with parquet.ParquetFile(file) as opened:
+        for i in range(opened.metadata.num_row_groups):
+            for column in range(opened.metadata.num_columns):
+                opened.metadata.row_group(i).column(column)
+    return {}
 
 
 def _size(values: Any) -> int:

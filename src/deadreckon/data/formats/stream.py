@@ -33,7 +33,7 @@ from deadreckon.data.text_dates import with_dates
 from deadreckon.errors import UserError, reading
 from deadreckon.files import alone, read_json, write_json
 from deadreckon.foreign.door import file_size
-from deadreckon.foreign.parquet import ROWS, check_parquet
+from deadreckon.foreign.parquet import ROWS, check_names, check_parquet
 from deadreckon.interrupts import resumable
 from deadreckon.progress import Progress, unwatched
 
@@ -185,9 +185,11 @@ def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> t
         found = opened()
         schema, told = _all_columns(source, found)
         found = found if schema is None else opened(schema=schema)
-        groups = _groups(found, kind)
+        check_names(source, found.schema.names)  # which raises, too, where one is no UTF-8
     for file in found.files if kind == "parquet" else ():
         check_parquet(file, whole=False)
+    with reading(source, "a table"):
+        groups = _groups(found, kind)
     rows = sum(count for _, count in groups)
     if not rows:
         raise UserError(f"{source}: the table has no rows")
