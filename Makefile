@@ -58,8 +58,9 @@ docs: $(DOCS_STAMP) ## the site in site/
 bench: $(STAMP) ## all speed figures on an idle machine, about half an hour, into docs/results/speed.md
 	$(BIN)/python benchmarks/report.py
 
-fuzz: $(STAMP) ## damaged files of every format at the lowest priority: N=100000 inputs or FOR=2h, FORMATS="hdf5 pickle"
-	$(BIN)/python -m tests.fuzz $(if $(N),--inputs $(N)) $(if $(FOR),--for $(FOR)) $(if $(FORMATS),--only $(FORMATS))
+fuzz: $(STAMP) ## damaged files of every format at the lowest priority: N=100000 inputs or FOR=2h, FORMATS="hdf5 pickle", RESULTS=FILE
+	$(BIN)/python -m tests.fuzz $(if $(N),--inputs $(N)) $(if $(FOR),--for $(FOR)) $(if $(FORMATS),--only $(FORMATS)) \
+		$(if $(RESULTS),--results $(RESULTS))
 
 evidence: $(STAMP) ## what the results still lack, at the lowest priority; FOR=150m ends it after that time
 	$(BIN)/deadreckon bench evidence/queue.toml --out .cache/evidence --idle --trust evidence.studies $(if $(FOR),--for $(FOR))

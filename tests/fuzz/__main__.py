@@ -5,8 +5,10 @@
     python -m tests.fuzz --only hdf5 pickle        # these formats alone
     python -m tests.fuzz --again                   # only those that have failed, by today's code: which are mended?
     python -m tests.fuzz --report                  # what all runs so far have found
+    python -m tests.fuzz --results evidence/fuzz.json   # counts are kept in this file, which can be committed
 
-Inputs follow from their numbers, and what is done is kept in `.cache/fuzz`, so that a run goes on where the last one ended.
+Inputs follow from their numbers, and what is done is kept in `.cache/fuzz` or in the file of results, so that a run goes on
+where the last one ended.
 The first three inputs of every kind of failure are kept in `tests/fuzz/corpus`, which the tests read.
 """
 
@@ -18,6 +20,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from deadreckon.files import replacing
 from deadreckon.runs.durations import seconds_of
 from tests.fuzz import records
 from tests.fuzz.engine import Block, Worker
@@ -36,25 +39,26 @@ def main() -> int:
     parser.add_argument("--only", nargs="*", default=None, choices=sorted(TARGETS), help="formats; default all")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--folder", type=Path, default=ROOT / ".cache" / "fuzz", help="where what is done is kept")
+    parser.add_argument("--results", type=Path, default=None, help="the file that counts what is done; default in the folder")
     parser.add_argument("--no-corpus", action="store_true", help="keeps failures in the folder alone")
     parser.add_argument("--again", action="store_true", help="reads those inputs again that have failed, and no others")
     parser.add_argument("--report", action="store_true", help="shows what was found so far, and reads nothing")
     asked = parser.parse_args()
     os.nice(19)
     asked.folder.mkdir(parents=True, exist_ok=True)
-    path = asked.folder / "state.json"
+    path = asked.results or asked.folder / "state.json"
     state: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {}
     if asked.again:
-        _again(asked.folder, state)
+        _again(asked.folder, path, state)
     elif not asked.report:
         most = asked.inputs or (10**12 if asked.time else 20_000)
         corpus = asked.folder / "corpus" if asked.no_corpus else CORPUS
-        _fuzz(asked.only or list(TARGETS), most, asked.time or 1e12, asked.workers, asked.folder, state, corpus)
+        _fuzz(asked.only or list(TARGETS), most, asked.time or 1e12, asked.workers, asked.folder, path, state, corpus)
     return _report(state)
 
 
 def _fuzz(
-    names: list[str], most: int, seconds: float, workers: int, folder: Path, state: dict[str, Any], corpus: Path
+    names: list[str], most: int, seconds: float, workers: int, folder: Path, path: Path, state: dict[str, Any], corpus: Path
 ) -> None:
     trained = folder / "trained"
     if any(TARGETS[name].trained for name in names):
@@ -70,7 +74,7 @@ def _fuzz(
             for worker in pool:
                 if worker.block is not None and (answer := worker.poll()) is not None:
                     waiting += _noted(state, worker, answer, corpus)
-                    _save(folder, state)
+                    _save(path, state)
                 if worker.block is None and (waiting or (given < most and time.time() < until)):
                     if waiting:
                         block = waiting.pop()
@@ -95,7 +99,7 @@ def _fuzz(
             worker.close()
 
 
-def _again(folder: Path, state: dict[str, Any]) -> None:
+def _again(folder: Path, path: Path, state: dict[str, Any]) -> None:
     """Reads inputs that have failed once more; those that are read or refused now count as that, and as mended."""
     worker = Worker(folder / "trained", folder / "beat-again")
     try:
@@ -116,12 +120,12 @@ def _again(folder: Path, state: dict[str, Any]) -> None:
                     del own["kinds"][what]
     finally:
         worker.close()
-    _save(folder, state)
+    _save(path, state)
 
 
-def _save(folder: Path, state: dict[str, Any]) -> None:
-    (folder / "state.new").write_text(json.dumps(state))
-    (folder / "state.new").replace(folder / "state.json")
+def _save(path: Path, state: dict[str, Any]) -> None:
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(state, indent=1) + "\n")
 
 
 def _noted(state: dict[str, Any], worker: Worker, answer: dict[str, Any], corpus: Path) -> list[Block]:
