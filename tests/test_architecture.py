@@ -2,6 +2,8 @@
 
 import ast
 import graphlib
+import importlib
+import importlib.util
 import os
 import subprocess
 import sys
@@ -109,3 +111,20 @@ def test_agents_are_short():
     lengths = {path.name: len(path.read_text().splitlines()) for path in (ROOT / "src/deadreckon/agents").glob("*.py")}
     assert lengths
     assert {name: lines for name, lines in lengths.items() if lines > 250} == {}
+
+
+def test_scripts_import_what_the_package_has():
+    """Scripts beside the package are not type-checked, and some run for hours before they import all that they need."""
+    wrong = []
+    for folder in ("benchmarks", "evidence", "examples", "tests", "tools"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "deadreckon":
+                    wrong += [f"{path}: {node.module}.{alias.name}" for alias in node.names if not has(node.module, alias.name)]
+    assert not wrong
+
+
+def has(module: str, name: str) -> bool:
+    """Whether a module of the package has a name, or a package a module of that name."""
+    found = importlib.import_module(module)
+    return hasattr(found, name) or (hasattr(found, "__path__") and importlib.util.find_spec(f"{module}.{name}") is not None)
