@@ -49,6 +49,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--tables", nargs="+", default=list(TABLES))
+    parser.add_argument("--apart", type=float, default=None, help="least distance between proposals, in usual distances")
     asked = parser.parse_args()
     warnings.simplefilter("ignore")
     heads = (
@@ -60,7 +61,7 @@ def main() -> None:
         rows = []
         for seed in range(asked.seeds):
             table = TABLES[name](seed=seed)
-            data, begun = table.designs(), time.perf_counter()
+            data, begun = table.designs(apart=asked.apart), time.perf_counter()
             made = designer("gp").propose(data, COUNT, seed=seed)
             seconds = time.perf_counter() - begun
             check_batch(data, made.x, repeat=False)

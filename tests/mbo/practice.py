@@ -19,9 +19,9 @@ class Table(NamedTuple):
     truth: Callable[[dict[str, Any]], float]
     noise: float = 0.0
 
-    def designs(self) -> Designs:
-        """As designs."""
-        return Designs.from_frame(self.columns, "y", **self.options)
+    def designs(self, **more: Any) -> Designs:
+        """As designs; `more` are options beside the table's own."""
+        return Designs.from_frame(self.columns, "y", **self.options, **more)
 
     def true(self, data: Designs, x: np.ndarray) -> np.ndarray:
         """(n,) true scores of designs."""

@@ -10,7 +10,7 @@ from deadreckon.errors import UserError
 from deadreckon.mbo import designer
 from deadreckon.mbo.batch import batch, check_batch, key
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.nn_distance import nn_distance
+from deadreckon.mbo.nn_distance import nn_distance, usual_distance
 from tests.mbo.practice import SIZES, TABLES
 
 
@@ -113,6 +113,20 @@ def test_a_largest_distance_to_the_data_is_kept():
 
 
 @pytest.mark.filterwarnings("ignore:.*are pooled")
+@pytest.mark.parametrize("method", ["random", "gp"])
+def test_a_least_distance_between_proposals_is_kept(method):
+    columns = TABLES["replicated"]().columns
+    data = Designs.from_frame(columns, "y", apart=0.7)
+    z = data.coordinates.encode(designer(method).propose(data, 8).x).astype(float)
+    nearest = [np.linalg.norm(z[i + 1 :] - z[i], axis=1).min() for i in range(7)]
+    assert min(nearest) >= 0.7 * usual_distance(data)
+    with pytest.raises(UserError, match="8 proposals that differ and not in the data .*, 9 usual distances apart, were asked"):
+        designer(method).propose(Designs.from_frame(columns, "y", apart=9.0), 8)
+    with pytest.raises(UserError, match=r"two proposals lie less than 0\.7 usual distances apart"):
+        check_batch(data, data.x[:1] + [[0.0] * (data.x.shape[1] - 1) + [i * 1e-3] for i in range(2)], repeat=True)
+
+
+@pytest.mark.filterwarnings("ignore:.*are pooled")
 def test_replicates_are_pooled_with_their_noise():
     frame = {"a": [0, 0, 0, 1, 1, *range(2, 12)], "y": [1.0, 2.0, 3.0, 5.0, 7.0, *[0.5] * 10]}
     with pytest.warns(UserWarning, match="5 rows are replicates of 2 designs and are pooled; .* between replicates is 1.15"):
@@ -156,6 +170,7 @@ def test_several_targets_are_one_weighted_score():
         ({"logs": ["a"], "bounds": {"a": (0, 1)}}, "a log scale needs a lower bound above 0, got 0"),
         ({"kinds": {"solvent": "ordinal"}}, "column solvent is ordinal: give its levels in their order"),
         ({"max_distance": 0.0}, "the largest distance to the data must be above 0"),
+        ({"apart": 0.0}, "the least distance between proposals must be above 0, got 0"),
     ],
 )
 def test_rules_that_cannot_be_are_refused_in_one_line(options, words):

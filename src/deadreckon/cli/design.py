@@ -57,6 +57,8 @@ class Design:
     """further columns in the score, such as costs, as COLUMN WEIGHT pairs: the score is target + sum of weight x column"""
     max_distance: float | None = None
     """largest distance of proposals to the nearest scored design, in usual distances between neighbours; None: no limit"""
+    apart: float | None = None
+    """least distance between proposals, in usual distances between neighbours; None: 0.1, or less where there are too few"""
     repeat: bool = False  # whether designs that are in the data may be proposed
     problem: str | None = None  # problem with an oracle, instead of --data (see `design problems`)
     budget: Literal["full", "cpu"] | None = None  # sizes of fitted models; None: full for a problem, cpu (minutes) for --data

@@ -32,7 +32,7 @@ def asked(options: Any) -> dict[str, Any]:
         "levels": {column: _listed(text) for column, text in options.levels.items()}, "steps": options.steps,
         "logs": options.logs, "fixed": options.fix,
         "constraints": options.constraints, "mixtures": tuple(map(_listed, options.mixtures)), "forbidden": options.forbid,
-        "max_distance": options.max_distance,
+        "max_distance": options.max_distance, "apart": options.apart,
     }  # fmt: skip
 
 

@@ -10,13 +10,13 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.nn_distance import nearest_scored, nn_distance, usual_distance
+from deadreckon.mbo.nn_distance import distance_to_others, nearest_scored, nn_distance, usual_distance
 from deadreckon.mbo.rules import written
 from deadreckon.randomness import generator
 
 Value = Callable[[np.ndarray], np.ndarray]  # (m, variables) designs -> (m,) what to make large
-APART = 0.1  # least distance between proposals, in usual distances between neighbours of the data
-ROUNDS = 12  # of filling; the least distance is halved in each from the third on, and none in the last four
+APART = 0.1  # least distance between proposals, in usual distances between neighbours of the data, where none is asked for
+ROUNDS = 12  # of filling; that distance is halved in each from the third on, and none in the last four
 TRIED = 4  # designs tried in a round for each that is missing
 NEAREST, FURTHEST = 0.05, 1.0  # deviations of the first and the last round's designs from those that they are made of
 
@@ -41,7 +41,7 @@ def batch(
         UserError: there are not so many designs, or none was found.
     """
     rng = generator(seed, "filling a batch")
-    apart = APART * usual_distance(data)
+    apart, strict = least_distance(data), data.rules.apart is not None
     chosen = Chosen(data, repeat)
     usable = repaired(data, x)
     chosen.add(usable, n, apart)
@@ -55,14 +55,22 @@ def batch(
         tried = repaired(data, moved(data, tried, reach, rng))
         if value is not None and len(tried):
             tried = tried[np.argsort(-np.asarray(value(tried)), kind="stable")]
-        chosen.add(tried, n, 0.0 if i >= ROUNDS - 4 else apart * 0.5 ** max(i - 1, 0))
+        eased = 0.0 if i >= ROUNDS - 4 else apart * 0.5 ** max(i - 1, 0)
+        chosen.add(tried, n, apart if strict else eased)
     if len(chosen.x) < n:
         new = "" if repeat else " and not in the data (--repeat allows those)"
+        if strict:
+            new += f", {data.rules.apart:g} usual distances apart,"
         raise UserError(
             f"{data.name}: {n:,} proposals that differ{new} were asked for, and only {len(chosen.x):,} were found within the "
             "bounds and constraints; ask for fewer, or allow more"
         )
     return np.stack(chosen.x).astype(np.float32)
+
+
+def least_distance(data: Designs) -> float:
+    """Between proposals, in coordinates."""
+    return (APART if data.rules.apart is None else data.rules.apart) * usual_distance(data)
 
 
 class Chosen:
@@ -158,3 +166,6 @@ def check_batch(data: Designs, x: np.ndarray, repeat: bool) -> None:
     keys = [key(row) for row in x]
     if len(set(keys)) < len(keys) or not (repeat or {key(row) for row in data.x}.isdisjoint(keys)):
         raise UserError(f"{data.name}: a proposal is there twice, or is in the data")
+    apart = data.rules.apart
+    if apart is not None and len(x) > 1 and distance_to_others(data, x).min() < apart * (1 - 1e-9):
+        raise UserError(f"{data.name}: two proposals lie less than {apart:g} usual distances apart")

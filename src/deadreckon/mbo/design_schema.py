@@ -71,7 +71,7 @@ class DesignSchema:
         columns: by name.
         minimise: whether the target is to be made small.
         constraints, mixtures, forbidden: see `mbo.rules.Rules.of`.
-        max_distance: see `mbo.rules.Rules`.
+        max_distance, apart: see `mbo.rules.Rules`.
         table: options of the reader of tables, such as `separator` and `decimal`.
     """
 
@@ -81,6 +81,7 @@ class DesignSchema:
     mixtures: tuple[tuple[str, ...], ...] = ()
     forbidden: tuple[str, ...] = ()
     max_distance: float | None = None
+    apart: float | None = None
     table: Mapping[str, Any] = field(default_factory=dict)
 
     def named(self, role: str) -> list[str]:
@@ -104,7 +105,7 @@ class DesignSchema:
             "logs": tuple(name for name, column in inputs.items() if column.log),
             "fixed": tuple(f"`{name}` = {column.fix}" for name, column in inputs.items() if column.fix is not None),
             "constraints": self.constraints, "mixtures": self.mixtures, "forbidden": self.forbidden,
-            "max_distance": self.max_distance,
+            "max_distance": self.max_distance, "apart": self.apart,
         }  # fmt: skip
 
     def read(self, path: Path | str, **more: Any) -> Designs:
@@ -175,7 +176,7 @@ class DesignSchema:
             "# Columns of numbers may have low, high, step, log = true and fix; ordinal ones need their levels in order.",
             f"minimise = {toml_value(self.minimise)}",
             *(f"{key} = {toml_value(getattr(self, key))}" for key in _LISTS),
-            *([] if self.max_distance is None else [f"max_distance = {toml_value(self.max_distance)}"]), "",
+            *(f"{key} = {toml_value(far)}" for key in ("max_distance", "apart") if (far := getattr(self, key)) is not None), "",
         ]  # fmt: skip
         if self.table:
             lines += ["[table]", *(f"{key} = {toml_value(value)}" for key, value in self.table.items()), ""]

@@ -30,4 +30,5 @@ class DesignValues(TypedDict):
     mixtures: NotRequired[list[list[str]]]
     forbidden: NotRequired[list[str]]
     max_distance: NotRequired[float]
+    apart: NotRequired[float]
     table: NotRequired[dict[str, str | int]]

@@ -10,11 +10,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from deadreckon.mbo.batch import APART, batch, moved, pulled
+from deadreckon.mbo.batch import batch, least_distance, moved, pulled
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.fitted import Fitted
-from deadreckon.mbo.nn_distance import usual_distance
 from deadreckon.mbo.process import Process, fit
 from deadreckon.mbo.validation import ENOUGH, Predict, cross_validated
 from deadreckon.randomness import generator
@@ -104,7 +103,7 @@ def search(data: Designs, process: Process, kappa: float, rounds: int, kept: int
     rng = generator(seed, "search of designs")
     start = data.x[rng.integers(len(data), size=DRAWN)]
     x = _allowed(data, np.concatenate([data.x[data.best(min(len(data), 64))], moved(data, start, 1.0, rng), start[:64]]))
-    value, apart = sum_of(process, x, kappa), APART * usual_distance(data)
+    value, apart = sum_of(process, x, kappa), least_distance(data)
     for i in range(rounds):
         # Designs that are kept lie apart, so that they do not all become the same one.
         order = spaced(data, x, value, apart, kept)

@@ -21,6 +21,12 @@ def nn_distance(data: Designs, x: np.ndarray) -> np.ndarray:
     return nearest_scored(data, x)[0] / usual_distance(data)
 
 
+def distance_to_others(data: Designs, x: np.ndarray) -> np.ndarray:
+    """(n,) distance of each of two or more designs to the nearest other one, in the same units."""
+    z = data.coordinates.encode(x).astype(np.float64)
+    return _nearest(z, z, np.arange(len(z)))[0] / usual_distance(data)
+
+
 def usual_distance(data: Designs) -> float:
     """Median distance of a scored design to the nearest other one, in standardised coordinates; 1 where all are repeated."""
     z = data.coordinates.encode(data.x).astype(np.float64)

@@ -3,6 +3,7 @@
 All are checked exactly, as fractions of the decimal numbers that are written, so a mixture that must sum to 1 does.
 """
 
+import math
 import operator
 import re
 from collections.abc import Iterable, Sequence
@@ -86,12 +87,14 @@ class Rules:
         forbidden: combinations.
         fixed: (column, value as a design holds it) of variables that are not searched.
         max_distance: largest distance to the nearest scored design, in usual distances (`mbo.nn_distance`); None: no limit.
+        apart: least distance between proposals, in usual distances; None: `mbo.batch.APART`, or less where there are too few.
     """
 
     linear: tuple[Linear, ...] = ()
     forbidden: tuple[Forbidden, ...] = ()
     fixed: tuple[tuple[int, float], ...] = ()
     max_distance: float | None = None
+    apart: float | None = None
 
     @property
     def touched(self) -> set[int]:
@@ -109,6 +112,7 @@ class Rules:
         forbidden: Iterable[str] = (),
         fixed: Iterable[str] = (),
         max_distance: float | None = None,
+        apart: float | None = None,
         name: str = "designs",
     ) -> "Rules":
         """Rules as people write them.
@@ -120,7 +124,7 @@ class Rules:
             mixtures: groups of variables that sum to one.
             forbidden: combinations such as `solvent = water & temp > 80`.
             fixed: such as `temp = 60`.
-            max_distance: see `Rules`.
+            max_distance, apart: see `Rules`.
             name: of the data, for errors.
 
         Raises:
@@ -136,7 +140,9 @@ class Rules:
             raise UserError(f"{name}: {variables[min(twice)].name} is fixed twice")
         if max_distance is not None and not max_distance > 0:
             raise UserError(f"{name}: the largest distance to the data must be above 0, got {max_distance:g}")
-        return cls(linear, combinations, tuple(pinned), max_distance)
+        if apart is not None and not 0 < apart < math.inf:
+            raise UserError(f"{name}: the least distance between proposals must be above 0, got {apart:g}")
+        return cls(linear, combinations, tuple(pinned), max_distance, apart)
 
     def broken(self, variables: Sequence[Variable], values: Sequence[Any]) -> str | None:
         """The first rule, or limit of a variable, that a design breaks.

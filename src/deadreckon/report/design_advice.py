@@ -6,7 +6,7 @@ from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.effects import Effect
 from deadreckon.mbo.first_choice import FAR, first_choice, shown_interval
-from deadreckon.mbo.nn_distance import neighbours
+from deadreckon.mbo.nn_distance import distance_to_others, neighbours
 from deadreckon.mbo.validation import SHARE, Quality
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.parts import breakable, note
@@ -15,6 +15,7 @@ from deadreckon.stats.interval import PERCENT
 
 TOGETHER = 0.9  # correlation from which on two variables are said to vary together
 MANY = 500  # variables beyond which their correlations are not looked at
+NEAR = 0.5  # usual distances to another proposal, within which one is told that they are nearly the same
 TOP = 0.1  # share of the rows with the highest predictions, whose optimism is told
 
 
@@ -107,6 +108,7 @@ def doubts(data: Designs, made: Proposals, far: np.ndarray, effects: list[Effect
     lines = [
         *_of_quality(data, made),
         *_of_distance(data, made, far),
+        *_of_each_other(data, made),
         *_of_ends(data, made, effects),
         *_of_effects(data, made, effects),
     ]
@@ -166,6 +168,16 @@ def _of_distance(data: Designs, made: Proposals, far: np.ndarray) -> list[str]:
     return [
         f"{count:,} of {len(made):,} proposals ({count / len(made):.0%}) {'lies' if count == 1 else 'lie'} more than {FAR:g} "
         "usual distances from any scored row, where no data supports the prediction."
+    ]
+
+
+def _of_each_other(data: Designs, made: Proposals) -> list[str]:
+    """Proposals that are nearly the same experiment."""
+    if len(made) < 2 or (middle := float(np.median(distance_to_others(data, made.x)))) > NEAR:
+        return []
+    return [
+        f"Half of the proposals lie within {number(middle)} usual distances of another one, and such are right or wrong "
+        "together; a least distance (apart, on the command line --apart 1) spreads them, for lower predictions."
     ]
 
 
