@@ -40,7 +40,7 @@ def rows():
 @pytest.mark.parametrize("n", [1, 4])
 def test_rewards_go_on_as_far_as_the_episode_and_the_rows(rows, lanes, n):
     layout = layout_of({name: (shape, np.dtype(np.float32)) for name, shape in FIELDS.items()})
-    plan = Plan(layout, 40, 0, 0, resident=True, grows=True, n_step=n, stride=COPIES, gamma=GAMMA)
+    plan = Plan(layout, 16, 0, 0, resident=True, grows=True, n_step=n, stride=COPIES, gamma=GAMMA)
     packed = np.concatenate([column.reshape(ROOM, -1) for column in rows.values()], 1)
     data, roots = {"packed": jnp.asarray(np.stack([packed] * lanes))}, jax.random.split(jax.random.key(1), lanes)
     learners = jax.tree.map(lambda leaf: jnp.stack([leaf] * lanes), Telling())
