@@ -159,7 +159,7 @@ def measured(options: Options) -> Found:
 def agreement(
     case: str, *, seed: int, steps: int, updates_per_step: float, every: int = 1_000, **fields: Any
 ) -> dict[str, float]:
-    """Whether a model foretells the returns of the policies that learned from it, those after the random steps at the start.
+    """Whether a model foretells the returns of policies that learned from it, which were kept after the initial random steps.
 
     Args:
         case: task to learn in by MBPO.
@@ -167,7 +167,7 @@ def agreement(
         steps: in the simulator.
         updates_per_step: of the policy.
         every: steps between policies that are judged.
-        **fields: of MBPO, which are those of Table B.1 else.
+        **fields: of MBPO; those of Table B.1 where absent.
 
     Returns:
         correlation: of mean returns in the last model with those in the simulator, over a policy for each `every` steps.

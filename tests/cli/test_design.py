@@ -91,6 +91,7 @@ def test_with_a_judge(table, capsys):
         (["--method", "best", "--data", "alloys.csv", "--target", "price"], "alloys: unknown column 'price': known: "),
         (["--method", "best", "--data", "nothing.csv", "--target", "cost"], "no file nothing.csv"),
         (["--method", "best", "--problem", "brannin"], "unknown problem 'brannin': did you mean branin or "),
+        (["--method", "best", "--problem", "branin", "--apart", "1"], "--apart is about a table of your own (--data)"),
         (["--method", "best", "--problem", "branin", "--path", "x"], "unknown option of branin 'path'"),
         (["--method", "best", "--data", "alloys.csv", "--target", "cost", "--path", "x"], "--path is the file of a --problem"),
         (["--method", "best", "--data", "alloys.csv", "--target", "cost", "-n", "0"], "n must be 1 or more, got 0"),

@@ -68,12 +68,13 @@ def _fuzz(
     until, given, shown = time.time() + seconds, 0, time.time()
     pool = [Worker(trained, folder / f"beat{i}") for i in range(workers)]
     waiting: list[Block] = [(name, int(path.stem), 1) for name in names for path in sorted(CORPUS.glob(f"{name}/*.json"))]
+    kept = set(waiting)  # which are read in every run, and counted only where they fail
     spent = dict.fromkeys(names, 0.0)  # seconds so far over their share: slow formats get fewer inputs, not more time
     try:
         while True:
             for worker in pool:
                 if worker.block is not None and (answer := worker.poll()) is not None:
-                    waiting += _noted(state, worker, answer, corpus)
+                    waiting += _noted(state, worker, answer, corpus, counted=worker.asked not in kept)
                     _save(path, state)
                 if worker.block is None and (waiting or (given < most and time.time() < until)):
                     if waiting:
@@ -128,12 +129,12 @@ def _save(path: Path, state: dict[str, Any]) -> None:
         temporary.write_text(json.dumps(state, indent=1) + "\n")
 
 
-def _noted(state: dict[str, Any], worker: Worker, answer: dict[str, Any], corpus: Path) -> list[Block]:
+def _noted(state: dict[str, Any], worker: Worker, answer: dict[str, Any], corpus: Path, counted: bool) -> list[Block]:
     """Counts an answer, keeps its failures, and gives what of its block is still to be done."""
     own = state[worker.name]
     own["seconds"] += time.time() - worker.began
     for kind, count in answer["counts"].items():
-        own[kind] += count
+        own[kind] += count if counted or kind == "failed" else 0
     for each in answer["failed"]:
         kinds = own["kinds"].setdefault(each["what"], [])
         kinds.append(each["number"])

@@ -215,7 +215,8 @@ class Worker:
         self.trained, self.beat = trained, beat
         self.beat.write_bytes(_AT.pack(-1, time.time()))
         self.process: subprocess.Popen | None = None
-        self.block: Block | None = None
+        self.block: Block | None = None  # at work
+        self.asked: Block | None = None  # the last one
         self.name, self.began = "", 0.0  # the format of the last block, and when that was given
         self.number, self.delayed = -1, 0.0  # the input at work, and how long its process had waited for a core before
 
@@ -230,7 +231,7 @@ class Worker:
             assert self.process.stdout is not None
             os.set_blocking(self.process.stdout.fileno(), False)
             self.text = ""
-        self.block = name, first, count
+        self.block = self.asked = name, first, count
         self.name, self.began = name, time.time()
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps(self.block) + "\n")

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from deadreckon.cli import design_front
-from deadreckon.cli.design_asked import asked, designs
+from deadreckon.cli.design_asked import asked, check_problem, designs
 from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar, Watch
 from deadreckon.cli.sheets import write_beside
@@ -116,6 +116,7 @@ def _propose(name: str, method: Any, options: Design) -> None:
         raise UserError("design needs --data FILE --target COLUMN, or --problem NAME")
     problem = None
     if options.problem is not None:
+        check_problem(options)
         problem = _problem(options.problem, options.path)
         data = problem.visible
     else:

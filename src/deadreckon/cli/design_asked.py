@@ -4,6 +4,22 @@ from typing import Any
 
 from deadreckon.errors import UserError
 
+OF_TABLES = (
+    "target", "schema", "kinds", "levels", "bounds", "ignore", "minimise", "reference", "steps", "logs", "fix", "constraints",
+    "mixtures", "forbid", "std_error", "weights", "max_distance", "apart",
+)  # fmt: skip
+
+
+def check_problem(options: Any) -> None:
+    """Refuses options that say something of a table where there is a problem.
+
+    Raises:
+        UserError: one line, with the option.
+    """
+    for name in OF_TABLES:
+        if getattr(options, name) not in (None, (), {}):
+            raise UserError(f"--{name.replace('_', '-')} is about a table of your own (--data); leave it out with --problem")
+
 
 def designs(options: Any) -> Any:
     """The designs of a file by the options of the command.

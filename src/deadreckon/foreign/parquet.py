@@ -3,7 +3,6 @@
 A text that stands once in a file's dictionary may be meant by millions of rows, and a number that is repeated takes no bytes.
 """
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,21 +38,15 @@ def read_parquet(path: Path | str, kind: str = "Parquet", *, threads: bool = Tru
     with reading(path, kind), parquet.ParquetFile(path) as file:
         found = file.read(use_threads=threads)
         found.validate(full=True)  # texts that are no UTF-8 would fail wherever they are first looked at
-    check_names(path, found.column_names)
-    return found
-
-
-def check_names(path: Path | str, names: Sequence[str]) -> None:
-    """Refuses a table with two columns of one name."""
-    if twice := repeated(names):
+    if twice := repeated(found.column_names):
         raise UserError(f"{path}: two of its columns are called {twice[0]!r}, and only one can be meant; rename one")
+    return found
 
 
 def check_parquet(path: Path | str, kind: str = "Parquet", *, whole: bool = True) -> None:
     """Refuses a file whose values would take more memory than they may.
 
-    Columns of texts are read for this, with every text once: that takes no more memory than their pages do. Before that a row
-    of each part is read: Arrow ends the process where it is asked what a damaged file says of a column, and not where it reads.
+    Columns of texts are read for this, with every text once: that takes no more memory than their pages do.
 
     Args:
         path: of the file.
@@ -65,33 +58,26 @@ def check_parquet(path: Path | str, kind: str = "Parquet", *, whole: bool = True
     """
     from pyarrow import parquet
 
-    most = max_unpacked(file_size(path))
+    size = file_size(path)
+    most = max_unpacked(size)
+    # Arrow ends the process where it is asked what a damaged file says of a column.
+    told = read_apart("parquet", path, kind, size=size, file=str(path))["columns"]
     with reading(path, kind):
-        with parquet.ParquetFile(path, pre_buffer=False, buffer_size=1 << 16) as file:  # reads few bytes for a row
-            about, leaves = file.metadata, [file.schema.column(i) for i in range(len(file.schema))]
-            if any(leaf.max_repetition_level for leaf in leaves):  # a row of lists may hold very many values
-                read_apart("parquet", path, kind, size=file_size(path), file=str(path))
-            else:
-                for i in range(about.num_row_groups):
-                    next(file.iter_batches(1, row_groups=[i]), None)
-            groups = [about.row_group(i) for i in range(about.num_row_groups)]
+        with parquet.ParquetFile(path) as file:
+            leaves = [file.schema.column(i) for i in range(len(file.schema))]
         total = 0
-        for i, leaf in enumerate(leaves):
+        for leaf, column in zip(leaves, told, strict=True):
             # Texts have 8 bytes that say where they are, and so have lists; decimals have 16, however few are stored.
             known = _WIDTHS.get(leaf.physical_type, max(leaf.length, 16))
             width = (max(known, 16) if leaf.logical_type.type == "DECIMAL" else known) + 8 * leaf.max_repetition_level
-            counts = [max(group.column(i).num_values, group.num_rows) for group in groups]
-            total += width * (sum(counts) if whole else min(max(counts, default=0), ROWS))
+            total += width * (column["values"] if whole else min(column["most"], ROWS))
         if total > most:
             raise beyond(path, total, most, UNPACKED, "unpacks to")
         texts = [leaf.path for leaf in leaves if leaf.physical_type == "BYTE_ARRAY"]
         if not texts:
             return
         # Texts that are told from the one before (delta encodings) cannot be read as a dictionary, and may all be long.
-        deltas = {
-            leaf.path for i, leaf in enumerate(leaves)
-            if any(name.startswith("DELTA") for group in groups for name in group.column(i).encodings)
-        }  # fmt: skip
+        deltas = {leaf.path for leaf, column in zip(leaves, told) if column["delta"]}
         with parquet.ParquetFile(path, read_dictionary=[name for name in texts if name not in deltas]) as file:
             rows = max(min(_CELLS // len(texts), _FEW if deltas & set(texts) else ROWS), 1)
             for batch in file.iter_batches(rows, columns=texts):
@@ -101,15 +87,28 @@ def check_parquet(path: Path | str, kind: str = "Parquet", *, whole: bool = True
                     raise beyond(path, total, most, UNPACKED, "unpacks to")
 
 
-def said(file: str, shared: Any) -> dict[str, Any]:
-    """Asks for what a file says of its columns, in the process that may end with it; `file` is its path."""
+def columns_of(file: str, shared: Any) -> dict[str, Any]:
+    """What a file says of its columns, for the process that reads.
+
+    Args:
+        file: its path.
+        shared: not used, for there are no arrays.
+
+    Returns:
+        `columns`, for each its number of `values`, the `most` of a row group, and whether it has a `delta` encoding.
+    """
     from pyarrow import parquet
 
+    columns = []
     with parquet.ParquetFile(file) as opened:
-        for i in range(opened.metadata.num_row_groups):
-            for column in range(opened.metadata.num_columns):
-                opened.metadata.row_group(i).column(column)
-    return {}
+        about = opened.metadata
+        groups = [about.row_group(i) for i in range(about.num_row_groups)]
+        for i in range(len(opened.schema)):
+            parts = [group.column(i) for group in groups]
+            counts = [max(part.num_values, group.num_rows) for part, group in zip(parts, groups)]
+            delta = any(name.startswith("DELTA") for part in parts for name in part.encodings)
+            columns.append({"values": sum(counts), "most": max(counts, default=0), "delta": delta})
+    return {"columns": columns}
 
 
 def _size(values: Any) -> int:

@@ -20,7 +20,7 @@ TASKS = {
     "pickle": "deadreckon.unpickle:inside",
     "excel": "deadreckon.data.formats.excel:contents",
     "minari": "deadreckon.data.formats.minari_inside:contents",
-    "parquet": "deadreckon.foreign.parquet:said",
+    "parquet": "deadreckon.foreign.parquet:columns_of",
 }
 HEAD = 8  # bytes before an answer that hold its length; 0: a sign of life
 SPARE = 1 << 30  # bytes of memory beside what a file unpacks to

@@ -58,12 +58,12 @@ def batch(
         eased = 0.0 if i >= ROUNDS - 4 else apart * 0.5 ** max(i - 1, 0)
         chosen.add(tried, n, apart if strict else eased)
     if len(chosen.x) < n:
-        new = "" if repeat else " and not in the data (--repeat allows those)"
-        if strict:
-            new += f", {data.rules.apart:g} usual distances apart,"
+        asked = ["differ", *([] if repeat else ["are not in the data (--repeat allows those)"])]
+        asked += [f"lie {data.rules.apart:g} usual distances apart"] if strict else []
+        said = " and ".join(filter(None, [", ".join(asked[:-1]), asked[-1]]))
         raise UserError(
-            f"{data.name}: {n:,} proposals that differ{new} were asked for, and only {len(chosen.x):,} were found within the "
-            "bounds and constraints; ask for fewer, or allow more"
+            f"{data.name}: {n:,} proposals that {said} were asked for, and only {len(chosen.x):,} were found within the "
+            f"bounds and constraints; ask for fewer, {'make --apart smaller, ' if strict else ''}or allow more"
         )
     return np.stack(chosen.x).astype(np.float32)
 

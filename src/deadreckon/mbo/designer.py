@@ -193,6 +193,8 @@ class Designer(eqx.Module):
         if not seeds or min(seeds) < 0 or max(seeds) >= 2**32:
             raise UserError(f"seeds must be 0 .. 2^32 - 1 and at least one, got {list(seeds)}")
         check_fields(self)
+        if distinct and self.from_data and data.rules.apart is not None:
+            raise UserError(f"{self.label} proposes designs of the data as they are, not at a least distance; leave apart out")
         begun = time.perf_counter()
         folder = None if out is None else Path(out)
         found = self.solve(DesignInput(data, n, list(seeds), folder, watch, distinct, repeat, validate))

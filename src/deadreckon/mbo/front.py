@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.mbo.batch import batch, check_batch
+from deadreckon.mbo.batch import batch, check_batch, least_distance
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.gp import GP, search
@@ -145,7 +145,7 @@ def propose_front(
     rows = np.flatnonzero(non_dominated(y))
     pool = candidates(data[0], tuple(processes), y, n, seed)
     gains = Gains(processes, pool, data[0].x[rows], point, seed)
-    order = gains.greedy(2 * n)
+    order = gains.greedy(2 * n, data[0].coordinates.encode(pool).astype(np.float64), least_distance(data[0]))
     value = lambda x: Scalarised(tuple(processes), np.ones(len(data)), *_range(y)).mean(x)  # noqa: E731
     x = batch(data[0], pool[order], n, value, repeat=repeat, seed=seed)
     check_batch(data[0], x, repeat)
@@ -201,8 +201,14 @@ class Gains:
         """What one candidate is expected to add."""
         return float(np.mean([improvement(y[i], front, self.reference) for y, front in zip(self.y, fronts)]))
 
-    def greedy(self, n: int) -> np.ndarray:
-        """(n,) or fewer candidates, in the order in which they are chosen; each adds most to those before it."""
+    def greedy(self, n: int, z: np.ndarray | None = None, apart: float = 0.0) -> np.ndarray:
+        """(n,) or fewer candidates, in the order in which they are chosen; each adds most to those before it.
+
+        Args:
+            n: how many.
+            z: (candidates, size) their coordinates, where they must lie apart.
+            apart: least distance between those that are chosen.
+        """
         fronts = list(self.fronts)
         gain = np.array([self.of(i, fronts) for i in range(self.y.shape[1])])
         order: list[int] = []
@@ -211,8 +217,12 @@ class Gains:
             while (i := int(gain.argmax())) not in fresh and gain[i] > 0:
                 gain[i] = self.of(i, fronts)
                 fresh.add(i)
+            if gain[i] == -np.inf:  # all others lie too near
+                break
             order.append(i)
             gain[i] = -np.inf
+            if z is not None:
+                gain[np.square(z - z[i]).sum(1) < apart**2] = -np.inf
             fronts = [_kept(np.concatenate([front, y[i : i + 1]]), self.reference) for front, y in zip(fronts, self.y)]
         return np.array(order)
 

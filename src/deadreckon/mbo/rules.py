@@ -141,7 +141,7 @@ class Rules:
         if max_distance is not None and not max_distance > 0:
             raise UserError(f"{name}: the largest distance to the data must be above 0, got {max_distance:g}")
         if apart is not None and not 0 < apart < math.inf:
-            raise UserError(f"{name}: the least distance between proposals must be above 0, got {apart:g}")
+            raise UserError(f"{name}: the least distance between proposals must be a finite number above 0, got {apart:g}")
         return cls(linear, combinations, tuple(pinned), max_distance, apart)
 
     def broken(self, variables: Sequence[Variable], values: Sequence[Any]) -> str | None:

@@ -99,12 +99,12 @@ def estimator(name: str, **changes: Any) -> Estimator:
     if name not in ESTIMATORS:
         raise unknown("estimator", name, ESTIMATORS)
     own = ESTIMATORS[name][0]()
-    for field in changes:
-        if not meant(type(own), field):
-            made = [make() for make, _ in ESTIMATORS.values()]
-            if not any(meant(type(each), field) for each in made):
-                fields = {field.name for each in made for field in dataclasses.fields(each)}
-                raise unknown("field of estimators", field, sorted(fields))
+    foreign = [field for field in changes if not meant(type(own), field)]
+    made = [make() for make, _ in ESTIMATORS.values()] if foreign else []
+    for field in foreign:
+        if not any(meant(type(each), field) for each in made):
+            fields = {field.name for each in made for field in dataclasses.fields(each)}
+            raise unknown("field of estimators", field, sorted(fields))
     return with_fields(own, changes)
 
 

@@ -176,8 +176,8 @@ def _of_each_other(data: Designs, made: Proposals) -> list[str]:
     if len(made) < 2 or (middle := float(np.median(distance_to_others(data, made.x)))) > NEAR:
         return []
     return [
-        f"Half of the proposals lie within {number(middle)} usual distances of another one, and such are right or wrong "
-        "together; a least distance (apart, on the command line --apart 1) spreads them, for lower predictions."
+        f"Half of the proposals lie within {number(middle)} usual distances of another one, and are likely to be right or "
+        "wrong together; a least distance between them (apart) spreads them, at the cost of lower predictions."
     ]
 
 
