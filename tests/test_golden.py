@@ -5,8 +5,18 @@ import pytest
 
 from tests import golden
 
+# Methods whose programs take seconds to compile, and most of whose code others below run, too.
+SLOW = {"mbo/cbas", "online/steve", "online/slbo", "online/dapg", "fine-tuning/td3_bc"}
 
-@pytest.mark.parametrize("name", [name for name in golden.RUNS if not name.startswith("agents/")])
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow if name in SLOW else ())
+        for name in golden.RUNS
+        if not name.startswith("agents/")
+    ],
+)
 def test_numbers_are_as_before(name):
     told = golden.problem_of(name)
     assert told is None, told
