@@ -6,6 +6,7 @@ import graphlib
 import importlib
 import importlib.util
 import os
+import re
 import subprocess
 import sys
 import sysconfig
@@ -114,18 +115,21 @@ def test_agents_are_short():
     assert {name: lines for name, lines in lengths.items() if lines > 250} == {}
 
 
-def test_scripts_import_what_the_package_has():
+def test_scripts_and_pages_import_what_the_package_has():
     """Scripts beside the package are not type-checked, and some run for hours before they import all that they need."""
+    texts = {path: path.read_text() for folder in ("benchmarks", "evidence", "examples", "tests", "tools")
+             for path in sorted((ROOT / folder).rglob("*.py"))}  # fmt: skip
+    for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
+        texts[path] = "\n".join(re.findall(r"^from deadreckon\S* import [\w ,]+$", path.read_text(), re.MULTILINE))
     wrong = []
-    for folder in ("benchmarks", "evidence", "examples", "tests", "tools"):
-        for path in sorted((ROOT / folder).rglob("*.py")):
-            for node in ast.walk(ast.parse(path.read_text())):
-                asked = []
-                if isinstance(node, ast.ImportFrom):
-                    asked = [f"{node.module}.{alias.name}" for alias in node.names]
-                elif isinstance(node, ast.Import):
-                    asked = [alias.name for alias in node.names]
-                wrong += [f"{path}: {name}" for name in asked if name.split(".")[0] == "deadreckon" and not there(name)]
+    for path, text in texts.items():
+        for node in ast.walk(ast.parse(text)):
+            asked = []
+            if isinstance(node, ast.ImportFrom):
+                asked = [f"{node.module}.{alias.name}" for alias in node.names]
+            elif isinstance(node, ast.Import):
+                asked = [alias.name for alias in node.names]
+            wrong += [f"{path}: {name}" for name in asked if name.split(".")[0] == "deadreckon" and not there(name)]
     assert not wrong
 
 
