@@ -115,7 +115,7 @@ class MLP(eqx.Module):
         return x
 
 
-@functools.partial(jax.jit, static_argnums=(1, 2, 3))  # one program a shape: an operation at a time takes ten times as long
+@functools.partial(jax.jit, static_argnums=(1, 2, 3))  # one program a shape: an operation at a time takes twice as long
 def _layer(key: PRNGKeyArray, inputs: int, outputs: int, init: Init) -> tuple[Float[Array, "i o"], Float[Array, "o"]]:
     """Weights and biases of a layer; `init.last` is None in all but the last."""
     k_weights, k_biases = jax.random.split(key)  # both are drawn alike
