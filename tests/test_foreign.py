@@ -220,10 +220,37 @@ def test_a_reader_that_is_silent_or_dies_is_told_and_the_next_file_is_read(tmp_p
     refused(load_pickle, path, words="has not ended after 0 s.*DEADRECKON_MAX_SECONDS")
     monkeypatch.undo()
     assert load_pickle(path) == [1]
+    ends_at_work(signal.SIGSEGV)
+    refused(load_pickle, path, words=r"the library that reads it crashed \(-11\)")
+    assert load_pickle(path) == [1]
+
+
+def ends_at_work(number):
+    """Has the reading process end by a signal when it is asked next."""
     stopped = child._child.process.pid
     os.kill(stopped, signal.SIGSTOP)
-    threading.Timer(0.3, os.kill, (stopped, signal.SIGKILL)).start()
-    refused(load_pickle, path, words=r"the library that reads it crashed \(-9\)")
+    threading.Timer(0.3, os.kill, (stopped, number)).start()
+    threading.Timer(0.3, os.kill, (stopped, signal.SIGCONT)).start()
+
+
+def test_a_reader_that_somebody_killed_is_asked_again_and_told_when_it_happens_twice(tmp_path, monkeypatch):
+    path = tmp_path / "x.pkl"
+    path.write_bytes(pickle.dumps([1]))
+    assert load_pickle(path) == [1]
+    ends_at_work(signal.SIGKILL)
+    assert load_pickle(path) == [1]  # a shortage of memory elsewhere is no damage of this file
+    begun = child._Child
+
+    def begin():
+        made = begun()
+        made.process.kill()
+        made.process.wait()
+        return made
+
+    child._drop()
+    monkeypatch.setattr(child, "_Child", begin)
+    refused(load_pickle, path, words=r"the process that reads it was killed twice \(SIGKILL\)")
+    monkeypatch.undo()
     assert load_pickle(path) == [1]
 
 

@@ -38,16 +38,20 @@ class Place:
     mounts: bool
 
     def clean(self) -> Path:
-        """The folder, as every case finds it."""
-        shutil.rmtree(self.folder, ignore_errors=True)
-        self.folder.mkdir(parents=True)
+        """The folder, as every case finds it; beside it a home of its own, where looks at held-out episodes are counted."""
+        home = self.folder.with_name(f"{self.folder.name}.home")
+        for folder in (home, self.folder):
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir(parents=True)
+        os.environ["DEADRECKON_HOME"] = str(home)
         self.fill()
         return self.folder
 
     def fill(self) -> None:
-        """What the queue needs in the folder that it is run in."""
-        for name, text in inputs.QUEUE_FILES.items():
+        """What suites need in the folder that they are run in: files, and a link to the log, as they name no other folder."""
+        for name, text in inputs.SUITE_FILES.items():
             (self.folder / name).write_text(text)
+        (self.folder / "log.npz").symlink_to(self.inputs / "log.npz")
 
     @property
     def out(self) -> Path:

@@ -90,7 +90,9 @@ COMMANDS = (
                        " --fixed hidden=[8] batch_size=16 --estimators fqe --fit.steps 60 --fit.hidden 8 --fit.batch-size 32"
                        " --discount 0.9 --out out"), weight=0.4, kept=("results/*.parquet",),
     ),
-    Command("bench, local", _words("bench {inputs}/small.toml --workers 2 --out out"), weight=0.4,
+    Command("bench, local", _words("bench small.toml --workers 2 --out out"), weight=0.4,
+            kept=("results/*.parquet",)),
+    Command("bench, Ray", _words("bench small.toml --executor ray --out out"), weight=0.2,
             kept=("results/*.parquet",)),
     Command("bench, evidence queue", _words("bench queue.toml --workers 1 --out out --trust studies_of_tests"), weight=0.8,
             kept=("../ledger/study/*/*.json",), others=("*.html", "*.seconds", "done.txt")),

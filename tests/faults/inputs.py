@@ -11,11 +11,11 @@ seeds = 2
 steps = 60
 evaluations = 2
 episodes = 2
-logs = ["{log}"]
+logs = ["log.npz"]
 
 [methods]
-BC = {{ agent = "bc", fields = {{ hidden = [8], batch_size = 16 }} }}
-TD3 = {{ agent = "td3", fields = {{ hidden = [8], batch_size = 16 }} }}
+BC = { agent = "bc", fields = { hidden = [8], batch_size = 16 } }
+TD3 = { agent = "td3", fields = { hidden = [8], batch_size = 16 } }
 """
 QUEUE = 'suites = ["study.toml"]\n'
 STUDY = """
@@ -40,7 +40,7 @@ def measure(case, *, seed, size):
         file.write(f"{case} {size} {seed}\\n")
     return {"value": size + seed / 100 + (case == "b")}
 """
-QUEUE_FILES = {"queue.toml": QUEUE, "study.toml": STUDY, "studies_of_tests.py": CODE}
+SUITE_FILES = {"queue.toml": QUEUE, "study.toml": STUDY, "studies_of_tests.py": CODE, "small.toml": SUITE}
 
 
 def make(folder: Path) -> Path:
@@ -66,5 +66,4 @@ def make(folder: Path) -> Path:
     ):
         if not Path(made).exists() and (done := run(argv, folder)).code != 0:
             raise RuntimeError(f"{' '.join(argv)}: {done.lines()}")
-    (folder / "small.toml").write_text(SUITE.format(log=log))
     return folder

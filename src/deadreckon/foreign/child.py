@@ -26,6 +26,10 @@ class _Hung(Exception):
     """The process has been silent for too long."""
 
 
+class _Killed(Exception):
+    """The process was killed by a signal that none of its libraries sends."""
+
+
 class _Child:
     """The process, and this end of its socket."""
 
@@ -108,7 +112,6 @@ def read_apart(task: str, path: Path | str, kind: str, *, size: int, **arguments
     Raises:
         UserError: the file was refused or is damaged; reading it hung, crashed or took too much memory.
     """
-    global _child
     assert task in TASKS
     most, silence = max_unpacked(size), SECONDS.value + size / RATE
     request = {
@@ -116,31 +119,16 @@ def read_apart(task: str, path: Path | str, kind: str, *, size: int, **arguments
         "limits": {each.variable: os.environ.get(each.variable) for each in LIMITS},
     }  # fmt: skip
     with _lock:
-        if _child is None or _child.owner != os.getpid() or _child.process.poll() is not None:
-            if _child is not None:
-                _child.end()
-            try:
-                _child = _Child()
-            except OSError as error:
-                why = error.strerror or str(error)
-                raise UserError(f"{path}: no process can be started to read it ({why}); {kind} is read by one") from error
         try:
-            answer, memory = _child.ask(request, silence)
-        except _Hung as error:
-            _drop()
-            raise UserError(
-                f"{path}: reading it as {kind} has not ended after {silence:.0f} s, it is damaged or made to hang; "
-                f"{SECONDS.variable} sets another limit"
-            ) from error
-        except (EOFError, OSError, ValueError) as error:
-            code = _drop()
-            why = f"it is damaged: the library that reads it crashed ({code})"
-            if code == -signal.SIGABRT:  # as libraries end that find no memory, in Rust and in C++
-                why = f"it is damaged, or needs more memory than a file of its size may take; {UNPACKED.variable} sets more"
-            raise UserError(f"{path}: cannot be read as {kind}, {why}") from error
-        except BaseException:  # such as the user's interrupt, after which the answer would be taken for the next one's
-            _drop()
-            raise
+            answer, memory = _asked(request, silence, path, kind)
+        except _Killed:  # by somebody else, who meant this process no harm or was short of memory for a moment
+            try:
+                answer, memory = _asked(request, silence, path, kind)
+            except _Killed as error:
+                raise UserError(
+                    f"{path}: cannot be read as {kind}: the process that reads it was killed twice (SIGKILL), "
+                    "as the system does where memory runs out"
+                ) from error
     if "refused" in answer:
         raise UserError(answer["refused"])
     if "broken" in answer:
@@ -148,6 +136,46 @@ def read_apart(task: str, path: Path | str, kind: str, *, size: int, **arguments
     from deadreckon.foreign.parcel import unpack
 
     return unpack(answer["nodes"], memory)
+
+
+def _asked(request: dict[str, Any], silence: float, path: Path | str, kind: str) -> tuple[dict[str, Any], Any]:
+    """The answer of the process, which is started where there is none.
+
+    Raises:
+        _Killed: the process was killed from outside.
+        UserError: it cannot be started; reading hung, crashed or took too much memory.
+    """
+    global _child
+    if _child is None or _child.owner != os.getpid() or _child.process.poll() is not None:
+        if _child is not None:
+            _child.end()
+        try:
+            _child = _Child()
+        except OSError as error:
+            why = error.strerror or str(error)
+            raise UserError(f"{path}: no process can be started to read it ({why}); {kind} is read by one") from error
+    try:
+        return _child.ask(request, silence)
+    except _Hung as error:
+        _drop()
+        raise UserError(
+            f"{path}: reading it as {kind} has not ended after {silence:.0f} s, it is damaged or made to hang; "
+            f"{SECONDS.variable} sets another limit"
+        ) from error
+    except (EOFError, OSError) as error:
+        code = _drop()
+        if code == -signal.SIGKILL:
+            raise _Killed from error
+        why = f"it is damaged: the library that reads it crashed ({code})"
+        if code == -signal.SIGABRT:  # as libraries end that find no memory, in Rust and in C++
+            why = f"it is damaged, or needs more memory than a file of its size may take; {UNPACKED.variable} sets more"
+        raise UserError(f"{path}: cannot be read as {kind}, {why}") from error
+    except ValueError as error:
+        _drop()
+        raise UserError(f"{path}: cannot be read as {kind}, it is damaged: what its library told is no answer") from error
+    except BaseException:  # such as the user's interrupt, after which the answer would be taken for the next one's
+        _drop()
+        raise
 
 
 def _folder() -> str:
