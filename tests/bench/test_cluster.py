@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -42,6 +43,13 @@ def test_what_no_cluster_can_do_is_refused(tmp_path, capsys, monkeypatch):
         Cluster(tmp_path, cpus=0)
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(UserError, match=r"pip install 'deadreckon\[ray\]'"):
+        Cluster(tmp_path)
+
+    def late(address, **options):
+        raise Exception("The current node timed out during startup.\nMore of it.")  # as Ray does, on a machine that is busy
+
+    monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(is_initialized=lambda: False, init=late))
+    with pytest.raises(UserError, match=r"at this machine: The current node timed out during startup.$"):
         Cluster(tmp_path)
 
 

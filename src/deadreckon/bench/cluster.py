@@ -50,9 +50,10 @@ class Cluster:
         if self._own:
             try:
                 self._ray.init(address, log_to_driver=False, logging_level="error")
-            except (ConnectionError, ValueError, RuntimeError) as error:
+            except Exception as error:
                 where = address or "this machine"
-                raise UserError(f"cannot join a Ray cluster at {where}: {str(error).splitlines()[0]}") from error
+                why = next(iter(str(error).splitlines()), type(error).__name__)
+                raise UserError(f"cannot join a Ray cluster at {where}: {why}") from error
         try:
             self.workers = self._places(cpus, gpus)
         except UserError:
