@@ -21,6 +21,7 @@ TASKS = {
     "excel": "deadreckon.data.formats.excel:contents",
     "minari": "deadreckon.data.formats.minari_inside:contents",
     "parquet": "deadreckon.foreign.parquet:columns_of",
+    "arrow": "deadreckon.foreign.arrow:largest_batch",
 }
 HEAD = 8  # bytes before an answer that hold its length; 0: a sign of life
 SPARE = 1 << 30  # bytes of memory beside what a file unpacks to

@@ -32,6 +32,7 @@ from deadreckon.data.scratch import Scratch
 from deadreckon.data.text_dates import with_dates
 from deadreckon.errors import UserError, reading
 from deadreckon.files import alone, read_json, write_json
+from deadreckon.foreign.arrow import check_arrow
 from deadreckon.foreign.door import file_size
 from deadreckon.foreign.parquet import ROWS, check_parquet
 from deadreckon.interrupts import resumable
@@ -182,12 +183,17 @@ def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> t
         opened: Any = functools.partial(
             dataset.dataset, source, format=kind, partitioning=hive if Path(source).is_dir() else None
         )
-        found = opened()
+        try:
+            found = opened()
+        except pa.ArrowInvalid as error:
+            if "duplicate field names" not in str(error):
+                raise
+            raise UserError(f"{source}: two of its columns have one name, and only one can be meant; rename one") from error
         schema, told = _all_columns(source, found)
         found = found if schema is None else opened(schema=schema)
         _ = found.schema.names  # raises where one is no UTF-8, which nobody has looked at yet
-    for file in found.files if kind == "parquet" else ():
-        check_parquet(file, whole=False)
+    for file in found.files:
+        check_parquet(file, whole=False) if kind == "parquet" else check_arrow(file)
     with reading(source, "a table"):
         groups = _groups(found, kind)
     rows = sum(count for _, count in groups)
