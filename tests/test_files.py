@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from deadreckon.errors import BusyError, UserError
+from deadreckon.errors import BusyError, UserError, cannot_write
 from deadreckon.files import alone, read_json, replacing, write_json
 
 
@@ -123,3 +123,9 @@ def test_a_text_that_no_encoding_has_leaves_nothing_half_written(tmp_path):
         temporary.write_text("a column called \ud800", encoding="utf-8")
     assert read_json(tmp_path / "kept.json") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["kept.json"]
+
+
+def test_what_numpy_says_of_a_full_disk_is_told_as_such():
+    short = OSError("4800 requested and 3040 written")  # of numpy.save: without a number
+    assert str(cannot_write("x", short)) == "cannot write x: 4800 requested and 3040 written, the disk may be full"
+    assert str(cannot_write("x", OSError(28, "No space left on device"))) == "cannot write x: No space left on device"

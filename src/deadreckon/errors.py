@@ -2,6 +2,7 @@
 
 import contextlib
 import difflib
+import re
 import unicodedata
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -78,6 +79,12 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:
     near = [n if n == n.strip() else repr(n) for n in near]  # a blank at an end would not be seen
     hint = f"did you mean {' or '.join(near)}?" if near else f"known: {', '.join(known)}"
     return UserError(f"unknown {kind} {name!r}: {hint}")
+
+
+def cannot_write(path: Path | str, error: OSError) -> UserError:
+    """The error for a path that the system lets nobody write; NumPy's says of a full disk how much it has written alone."""
+    full = re.search(r"\d requested and \d+ written", str(error))
+    return UserError(f"cannot write {path}: {error.strerror or error}{', the disk may be full' if full else ''}")
 
 
 @contextlib.contextmanager

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import platformdirs
 
-from deadreckon.errors import BusyError, UserError
+from deadreckon.errors import BusyError, UserError, cannot_write
 from deadreckon.foreign.door import refuse_links
 from deadreckon.foreign.text import read_json as read_json  # beside `write_json`
 from deadreckon.foreign.text import read_toml as read_toml
@@ -68,9 +68,8 @@ def replacing(path: Path | str, *, keep: bool = False) -> Iterator[Path]:
                     os.link(temporary, path)
             else:
                 temporary.replace(path)
-    except OSError as error:  # NumPy's has no number
-        why = error.strerror or f"{error}, the disk may be full"
-        raise UserError(f"cannot write {path}: {why}") from error
+    except OSError as error:
+        raise cannot_write(path, error) from error
     except UnicodeEncodeError as error:
         text = shown(error.object[max(error.start - 20, 0) : error.end + 20])
         raise UserError(f"cannot write {path}: {text!r} holds half a character, which no encoding has") from error
@@ -100,7 +99,7 @@ def missing_folders(path: Path) -> list[Path]:
     except UnicodeEncodeError as error:
         raise UserError(f"cannot write {path}: no path holds half a character") from error
     except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+        raise cannot_write(path, error) from error
 
 
 def is_there(path: Path | str) -> bool:
@@ -151,7 +150,7 @@ def copy_folder(source: Path, target: Path | str) -> Path:
             shutil.copytree(source, aside, ignore=shutil.ignore_patterns(".*.tmp", ".*.lock"), dirs_exist_ok=True)
             aside.rename(target)
     except OSError as error:  # copytree's is a list of those of all files
-        raise UserError(f"cannot write {target}: {error.strerror or error}") from error
+        raise cannot_write(target, error) from error
     finally:
         if not target.exists():
             drop_empty(made)
@@ -187,7 +186,7 @@ def write_at(path: Path, offset: int, data: bytes | memoryview) -> None:
             file.flush()
             os.fsync(file.fileno())
     except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+        raise cannot_write(path, error) from error
 
 
 @contextlib.contextmanager
@@ -210,7 +209,7 @@ def alone(path: Path, wait: str = "", what: str = "") -> Iterator[None]:
         try:
             held = _locked(lock, wait)
         except OSError as error:
-            raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+            raise cannot_write(path, error) from error
         if held is None:
             raise BusyError(f"another process is at work on {what or told} already: {lock} is locked")
         try:

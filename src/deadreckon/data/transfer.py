@@ -15,7 +15,7 @@ from typing import Any
 
 from deadreckon._version import __version__
 from deadreckon.data.connection import Broken, NoSuchRest, TransferError, blocks, checksums, open_url
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, cannot_write
 from deadreckon.files import alone, read_json, reserve, write_json
 from deadreckon.interrupts import resumable
 
@@ -125,7 +125,7 @@ def download_file(
             part.replace(place)
             forget(part)
     except OSError as error:
-        raise UserError(f"cannot write {place}: {error.strerror or error}") from error
+        raise cannot_write(place, error) from error
     return place
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.history import stacked
 from deadreckon.data.spec import Box
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, cannot_write
 from deadreckon.files import alone
 from deadreckon.policies import store
 from deadreckon.policies.deployed import history_of
@@ -55,7 +55,7 @@ def building(out: Path) -> Iterator[Path]:
                 folder.chmod(0o755)
                 folder.rename(out)
         except OSError as error:
-            raise UserError(f"cannot write {out}: {error.strerror or error}") from error
+            raise cannot_write(out, error) from error
 
 
 def rows_of(one: Subject, function: Pure, data: Dataset) -> Rows:

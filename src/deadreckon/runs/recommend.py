@@ -18,7 +18,7 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.folder import write_folder
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, cannot_write
 from deadreckon.files import alone, write_json
 from deadreckon.ope.select import Choice
 from deadreckon.progress import Watcher, unwatched
@@ -133,7 +133,7 @@ def recommend(
                 try:
                     out.mkdir(parents=True)
                 except OSError as error:
-                    raise UserError(f"cannot write {out}: {error.strerror or error}") from error
+                    raise cannot_write(out, error) from error
             found = followed(job, clock, tell, watch)
         except Exception:  # there is no card yet, and what is left would stand in the way of another try
             shutil.rmtree(out, ignore_errors=True)

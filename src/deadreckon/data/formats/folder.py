@@ -10,7 +10,7 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.build import build, columns_of
 from deadreckon.data.formats.header import Header, damaged
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, cannot_write
 from deadreckon.files import drop_empty, is_there, missing_folders
 from deadreckon.foreign.archive import read_array
 from deadreckon.foreign.door import read_bytes
@@ -53,7 +53,7 @@ def write_folder(log: Dataset, path: Path | str, *, force: bool = False) -> None
             temporary.chmod(0o755)
             put(temporary, path)
     except OSError as error:
-        raise UserError(f"cannot write {path}: {error.strerror or error}") from error
+        raise cannot_write(path, error) from error
     finally:
         if not path.exists():
             drop_empty(made)

@@ -15,7 +15,7 @@ from deadreckon.data.formats.kind import DIALECT, READING, TABLES, no_options, s
 from deadreckon.data.formats.minari_ids import PREFIX
 from deadreckon.data.formats.open_bandit import open_bandit
 from deadreckon.data.schema import Schema, as_schema
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, cannot_write
 from deadreckon.files import alone
 from deadreckon.progress import Progress, unwatched
 from deadreckon.temporaries import beside, recover
@@ -207,7 +207,7 @@ def _convert(
             log = read_hdf5(source, mmap=True, strict=strict, name=name, horizon=horizon, scratch=folder)
             write(log, target, force)
     except OSError as error:
-        raise UserError(f"cannot write {target}: {error.strerror or error}") from error
+        raise cannot_write(target, error) from error
     return log
 
 

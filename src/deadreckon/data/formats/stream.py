@@ -30,7 +30,7 @@ from deadreckon.data.formats.words import levels_in
 from deadreckon.data.schema import as_schema
 from deadreckon.data.scratch import Scratch
 from deadreckon.data.text_dates import with_dates
-from deadreckon.errors import UserError, reading
+from deadreckon.errors import UserError, cannot_write, reading
 from deadreckon.files import alone, read_json, write_json
 from deadreckon.foreign.arrow import check_arrow
 from deadreckon.foreign.door import file_size
@@ -155,7 +155,7 @@ def convert_table(
             raise
         except OSError as error:
             shutil.rmtree(work, ignore_errors=True)
-            raise UserError(f"cannot write {target}: {error.strerror or error}") from error
+            raise cannot_write(target, error) from error
         shutil.rmtree(work, ignore_errors=True)
     return log
 
