@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.faults.commands import COMMANDS, Command, checkpoint_steps, digests, finished, leftovers
-from tests.faults.study import EACH, KILL, planned, table
+from tests.faults.study import EACH, KILL, done_before, planned, table
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 
@@ -62,3 +62,7 @@ def test_the_table_counts():
     assert "| `train` | 2 | 5 | 1 |" in text
     assert "| disk full | 1 | 1 | told (1) | 0 |" in text
     assert "- case 1, SIGKILL, `train`: lost" in text
+
+
+def test_the_page_shows_what_the_file_of_results_says():
+    assert table(done_before(ROOT / "evidence" / "faults.jsonl")) in (ROOT / "docs" / "reliability.md").read_text()

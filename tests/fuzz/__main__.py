@@ -156,19 +156,22 @@ def keep(corpus: Path, name: str, failure: dict[str, Any]) -> None:
 
 
 def _report(state: dict[str, Any]) -> int:
-    kinds = ("read", "refused", "failed", "mended")
-    print(f"| {'format':<12} | {'inputs':>10} | " + " | ".join(f"{each:>9}" for each in kinds) + " |")
-    print("|---|" + "---:|" * 5)
-    total = dict.fromkeys(kinds, 0)
-    for name, own in [*state.items(), ("all", total)]:
-        if name != "all":
-            total |= {kind: total[kind] + own.get(kind, 0) for kind in kinds}
-        count = own["read"] + own["refused"] + own["failed"]
-        print(f"| {name:<12} | {count:>10,} | " + " | ".join(f"{own.get(kind, 0):>9,}" for kind in kinds) + " |")
+    print(table(state))
     for name, own in state.items():
         for what, numbers in sorted(own["kinds"].items(), key=lambda each: -len(each[1])):
             print(f"  {name}: {len(numbers)} x {what}, such as input {numbers[0]}")
-    return 1 if total["failed"] else 0
+    return 1 if any(own["failed"] for own in state.values()) else 0
+
+
+def table(state: dict[str, Any]) -> str:
+    """Counts by format, in Markdown, as docs/reliability.md has them."""
+    kinds = ("read", "refused", "failed", "mended")
+    lines = [f"| {'format':<12} | {'inputs':>10} | " + " | ".join(f"{each:>9}" for each in kinds) + " |", "|---|" + "---:|" * 5]
+    total = {kind: sum(own.get(kind, 0) for own in state.values()) for kind in kinds}
+    for name, own in [*state.items(), ("all", total)]:
+        count = own["read"] + own["refused"] + own["failed"]
+        lines.append(f"| {name:<12} | {count:>10,} | " + " | ".join(f"{own.get(kind, 0):>9,}" for kind in kinds) + " |")
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ import pytest
 
 from deadreckon.errors import UserError
 from tests.fuzz import engine
+from tests.fuzz.__main__ import table
 from tests.fuzz.engine import Bench, Watch, Worker, attempt
 from tests.fuzz.targets import TARGETS
 
@@ -116,3 +117,8 @@ def test_a_worker_that_hangs_or_dies_costs_one_input(tmp_path, monkeypatch):
     assert answer["failed"][0]["number"] == 12
     assert answer["again"] == ("csv", 10, 2)
     assert answer["rest"] == ("csv", 13, 2)
+
+
+def test_the_page_shows_what_the_file_of_results_counts():
+    root = Path(__file__).resolve().parents[2]
+    assert table(json.loads((root / "evidence" / "fuzz.json").read_text())) in (root / "docs" / "reliability.md").read_text()

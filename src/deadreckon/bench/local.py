@@ -168,8 +168,11 @@ def _serve(pipe: Connection, cores: list[int], path: Path, work: Work, idle: boo
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's goes to the command too, which ends this process
     listening = interrupts.listening(lambda number: None, (signal.SIGTERM,))
     # Nobody listens any more, or all shall end: what is on disk is gone on with.
-    with contextlib.suppress(EOFError, OSError, KeyboardInterrupt), listening:
-        while True:
-            program: Program = pipe.recv()
-            pipe.send(("begun", None))
-            pipe.send(attempt(program, path, work, lambda done, total: pipe.send(("progress", (done, total)))))
+    try:
+        with contextlib.suppress(EOFError, OSError, KeyboardInterrupt), listening:
+            while True:
+                program: Program = pipe.recv()
+                pipe.send(("begun", None))
+                pipe.send(attempt(program, path, work, lambda done, total: pipe.send(("progress", (done, total)))))
+    except MemoryError:  # outside a program, which tells of its own: the command tells that this process has ended
+        raise SystemExit(1) from None
