@@ -52,6 +52,16 @@ def file(path, log, outputs: int = 2, inner: str = "Categorical"):
     return path
 
 
+@pytest.mark.parametrize("rows", [2, 3, 4])
+def test_a_layer_that_fits_one_number_of_observations_alone_is_refused(tmp_path, rows):
+    path = file(tmp_path / "policy.npz", LOG)
+    arrays = dict(np.load(path)) | {"b": np.zeros((rows, 2), np.float32)}
+    np.savez(path, **arrays)
+    for load in (predictor, load_policy):
+        with pytest.raises(UserError, match="do not fit together|cannot be read as a policy file"):  # tests check shapes, too
+            load(path)
+
+
 def test_the_file_itself_is_played(tmp_path):
     path = file(tmp_path / "policy.npz", LOG)
     assert predictor(path).predict(ROW) == load_policy(path).predict(ROW) == "v"

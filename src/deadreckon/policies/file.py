@@ -19,6 +19,7 @@ P = TypeVar("P", bound=Predictor)
 
 _NUMBER = 1_000_000  # any whole number
 _PICTURE = 20_000_000  # numbers of a picture
+ROWS = (2, 3)  # of observations that a policy is tried on: a layer may take one number of them alone
 _POLICIES = 1_000  # in a file, of mixtures and what is around others
 
 
@@ -116,7 +117,9 @@ def numpy_player(path: Path | str, tree: dict[str, Any], arrays: dict[str, np.nd
     for size in sizes:
         try:
             with np.errstate(all="ignore"):
-                portable.NumpyPolicy(tree, arrays)(np.zeros((1, size), np.float32), first=True)
+                for rows in ROWS:
+                    if len(portable.NumpyPolicy(tree, arrays)(np.zeros((rows, size), np.float32), first=True)) != rows:
+                        raise ValueError(f"{rows} observations give another number of actions")
         except Exception as found:  # noqa: BLE001 - whatever wrong parts make numpy raise
             error = error or found
         else:

@@ -18,7 +18,7 @@ from deadreckon.foreign.shapes import words
 from deadreckon.nets.layer_norm_mlp import LayerNormMLP
 from deadreckon.nets.mlp import MLP
 from deadreckon.policies.deployed import History, Mixture, Seeing
-from deadreckon.policies.file import observation_sizes
+from deadreckon.policies.file import ROWS, observation_sizes
 from deadreckon.policies.portable import KINDS
 
 _SCALARS = (int, float, str, bool, type(None))
@@ -48,7 +48,10 @@ def check_whole(path: Path | str, policy: Any) -> None:
     error = None
     for shape in shapes if type(policy.inner).__name__ in KINDS else ():  # others take more than an observation, or draw long
         try:
-            jax.eval_shape(functools.partial(_act, policy), jax.ShapeDtypeStruct((1, *shape), jnp.float32))
+            for rows in ROWS:
+                action = jax.eval_shape(functools.partial(_act, policy), jax.ShapeDtypeStruct((rows, *shape), jnp.float32))
+                if action.shape[0] != rows:
+                    raise ValueError(f"{rows} observations give {action.shape[0]} actions")
         except Exception as found:  # noqa: BLE001 - whatever arrays of wrong shapes make JAX raise
             error = error or found
         else:
@@ -66,8 +69,9 @@ def _check_encoder(path: Path | str, policy: Any) -> None:
 
 
 def _act(policy: Any, observation: Any) -> Any:
-    step = Step(observation, jnp.zeros(1), jnp.ones(1, bool))
-    return policy.act(step, policy.start(1), jax.random.key(0), greedy=True)[0]
+    rows = len(observation)
+    step = Step(observation, jnp.zeros(rows), jnp.ones(rows, bool))
+    return policy.act(step, policy.start(rows), jax.random.key(0), greedy=True)[0]
 
 
 def _networks(part: Any) -> Iterator[MLP | LayerNormMLP]:

@@ -258,3 +258,21 @@ def test_columns_that_look_like_something_else_than_an_observation(tmp_path):
     assert "--keep user_id" in said
     named = read(path, action="offer", reward="reward", propensity="pscore", keep="user_id")
     assert not [line for line in named.warnings if "looks like" in line]
+
+
+@pytest.mark.parametrize(
+    ("flags", "told"),
+    [([0.0, 1.0, 0.0, 0.0], None), ([0, 1, 0, 0], None), ([False, True, False, False], None),
+     ([0.0, 2.0, 0.0, 0.0], "timeouts has 2.0 in row 1"), ([0.0, np.nan, 0.0, 0.0], "timeouts has nan in row 1"),
+     (["a", "b", "c", "d"], "timeout holds string")],
+    ids=["floats", "whole numbers", "flags", "no flag", "not a number", "texts"],
+)  # fmt: skip
+def test_timeouts_of_any_numbers_are_flags_beside_episodes(tmp_path, flags, told):
+    numbers = {name: [1.0, 2.0, 3.0, 4.0] for name in ("observation_0", "observation_1", "action_0", "reward")}
+    table = pa.table(numbers | {"terminal": [0, 0, 0, 0], "timeout": flags, "episode": [0, 0, 1, 1]})
+    pa.parquet.write_table(table, tmp_path / "log.parquet")
+    if told:
+        with pytest.raises(UserError, match=told):
+            read(tmp_path / "log.parquet")
+    else:
+        assert read(tmp_path / "log.parquet").timeouts.tolist() == [False, True, False, True]

@@ -159,7 +159,9 @@ def from_table(
                 "name all columns (--episode, --time, --action, --reward) to have them sorted"
             )
         terminals = np.asarray(columns.get("terminals", np.zeros(rows, bool)))
-        columns["timeouts"] = np.asarray(columns.get("timeouts", np.zeros(rows, bool))) | (change & (terminals == 0))
+        given = np.asarray(columns.get("timeouts", np.zeros(rows, bool)))
+        if given.dtype.kind in "biuf" and given.shape == (rows,):  # others are refused with all columns
+            columns["timeouts"] = np.where(change & (terminals == 0) & (given == 0), given.dtype.type(1), given)
     finals = _groups(path, table.column_names, shapes).get("final_observation")
     if finals and "next_observations" not in columns:
         columns |= _finals(path, table, finals, columns)
