@@ -203,6 +203,8 @@ def alone(path: Path, wait: str = "", what: str = "") -> Iterator[None]:
         UserError: the folder cannot be made. A folder made for nothing is removed.
     """
     told, path = path, path.absolute()
+    if not path.name:
+        raise UserError(f"{path} is the root of all folders; choose another place")
     made = missing_folders(path)
     lock = path.with_name(f".{path.name}.lock")
     try:
@@ -242,6 +244,9 @@ def _locked(lock: Path, wait: str) -> "FileLock | None":
                     raise
             continue
         except Timeout:
+            if not lock.exists():  # released meanwhile; or none can be made here, which the system says now
+                lock.touch()
+                continue
             if not wait:
                 return None
         if not told:

@@ -49,6 +49,7 @@ OWN = {
 BUDGETS = ("full", "cpu")
 SIZES = {"seeds", "steps", "offline", "episodes", "evaluations", "rows", "designs", "budget"}  # what [full] may change
 _ELSEWHERE = re.compile(r"^[/\\~]|^[A-Za-z]:|(^|[/\\])\.\.($|[/\\])")  # beginnings and parts of paths, on any system
+_CELLS = 1_000_000  # of a suite at most, as all are planned before the first is run
 STEPS = 100_000  # where a suite says nothing
 
 
@@ -223,6 +224,8 @@ def _suite(path: Path, where: str, document: dict[str, Any], full: bool) -> Suit
     rest["data"] = _logs(where, document.get("data", {}), on, methods)
     ways = tuple(method(where, kind, *each) for each in methods.items())
     suite = Suite(name, kind, tuple(on), ways, steps=steps, full=bool(changes), **counts, **rest)
+    if (cells := len(suite.on) * len(ways) * suite.seeds) > _CELLS:
+        raise UserError(f"{where}: {cells:,} cells ({suite.seeds:,} seeds of each), more than {_CELLS:,}; lower seeds")
     if "steps" in OWN[kind] and suite.evaluations > min(steps.values()):
         raise UserError(f"{where}: {suite.evaluations} evaluations are more than its {min(steps.values())} steps")
     return suite

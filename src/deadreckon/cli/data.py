@@ -216,8 +216,10 @@ def _info(options: Info) -> None:
     from deadreckon.data.leaks import leaks
     from deadreckon.data.told import columns_of, table_of
 
-    if options.html is not None and Path(options.html).suffix.lower() not in (".html", ".htm"):
-        raise UserError(f"--html {options.html}: the page is HTML, and its name must end in .html")
+    if options.html is not None:
+        from deadreckon.report.page import check_page
+
+        check_page(options.html, "--html")
     advise(options.file, options.map)
     log = load(options.file, horizon=options.horizon, **mapping_options(options.map))
     info = describe(log)

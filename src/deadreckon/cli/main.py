@@ -4,8 +4,10 @@ Nothing heavy is imported here, so that `deadreckon --help` answers at once.
 """
 
 import contextlib
+import errno
 import importlib
 import os
+import re
 import shlex
 import signal
 import sys
@@ -15,7 +17,7 @@ from typing import TextIO, cast
 
 from deadreckon import interrupts
 from deadreckon._version import __version__
-from deadreckon.errors import UserError, unknown
+from deadreckon.errors import UserError, printable, unknown
 from deadreckon.names import Terminal
 
 # name: (module, function, one line)
@@ -39,6 +41,11 @@ COMMANDS = {
     "monitor": ("monitor", "monitor", "compare a new log with a policy's own: drift, rows outside the log, realised value"),
     "report": ("report", "report", "write a self-contained HTML page about run folders"),
 }
+
+# What a path, or the machine, does not allow, wherever it is met.
+_OF_THE_SYSTEM = {errno.ENAMETOOLONG, errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EMFILE, errno.ENFILE}
+# How JAX and NumPy begin where an array does not fit, beside the errors of memory that Python, NumPy and Arrow have.
+_TOO_LARGE = "RESOURCE_EXHAUSTED|array is too big|Maximum allowed dimension exceeded"
 
 HELP = """usage: deadreckon COMMAND [OPTIONS]
 
@@ -108,19 +115,19 @@ def _run(given: list[str]) -> int:
     except BrokenPipeError:  # `deadreckon data info x | head`: the reader has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except MemoryError as error:  # Python's, NumPy's and Arrow's
-        if interrupts.arrived():
-            return _interrupted(given)
-        if debug:
-            raise
-        print(f"deadreckon: not enough memory: {' '.join(str(error).split())[:300] or 'none is left'}", file=sys.stderr)
-        return 1
     except Exception as error:  # our mistake, not the user's: told shortly, and in full with --debug
         if interrupts.arrived():
             return _interrupted(given)
         if debug:
             raise
+        if isinstance(error, OSError) and error.errno in _OF_THE_SYSTEM:
+            path = printable(str(error.filename or "a file"))
+            print(f"deadreckon: {path}: {(error.strerror or '').lower()}", file=sys.stderr)
+            return 2
         what = " ".join(str(error).split())[:300]
+        if isinstance(error, MemoryError) or re.match(_TOO_LARGE, what):
+            print(f"deadreckon: not enough memory: {what or 'none is left'}", file=sys.stderr)
+            return 1
         print(f"deadreckon: internal error, {type(error).__name__}: {what} (--debug shows where)", file=sys.stderr)
         return 1
 

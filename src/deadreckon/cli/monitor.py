@@ -37,6 +37,10 @@ def monitor(args: Sequence[str]) -> int:
     options = parse(Monitor, with_policy_seed(args), "monitor")
     from deadreckon.runs.monitor import monitor as compare
 
+    if options.html is not None:
+        from deadreckon.report.page import check_page
+
+        check_page(options.html, "--html")
     found = compare(
         options.run, options.log, reference=options.reference, made_by=options.made_by, estimates=options.estimates,
         return_range=options.return_range, seed=options.policy_seed, greedy=options.greedy, alpha=options.alpha,

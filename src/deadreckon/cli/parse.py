@@ -7,7 +7,7 @@ import io
 import re
 import sys
 from collections.abc import Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import tyro
 
@@ -33,12 +33,28 @@ def parse(kind: type[T], args: Sequence[str], command: str) -> T:
     err, out = io.StringIO(), io.StringIO()
     try:
         with contextlib.redirect_stderr(err), contextlib.redirect_stdout(out):
-            return tyro.cli(kind, args=args, prog=prog)
+            found = tyro.cli(kind, args=args, prog=prog)
     except SystemExit as error:
         if not error.code:
             sys.stdout.write(out.getvalue())
             raise
         raise UserError(_line(kind, err.getvalue(), prog)) from error
+    _check_values("", found)
+    return found
+
+
+def _check_values(name: str, value: Any) -> None:
+    """Refuses whole numbers that no library takes, and an output without a name."""
+    if dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            _check_values(f"{name}{'.' if name else '--'}{field.name.replace('_', '-')}", getattr(value, field.name))
+    elif isinstance(value, tuple | list):
+        for each in value:
+            _check_values(name, each)
+    elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise UserError(f"{name}: whole numbers are from -2^63 to 2^63 - 1")
+    elif value == "" and re.fullmatch(r"--(.*\.)?out", name):
+        raise UserError("--out is empty; name a file or a folder")
 
 
 def chosen(what: str, args: Sequence[str]) -> tuple[str | None, list[str]]:

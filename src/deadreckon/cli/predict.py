@@ -41,6 +41,9 @@ def predict(args: Sequence[str]) -> None:
     """Predicts and writes."""
     options = parse(Predict, args, "predict")
     out = Path(options.out)
+    from deadreckon.runs.settings import check_seed
+
+    check_seed(options.seed)
     if out.suffix.lower() not in _ENDINGS:
         raise UserError(f"--out {out}: actions are written as .csv or .parquet")
     if out.exists() and Path(options.table).exists() and out.samefile(options.table):

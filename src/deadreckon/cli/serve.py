@@ -62,5 +62,5 @@ def _listening(host: str, port: int) -> socket.socket:
     try:
         family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
         return socket.create_server((host, port), family=family, backlog=2048)
-    except (OSError, OverflowError) as error:
+    except (OSError, OverflowError, UnicodeError) as error:  # the last of names that no host has
         raise UserError(f"cannot listen on {host}, port {port}: {getattr(error, 'strerror', None) or error}") from error

@@ -271,8 +271,18 @@ class Encoder:
 
     def episodes(self, column: str, ordered: bool) -> np.ndarray:
         """(rows,) int64 index of each row's episode: of its value among those of the column, in the order in which they first
-        appear or, if `ordered`, ascending."""
-        encoded = decoded(self.complete(column)).dictionary_encode()
+        appear or, if `ordered`, ascending.
+
+        Raises:
+            UserError: a cell is empty; or numbers are so large that they were rounded.
+        """
+        values = decoded(self.complete(column))
+        if pa.types.is_floating(values.type) and (large := float(np.abs(values.to_numpy()).max())) >= 2**53:
+            raise UserError(
+                f"{self.name}: column {column} tells episodes apart, and it was read as numbers up to {large:g}, which are "
+                "rounded from 2^53 on: put a letter before its codes, so that they are texts"
+            )
+        encoded = values.dictionary_encode()
         codes = encoded.indices.to_numpy(zero_copy_only=False).astype(np.int64)
         if not ordered:
             return codes

@@ -19,6 +19,7 @@ from deadreckon.mbo.variables import Variable
 _NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
 _LONGEST, _EXPONENT = 100, 300  # characters of a number, and its exponent of ten
 _LARGEST = 1e300
+_CONDITIONS = 50  # of a forbidden combination
 COMPARED = {
     "=": operator.eq, "!=": operator.ne, "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
 }  # fmt: skip
@@ -132,6 +133,9 @@ class Rules:
         """
         parts = [f"{' + '.join(f'`{each}`' for each in group)} = 1" for group in mixtures]
         linear = tuple(_linear(text, variables, name) for text in [*constraints, *parts])
+        for text in forbidden:
+            if (count := text.count("&") + 1) > _CONDITIONS:
+                raise UserError(f"{name}: {text[:60]!r} ... has {count:,} conditions, and {_CONDITIONS} are the most")
         combinations = tuple(
             Forbidden(tuple(_clause(part, variables, name, text) for part in text.split("&")), text) for text in forbidden
         )

@@ -24,6 +24,20 @@ OWN = ": collected by this package; there is no original."
 AGAIN = ": collected again by this package, after the original's recipe, on today's simulator; not the original file."
 
 
+def check_page(out: Path | str, option: str = "") -> None:
+    """Refuses a page whose name is that of something else, which it would replace.
+
+    Args:
+        out: the page.
+        option: that named it, for the error.
+
+    Raises:
+        UserError: it does not end in .html or .htm.
+    """
+    if Path(out).suffix.lower() not in (".html", ".htm"):
+        raise UserError(f"{option} {out}: the page is HTML, and its name must end in .html".lstrip())
+
+
 def write(
     runs: Sequence[Path | str | Run], out: Path | str, *, title: str | None = None, estimates: Path | str | None = None
 ) -> Path:
@@ -38,6 +52,7 @@ def write(
     Raises:
         UserError: nothing to show, a path that is not a run, runs of different tasks, or an output that cannot be written.
     """
+    check_page(out)
     told = None if estimates is None else read_estimates(estimates)
     page = read(runs)
     if told is not None:

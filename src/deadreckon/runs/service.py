@@ -21,6 +21,7 @@ from deadreckon._version import __version__
 from deadreckon.errors import UserError, unknown
 from deadreckon.policies.table_predict import Prediction, Predictor
 from deadreckon.runs.service_page import described, openapi, page
+from deadreckon.runs.settings import check_seed
 
 SLOWEST = 10.0  # seconds in which the whole of a request's body must have arrived
 _WORDS = {"true": True, "1": True, "false": False, "0": False}
@@ -62,11 +63,15 @@ class Service:
         limits: of a request.
         seed: of sampled actions of all requests that name none.
         sampled: whether requests that do not say it get sampled actions.
+
+    Raises:
+        UserError: the seed is none.
     """
 
     def __init__(
         self, policy: Predictor, words: str, limits: Limits | None = None, seed: int = 0, sampled: bool = False
     ):  # fmt: skip
+        check_seed(seed)
         self.policy, self.words, self.limits, self.sampled = policy, words, limits or Limits(), sampled
         self.rng = np.random.default_rng(seed)
 

@@ -155,6 +155,8 @@ def convert(
         BusyError: another process writes `target`.
         UserError: `target` exists or has an unknown ending, or reading or writing fails.
     """
+    if not str(target):
+        raise UserError("the target is an empty text; name a file or a folder")
     asked = {"force": force, "strict": strict, "horizon": horizon, "progress": progress, **mapping}
     if str(target).startswith(PREFIX):
         return _convert(source, target, **asked)

@@ -35,9 +35,12 @@ def spaces_of(log: Dataset, environment: Environment | None) -> tuple[Any, Any]:
 
 
 def _levels(log: Dataset) -> np.ndarray | None:
-    """(actions, integers) what the environment takes for each discrete action, where it is not the action's number."""
+    """(actions, integers) what the environment takes for each discrete action, where it is not the action's number; None for
+    actions that are texts in their table, of which Minari gets the numbers."""
     levels = np.asarray(log.provenance.extra.get("action_levels", ()))
-    return levels if isinstance(log.action_space, Discrete) and levels.shape[:1] == (log.action_space.n,) else None
+    if not isinstance(log.action_space, Discrete) or levels.shape[:1] != (log.action_space.n,):
+        return None
+    return levels if levels.dtype.kind in "iu" else None
 
 
 def buffers(log: Dataset) -> Iterator[Any]:
