@@ -2030,7 +2030,8 @@ MUTANTS = (
     ),
     Mutant(
         "child-hangs", "foreign/child.py",
-        "        _drop()\n        raise UserError(\n            f\"{path}: reading", "        raise UserError(\n            f\"{path}: reading",
+        '        _drop()\n        raise UserError(\n            f"{path}: reading',
+        '        raise UserError(\n            f"{path}: reading',
         "a process that hung is asked again", ("test_foreign.py",),
     ),
     Mutant(

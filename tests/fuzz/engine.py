@@ -142,7 +142,7 @@ class Bench:
         which = int(rng.integers(len(self.sets)))
         try:
             return which, damaged(self.target, self.sets[which], rng)
-        except (ValueError, TypeError, KeyError, OSError, OverflowError, RecursionError):  # damage that cannot be written
+        except (ValueError, TypeError, KeyError, OSError, OverflowError, RecursionError, MemoryError):  # cannot be written
             name, *_ = self.sets[which]
             return which, {name: havoc(self.sets[which][name], rng)}
 

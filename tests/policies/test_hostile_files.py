@@ -62,6 +62,28 @@ def test_a_layer_that_fits_one_number_of_observations_alone_is_refused(tmp_path,
             load(path)
 
 
+@pytest.mark.parametrize("meta", [{}, {"meta": {}}, {"meta": {"log": None}}], ids=["none", "empty", "no log"])
+def test_a_file_that_says_nothing_of_its_log_is_played(tmp_path, meta):
+    path = file(tmp_path / "policy.npz", LOG)
+    arrays = dict(np.load(path))
+    tree = json.loads(arrays["policy.json"].tobytes())
+    del tree["meta"]
+    np.savez(path, **arrays | {"policy.json": np.frombuffer(json.dumps(tree | meta).encode(), np.uint8)})
+    assert store.meta(path).get("log", {}) == {}
+    load_policy(path)
+
+
+def test_a_network_without_layers_is_refused(tmp_path):
+    path = file(tmp_path / "policy.npz", LOG)
+    arrays = dict(np.load(path))
+    tree = json.loads(arrays["policy.json"].tobytes())
+    tree["policy"]["inner"]["net"] |= {"weights": [], "biases": []}
+    np.savez(path, **arrays | {"policy.json": np.frombuffer(json.dumps(tree).encode(), np.uint8)})
+    for load in (predictor, load_policy):
+        with pytest.raises(UserError, match=r"policy\.npz: "):
+            load(path)
+
+
 def test_the_file_itself_is_played(tmp_path):
     path = file(tmp_path / "policy.npz", LOG)
     assert predictor(path).predict(ROW) == load_policy(path).predict(ROW) == "v"

@@ -39,7 +39,7 @@ class _Meta(TypedDict):
 
 
 def read_policy(path: Path | str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """The JSON tree of a policy file, and its arrays.
+    """The JSON tree of a policy file, which has a `meta` (empty where the file has none), and its arrays.
 
     Raises:
         UserError: the file is missing, broken or not a policy file.
@@ -51,7 +51,9 @@ def read_policy(path: Path | str) -> tuple[dict[str, Any], dict[str, np.ndarray]
         _check_numbers(path, told, own)
         check_log(path, told.get("meta", {}).get("log") or {})
     with reading(path, "a policy file"):
-        return portable.tree_of(arrays)
+        tree, rest = portable.tree_of(arrays)
+    known = {key: value for key, value in tree.get("meta", {}).items() if key != "log" or value is not None}
+    return tree | {"meta": known}, rest
 
 
 def _check_numbers(path: Path | str, tree: dict[str, Any], arrays: Iterable[np.ndarray]) -> None:

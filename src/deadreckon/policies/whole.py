@@ -43,7 +43,7 @@ def check_whole(path: Path | str, policy: Any) -> None:
         check_whole(path, policy.inner.member)
         _check_encoder(path, policy)
         return
-    ends = ((net.weights[0].shape[-2], net.weights[-1].shape[-1]) for net in _networks(policy))
+    ends = ((net.weights[0].shape[-2], net.weights[-1].shape[-1]) for net in _networks(policy) if net.weights)
     shapes = [policy.mean.shape] if policy.mean is not None else [(size,) for size in observation_sizes(ends)]
     error = None
     for shape in shapes if type(policy.inner).__name__ in KINDS else ():  # others take more than an observation, or draw long
