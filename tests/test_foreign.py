@@ -254,6 +254,22 @@ def test_a_reader_that_somebody_killed_is_asked_again_and_told_when_it_happens_t
     assert load_pickle(path) == [1]
 
 
+def test_a_reader_that_ends_by_itself_or_a_lack_of_memory_here_is_no_kill(tmp_path, monkeypatch):
+    path = tmp_path / "x.pkl"
+    path.write_bytes(pickle.dumps([np.zeros(3)]))
+    load_pickle(path)
+
+    def lacking(*given, **options):
+        raise OSError(12, "Cannot allocate memory")
+
+    monkeypatch.setattr(child.mmap, "mmap", lacking)
+    refused(load_pickle, path, words="cannot be read as .*: Cannot allocate memory")
+    monkeypatch.undo()
+    assert len(load_pickle(path)) == 1
+    ends_at_work(signal.SIGTERM)
+    refused(load_pickle, path, words=r"the library that reads it crashed \(-15\)")
+
+
 def test_relative_paths_are_those_of_this_process(tmp_path, monkeypatch):
     for name in ("a", "b"):
         folder = tmp_path / name

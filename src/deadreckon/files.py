@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import stat
+import tempfile
 import warnings
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -224,6 +225,14 @@ def alone(path: Path, wait: str = "", what: str = "") -> Iterator[None]:
         drop_empty(made)
 
 
+def _can_make_files(folder: Path) -> bool:
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            return True
+    except FileNotFoundError:
+        return False
+
+
 def _locked(lock: Path, wait: str) -> "FileLock | None":
     """A lock that is held; None where another process has it and is not waited for."""
     from filelock import FileLock, Timeout  # 40 ms, which `deadreckon --help` need not take
@@ -245,7 +254,9 @@ def _locked(lock: Path, wait: str) -> "FileLock | None":
             continue
         except Timeout:
             if not lock.exists():  # released meanwhile; or none can be made here, which the system says now
-                lock.touch()
+                gone += 0 if _can_make_files(lock.parent) else PATIENCE // 5  # each of which has taken 0.2 s
+                if gone >= PATIENCE:
+                    raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(lock)) from None
                 continue
             if not wait:
                 return None

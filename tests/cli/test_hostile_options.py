@@ -4,7 +4,9 @@ import os
 import re
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow import parquet
 
 from deadreckon.cli import main as command
 from deadreckon.cli.main import main
@@ -35,7 +37,9 @@ def table(tmp_path, monkeypatch):
         (["train", "--agent", "bc", "--data", "log.csv", *ROLES, "--out", ""], "--out is empty; name a file or a folder"),
         (["data", "convert", "log.csv", "/", "--force", *ROLES], "/ is the root of all folders"),
         (["data", "convert", "log.csv", "", *ROLES], "the target is an empty text"),
-        (["train", "--agent", "bc", "--agent.hidden", "9" * 30, "--data", "log.csv", *ROLES], "hidden: whole numbers are from"),
+        (["train", "--agent", "bc", "--agent.hidden", "9" * 30, "--data", "log.csv", *ROLES],
+         "^deadreckon: --agent.hidden: whole numbers are from"),
+        (["train", "--agent", "bc", "--data", "log.csv", *ROLES, "--chunk", "9" * 30], "^deadreckon: --chunk: whole numbers"),
         (["train", "--agent", "bc", "--history", "1000000000", "--data", "log.csv", *ROLES], "history must be <= 10,000"),
         (["design", "--data", "designs.csv", "--target", "y", "--forbid", " & ".join(["a > 0"] * 51), "--out", "d"],
          "has 51 conditions, and 50 are the most"),
@@ -67,6 +71,7 @@ def test_a_suite_of_more_cells_than_can_be_planned_is_refused(table, capsys):
         (ValueError("array is too big; `arr.size` is larger"), 1, "deadreckon: not enough memory: array is too big"),
         (MemoryError(), 1, "deadreckon: not enough memory: none is left"),
         (OSError(28, "No space left on device", "x"), 2, "deadreckon: x: no space left on device"),
+        (OSError(12, "Cannot allocate memory"), 1, "deadreckon: not enough memory: "),
         (OSError(5, "Input/output error", "x"), 1, "deadreckon: internal error, OSError"),
     ],
 )
@@ -87,6 +92,23 @@ def test_texts_as_actions_become_numbers_in_minari(table, capsys, monkeypatch):
     data = minari.load_dataset("mine/log-v0")
     assert data.action_space.n == 2
     assert np.unique(np.concatenate([each.actions for each in data.iterate_episodes()])).tolist() == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("ids", "roles", "told"),
+    [
+        (np.arange(20) // 5 + 2**53, [], "column episode has numbers from 2\\^53 on"),
+        (np.float32(np.arange(20) // 5 + 2**24), ["--action", "act", "--reward", "reward", "--episode", "episode"],
+         "rounded from 1.67772e"),
+    ],
+    ids=["our names", "float32"],
+)  # fmt: skip
+def test_ids_of_tables_that_were_rounded_are_refused(table, capsys, ids, roles, told):
+    columns = {"episode": ids, "observation_0": np.arange(20.0), "reward": np.ones(20), "terminal": np.zeros(20, int)}
+    columns |= {"act" if roles else "action_0": np.arange(20.0) % 3}
+    parquet.write_table(pa.table(columns), table / "ids.parquet")
+    assert main(["data", "info", "ids.parquet", *roles]) == 2
+    assert re.search(told, capsys.readouterr().err)
 
 
 def test_ids_that_were_rounded_do_not_become_one_episode(table, capsys):

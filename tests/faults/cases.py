@@ -98,8 +98,9 @@ def refused(running: Running, words: str, codes: tuple[int, ...] = (2,)) -> list
     errors = [line for line in running.lines() if re.match(r"deadreckon: (?!warning)", line)]
     if running.code not in codes:
         broken.append(f"exit {running.code} instead of {codes[0]}: {(running.lines() or ['-'])[-1][:200]}")
-    elif running.code == 1 and any(line.startswith("FAILED: ") for line in [*running.lines(), *running.lines("out")]):
-        pass  # `bench` tells each of its programs that failed
+    elif running.code == 1 and (failed := [line for line in running.lines("out") if line.startswith("FAILED: ")]):
+        if unsaid := [line for line in failed if not re.search(words, line)]:  # `bench` tells each program that failed
+            broken.append(f"not a line about it: {unsaid[0][:300]}")
     elif len(errors) != 1 or not re.search(words, errors[0]):
         broken.append(f"not one line about it: {' | '.join(running.lines()[-3:])[:300]}")
     return broken

@@ -7,6 +7,7 @@ from pyarrow import parquet
 
 from deadreckon.data.formats.stream import convert_table
 from deadreckon.errors import UserError
+from deadreckon.foreign.arrow import check_arrow
 
 ROLES = {"action": "dose", "reward": "gain", "episode": "episode"}
 
@@ -30,6 +31,18 @@ def test_a_batch_that_unpacks_to_more_than_it_may_is_refused(tmp_path, monkeypat
     assert [each.name for each in tmp_path.iterdir()] == ["x.arrow"]
     monkeypatch.setenv("DEADRECKON_MAX_UNPACKED", "1700k")
     assert len(convert_table(path, tmp_path / "log", "ipc", **ROLES).rewards) == 100_000
+
+
+def test_what_is_unpacked_is_counted_and_not_what_rows_refer_to(tmp_path, monkeypatch):
+    table = pa.table({"x": pa.array(["a" * 50] * 40_000, pa.string_view())}).slice(0, 40_000)
+    options = pa.ipc.IpcWriteOptions(compression="zstd")
+    with pa.OSFile(str(tmp_path / "x"), "wb") as file, pa.ipc.new_file(file, table.schema, options=options) as writer:
+        writer.write_table(table)
+    monkeypatch.setenv("DEADRECKON_MAX_UNPACKED", "2M")
+    with pytest.raises(UserError, match="has a record batch that unpacks to 0.00264 GB"):
+        check_arrow(tmp_path / "x")
+    monkeypatch.setenv("DEADRECKON_MAX_UNPACKED", "3M")
+    check_arrow(tmp_path / "x")
 
 
 def test_a_damaged_file_is_refused_in_one_line(tmp_path):

@@ -51,8 +51,10 @@ class Cluster:
             try:
                 self._ray.init(address, log_to_driver=False, logging_level="error")
             except Exception as error:
-                where = address or "this machine"
-                why = next(iter(str(error).splitlines()), type(error).__name__)
+                # Ray raises plain exceptions, too, as where a node does not start in time; other kinds are mistakes.
+                if not isinstance(error, ConnectionError | ValueError | RuntimeError) and type(error) is not Exception:
+                    raise
+                where, (why, *_) = address or "this machine", str(error).strip().splitlines() or [type(error).__name__]
                 raise UserError(f"cannot join a Ray cluster at {where}: {why}") from error
         try:
             self.workers = self._places(cpus, gpus)

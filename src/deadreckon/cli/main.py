@@ -125,8 +125,10 @@ def _run(given: list[str]) -> int:
             print(f"deadreckon: {path}: {(error.strerror or '').lower()}", file=sys.stderr)
             return 2
         what = " ".join(str(error).split())[:300]
-        if isinstance(error, MemoryError) or re.match(_TOO_LARGE, what):
-            print(f"deadreckon: not enough memory: {what or 'none is left'}", file=sys.stderr)
+        lacking = isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM
+        if lacking or re.match(_TOO_LARGE, what):
+            hint = "" if lacking else " (--debug shows where)"
+            print(f"deadreckon: not enough memory: {what or 'none is left'}{hint}", file=sys.stderr)
             return 1
         print(f"deadreckon: internal error, {type(error).__name__}: {what} (--debug shows where)", file=sys.stderr)
         return 1

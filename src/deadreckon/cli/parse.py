@@ -39,21 +39,24 @@ def parse(kind: type[T], args: Sequence[str], command: str) -> T:
             sys.stdout.write(out.getvalue())
             raise
         raise UserError(_line(kind, err.getvalue(), prog)) from error
-    _check_values("", found)
+    _check_values(kind, "", found)
     return found
 
 
-def _check_values(name: str, value: Any) -> None:
+def _check_values(kind: type, name: str, value: Any) -> None:
     """Refuses whole numbers that no library takes, and an output without a name."""
     if dataclasses.is_dataclass(value):
         for field in dataclasses.fields(value):
-            _check_values(f"{name}{'.' if name else '--'}{field.name.replace('_', '-')}", getattr(value, field.name))
+            _check_values(kind, f"{name}{name and '.'}{field.name.replace('_', '-')}", getattr(value, field.name))
     elif isinstance(value, tuple | list):
         for each in value:
-            _check_values(name, each)
+            _check_values(kind, name, each)
     elif isinstance(value, int) and not -(2**63) <= value < 2**63:
-        raise UserError(f"{name}: whole numbers are from -2^63 to 2^63 - 1")
-    elif value == "" and re.fullmatch(r"--(.*\.)?out", name):
+        parts, known = name.split("."), _options(kind)  # what some fields are part of is not in the option
+        options = ["--" + ".".join(parts[i:]) for i in range(len(parts))]
+        option = next((each for each in options if each in known), options[0])
+        raise UserError(f"{option}: whole numbers are from -2^63 to 2^63 - 1")
+    elif value == "" and name.rpartition(".")[2] == "out":
         raise UserError("--out is empty; name a file or a folder")
 
 

@@ -277,10 +277,11 @@ class Encoder:
             UserError: a cell is empty; or numbers are so large that they were rounded.
         """
         values = decoded(self.complete(column))
-        if pa.types.is_floating(values.type) and (large := float(np.abs(values.to_numpy()).max())) >= 2**53:
+        exact = 2 ** {16: 11, 32: 24, 64: 53}.get(values.type.bit_width, 53) if pa.types.is_floating(values.type) else np.inf
+        if exact < np.inf and (large := float(np.abs(values.to_numpy()).max())) >= exact:
             raise UserError(
                 f"{self.name}: column {column} tells episodes apart, and it was read as numbers up to {large:g}, which are "
-                "rounded from 2^53 on: put a letter before its codes, so that they are texts"
+                f"rounded from {exact:g} on: put a letter before its codes, so that they are texts"
             )
         encoded = values.dictionary_encode()
         codes = encoded.indices.to_numpy(zero_copy_only=False).astype(np.int64)

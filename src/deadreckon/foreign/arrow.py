@@ -6,7 +6,7 @@ from typing import Any
 from deadreckon.foreign.child import read_apart
 from deadreckon.foreign.door import file_size
 from deadreckon.foreign.limits import UNPACKED, beyond, max_unpacked
-from deadreckon.foreign.reader import alive
+from deadreckon.foreign.reader import alive, bound_memory
 
 
 def check_arrow(path: Path | str, kind: str = "Arrow") -> None:
@@ -37,9 +37,11 @@ def largest_batch(file: str, shared: Any) -> dict[str, int]:
     """
     import pyarrow as pa
 
+    size = file_size(file)
+    bound_memory(size + int(2 * max_unpacked(size)))  # what is mapped is no memory that is taken
     largest = 0
     with pa.memory_map(file) as mapped, pa.ipc.open_file(mapped) as opened:
         for index in range(opened.num_record_batches):
             alive()
-            largest = max(largest, opened.get_batch(index).nbytes)
+            largest = max(largest, opened.get_batch(index).get_total_buffer_size())
     return {"largest": largest}

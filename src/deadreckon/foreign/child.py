@@ -1,6 +1,7 @@
 """Asks a process of its own to read a file, within limits of memory and time, and takes its arrays over uncopied."""
 
 import atexit
+import contextlib
 import json
 import mmap
 import os
@@ -85,6 +86,12 @@ class _Child:
             if time.monotonic() >= until:
                 raise _Hung
 
+    def ended(self) -> int | None:
+        """How a process that has closed its socket ended by itself; None where it lives on."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            return self.process.wait(1.0)
+        return None
+
     def end(self) -> int:
         """Ends the process, if it is ours; gives how it ended."""
         self.socket.close()
@@ -162,16 +169,19 @@ def _asked(request: dict[str, Any], silence: float, path: Path | str, kind: str)
             f"{path}: reading it as {kind} has not ended after {silence:.0f} s, it is damaged or made to hang; "
             f"{SECONDS.variable} sets another limit"
         ) from error
-    except (EOFError, OSError) as error:
-        code = _drop()
+    except (EOFError, BrokenPipeError, ConnectionResetError) as error:
+        code = _child.ended()
+        _drop()
         if code == -signal.SIGKILL:
             raise _Killed from error
         why = f"it is damaged: the library that reads it crashed ({code})"
         if code == -signal.SIGABRT:  # as libraries end that find no memory, in Rust and in C++
             why = f"it is damaged, or needs more memory than a file of its size may take; {UNPACKED.variable} sets more"
         raise UserError(f"{path}: cannot be read as {kind}, {why}") from error
-    except ValueError as error:
+    except (OSError, ValueError) as error:  # of this process, such as no memory to map; or of an answer that is none
         _drop()
+        if isinstance(error, OSError):
+            raise UserError(f"{path}: cannot be read as {kind}: {error.strerror or error}") from error
         raise UserError(f"{path}: cannot be read as {kind}, it is damaged: what its library told is no answer") from error
     except BaseException:  # such as the user's interrupt, after which the answer would be taken for the next one's
         _drop()

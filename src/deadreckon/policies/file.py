@@ -108,7 +108,9 @@ def numpy_player(path: Path | str, tree: dict[str, Any], arrays: dict[str, np.nd
         numpy_player(path, {"policy": part}, arrays)
     if inner["kind"] == "Seeing":
         with reading(path, "a policy file"):
-            player(np.zeros((1, *inner["encoder"]["shape"]), np.uint8))
+            for rows in ROWS:
+                if len(player(np.zeros((rows, *inner["encoder"]["shape"]), np.uint8))) != rows:
+                    raise ValueError(f"{rows} pictures give another number of actions")
     if parts:
         return player
     with reading(path, "a policy file"):

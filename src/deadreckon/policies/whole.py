@@ -48,10 +48,7 @@ def check_whole(path: Path | str, policy: Any) -> None:
     error = None
     for shape in shapes if type(policy.inner).__name__ in KINDS else ():  # others take more than an observation, or draw long
         try:
-            for rows in ROWS:
-                action = jax.eval_shape(functools.partial(_act, policy), jax.ShapeDtypeStruct((rows, *shape), jnp.float32))
-                if action.shape[0] != rows:
-                    raise ValueError(f"{rows} observations give {action.shape[0]} actions")
+            _try(policy, shape, jnp.float32)
         except Exception as found:  # noqa: BLE001 - whatever arrays of wrong shapes make JAX raise
             error = error or found
         else:
@@ -63,9 +60,17 @@ def check_whole(path: Path | str, policy: Any) -> None:
 def _check_encoder(path: Path | str, policy: Any) -> None:
     """Refuses a policy on pictures that cannot act on those of its encoder's shape."""
     try:
-        jax.eval_shape(functools.partial(_act, policy), jax.ShapeDtypeStruct((1, *policy.inner.encoder.shape), jnp.uint8))
+        _try(policy, policy.inner.encoder.shape, jnp.uint8)
     except Exception as found:
         raise UserError(f"{path}: the parts of its policy do not fit together ({as_one_line(found)})") from found
+
+
+def _try(policy: Any, shape: tuple[int, ...], kind: Any) -> None:
+    """Traces actions on different numbers of observations, since a layer may fit one number of them alone."""
+    for rows in ROWS:
+        action = jax.eval_shape(functools.partial(_act, policy), jax.ShapeDtypeStruct((rows, *shape), kind))
+        if action.shape[0] != rows:
+            raise ValueError(f"{rows} observations give {action.shape[0]} actions")
 
 
 def _act(policy: Any, observation: Any) -> Any:

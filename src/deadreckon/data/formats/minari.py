@@ -12,7 +12,7 @@ from deadreckon.data.formats.header import Header
 from deadreckon.data.formats.minari_ids import METADATA, PREFIX, ROOT, checked_id, find, root
 from deadreckon.data.formats.minari_rows import buffers, spaces_of
 from deadreckon.data.spec import action_space_from_json
-from deadreckon.errors import UserError, naming
+from deadreckon.errors import UserError, cannot_write, naming
 from deadreckon.files import alone, read_json
 from deadreckon.foreign.child import read_apart
 from deadreckon.foreign.door import file_size, refuse_links
@@ -115,7 +115,9 @@ def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
                 if note.exists() and not (root() / parent / note.name).exists():
                     shutil.copy(note, root() / parent / note.name)
             put(scratch / dataset_id, target)
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise cannot_write(target, error) from error
+    except ValueError as error:
         raise UserError(f"cannot write {target}: {' '.join(str(error).split())}") from error
     return target
 

@@ -151,6 +151,8 @@ def from_table(
     rows = table.num_rows
     if "episode" in table.column_names:
         episode = numbers(str(path), table, "episode")
+        if np.abs(episode).max() >= 2**53:
+            raise UserError(f"{path}: column episode has numbers from 2^53 on, where they are rounded; number the episodes")
         change = np.append(episode[1:] != episode[:-1], True)
         if int(change.sum()) != len(np.unique(episode)):
             row = _returns(episode, change)
