@@ -62,6 +62,9 @@ def test_a_suite_of_more_cells_than_can_be_planned_is_refused(table, capsys):
     (table / "s.toml").write_text(text)
     assert main(["bench", "s.toml", "--dry-run"]) == 2
     assert "s.toml: 10,000,000 cells (10,000,000 seeds of each), more than 1,000,000" in capsys.readouterr().err
+    (table / "s.toml").write_text(text.replace("10000000", "1").replace('"bc" }', '"bc", history = 1000000000 }'))
+    assert main(["bench", "s.toml", "--dry-run"]) == 2
+    assert "history of method 'BC' must be <= 10,000" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -71,7 +71,12 @@ def method(where: str, kind: str, name: str, table: Any) -> Method:
     for key, value in table.items():
         if not isinstance(value, kinds[key]):
             raise UserError(f"{where}: {key} of method {name!r} must be a {kinds[key].__name__}, got {value!r}")
-    check_count(where, f"history of method {name!r}", table.get("history", 1))
+    check_count(where, f"history of method {name!r}", history := table.get("history", 1))
+    if history > 1:
+        from deadreckon.runs.settings import MOST_HISTORY  # with all that a run needs
+
+        if history > MOST_HISTORY:
+            raise UserError(f"{where}: history of method {name!r} must be <= {MOST_HISTORY:,}, got {history:,}")
     for key, value in table.get("fields", {}).items():
         if not isinstance(value, bool | int | float | str | list):
             raise UserError(f"{where}: {key} of method {name!r} must be a number, text, truth value or list, got {value!r}")

@@ -25,7 +25,7 @@ from deadreckon.training.hyperparameters import check_fields
 
 ChunkWatcher = Callable[[Any, int], Any]  # gets each `training.fit.Chunk` and the number of updates in all
 
-_HISTORY = 10_000  # observations that a policy acts on, at most
+MOST_HISTORY = 10_000  # observations that a policy acts on, at most
 
 
 def check_seed(seed: int) -> None:
@@ -94,8 +94,8 @@ class TrainSettings(RunSettings):
     def check(self, seed: int, **counts: int) -> None:
         """See `RunSettings`."""
         super().check(seed, history=self.history, **counts)
-        if self.history > _HISTORY:
-            raise UserError(f"history must be <= {_HISTORY:,}, got {self.history:,}")
+        if self.history > MOST_HISTORY:
+            raise UserError(f"history must be <= {MOST_HISTORY:,}, got {self.history:,}")
         if self.shift is not None and self.shift < 0:
             raise UserError(f"shift must be 0 or more pixels, got {self.shift}")
 
