@@ -229,8 +229,7 @@ def ends_at_work(number):
     """Has the reading process end by a signal when it is asked next."""
     stopped = child._child.process.pid
     os.kill(stopped, signal.SIGSTOP)
-    threading.Timer(0.3, os.kill, (stopped, number)).start()
-    threading.Timer(0.3, os.kill, (stopped, signal.SIGCONT)).start()
+    threading.Timer(0.3, lambda: [os.kill(stopped, each) for each in (number, signal.SIGCONT)]).start()  # in this order
 
 
 def test_a_reader_that_somebody_killed_is_asked_again_and_told_when_it_happens_twice(tmp_path, monkeypatch):
