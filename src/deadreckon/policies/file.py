@@ -1,7 +1,7 @@
 """What a policy file holds, read without JAX: its JSON tree and its arrays."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict, TypeVar
 
@@ -108,9 +108,7 @@ def numpy_player(path: Path | str, tree: dict[str, Any], arrays: dict[str, np.nd
         numpy_player(path, {"policy": part}, arrays)
     if inner["kind"] == "Seeing":
         with reading(path, "a policy file"):
-            for rows in ROWS:
-                if len(player(np.zeros((rows, *inner["encoder"]["shape"]), np.uint8))) != rows:
-                    raise ValueError(f"{rows} pictures give another number of actions")
+            _try(player, inner["encoder"]["shape"], np.uint8)
     if parts:
         return player
     with reading(path, "a policy file"):
@@ -121,14 +119,19 @@ def numpy_player(path: Path | str, tree: dict[str, Any], arrays: dict[str, np.nd
     for size in sizes:
         try:
             with np.errstate(all="ignore"):
-                for rows in ROWS:
-                    if len(portable.NumpyPolicy(tree, arrays)(np.zeros((rows, size), np.float32), first=True)) != rows:
-                        raise ValueError(f"{rows} observations give another number of actions")
+                _try(lambda x: portable.NumpyPolicy(tree, arrays)(x, first=True), (size,), np.float32)
         except Exception as found:  # noqa: BLE001 - whatever wrong parts make numpy raise
             error = error or found
         else:
             return portable.NumpyPolicy(tree, arrays)
     raise UserError(f"{path}: the parts of its policy do not fit together ({as_one_line(error or ValueError('no networks'))})")
+
+
+def _try(play: Callable[[np.ndarray], np.ndarray], shape: Iterable[int], kind: Any) -> None:
+    """Acts on different numbers of observations, since a layer may fit one number of them alone."""
+    for rows in ROWS:
+        if (actions := len(play(np.zeros((rows, *shape), kind)))) != rows:
+            raise ValueError(f"{rows} observations give {actions} actions")
 
 
 def observation_sizes(layers: Iterable[tuple[int, int]]) -> list[int]:
