@@ -38,7 +38,7 @@ from deadreckon.imports import trust
 from deadreckon.report import charts
 from deadreckon.report.picture import PANEL, sheet
 from deadreckon.report.text import words
-from deadreckon.stats.interval import PERCENT
+from deadreckon.stats.interval import LEVEL, PERCENT
 from deadreckon.stats.scores import interval, iqm, performance_profile, probability_of_improvement
 
 STUDIES = "evidence.studies"
@@ -183,7 +183,9 @@ def _effect(one: Comparison) -> str:
         rival = f"against {one.rival or f'{test.than:g}'}"
     told = f"{test.metric}{' (less is better)' if test.less else ''}: {ours}{', ' if test.among else ' '}{rival}{where}"
     margin = f", margin {test.margin:g}" if test.margin else ""
-    found = f"{'' if test.among else 'gain '}{one.gain:.3g}{margin}, {one.state}"
+    told += ", as sign(x) log10(1 + |x|)" if test.log else ""
+    level = "" if one.level == LEVEL else f" ({one.level:.1%} interval)"
+    found = f"{'' if test.among else 'gain '}{one.gain:.3g}{level}{margin}, {one.alone}"
     if one.undefined:
         found = f"{one.undefined:,} of {one.cells:,} scores are not finite"
     return f"`{test.suite.name}`, {told}: " + ("not there yet" if one.missing else found)
@@ -199,7 +201,8 @@ def claimed(name: str, files: dict[str, bytes]) -> str:
         sized = any(read(path).full for test in claim.tests for path in test.suites)
         full = _reads(verdict(claim, store, full=True)) if sized else "the same"
         rows.append(f"| {claim.id} | {claim.says} | {claim.place} | {_reads(own)} | {full if claim.tests else ''} |")
-        details += [f"- {claim.id}, {_effect(each)}" for each in own.comparisons]
+        for one in own.comparisons:
+            details += [f"- {claim.id}{where}, {_effect(each)}" for each, where in zip(one.stages, ("", ", again"))]
         if claim.note:
             details.append(f"- {claim.id}: {claim.note}")
     return "\n".join([*rows, "", *details, ""])

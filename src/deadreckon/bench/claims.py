@@ -7,6 +7,10 @@ differences are equal: an interval of no width says that there are too few runs,
 all its comparisons hold. It is contradicted where one of its k comparisons is, whose interval has level 1 - alpha / k then
 (Bonferroni).
 
+Where a test has `again`, a second suite with fresh seeds, and is open with all its cells, the same comparison is made there, of
+those cells alone, with intervals of 1 - alpha / 2 and 1 - alpha / 2k, and what it says counts. As the two stages share no run,
+at most a share of alpha + alpha / 2 of the comparisons without any difference is decided.
+
 Where a test has `beside`, another suite, the same methods are compared on its logs: the gain is the difference of means over
 tasks, which are taken as samples, with Welch's interval (`stats.comparison.between`). Logs of one task are averaged first.
 
@@ -17,7 +21,7 @@ task over that between seeds (`stats.comparison.variance_ratio`). Tasks with one
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -52,6 +56,8 @@ class Test:
         beside: another suite with the same methods, on whose tasks they are claimed to do worse.
         beside_on: its logs.
         among: whether it is claimed that logs of a task differ.
+        log: whether a number x counts as sign(x) log10(1 + |x|), which is for numbers of very different sizes.
+        again: the same with fresh seeds, for where this one is open with all its cells; never at the full size.
     """
 
     suite: Path
@@ -65,11 +71,14 @@ class Test:
     beside: Path | None = None
     beside_on: tuple[str, ...] = ()
     among: bool = False
+    log: bool = False
+    again: "Test | None" = None
 
     @property
     def suites(self) -> tuple[Path, ...]:
-        """Whose cells it needs."""
-        return (self.suite,) if self.beside is None else (self.suite, self.beside)
+        """Whose cells it needs, those of a second stage included."""
+        own = (self.suite,) if self.beside is None else (self.suite, self.beside)
+        return own if self.again is None else (*own, *self.again.suites)
 
 
 @dataclass(frozen=True)
@@ -104,6 +113,8 @@ class Comparison:
         cells: that it needs.
         missing: of these, that are not there.
         undefined: of these, that are there and have no finite number for the metric, such as a correlation of equal estimates.
+        level: of the interval of the gain.
+        again: the same with fresh seeds, where this one leaves it open with all cells and they are declared.
     """
 
     test: Test
@@ -114,10 +125,22 @@ class Comparison:
     cells: int
     missing: int
     undefined: int
+    level: float
+    again: "Comparison | None" = None
 
     @property
     def state(self) -> State:
-        """What it says."""
+        """What it says, its second stage included."""
+        return self.alone if self.again is None else self.again.state
+
+    @property
+    def stages(self) -> "tuple[Comparison, ...]":
+        """Itself, and its second stage where there is one."""
+        return (self,) if self.again is None else (self, self.again)
+
+    @property
+    def alone(self) -> State:
+        """What its first stage says."""
         if self.missing or self.undefined or not self.gain.low < self.gain.high:  # also where they are NaN
             return "open"
         if self.gain.low > self.test.margin:
@@ -143,17 +166,17 @@ class Verdict:
     @property
     def cells(self) -> int:
         """That it needs, those of several comparisons counted for each."""
-        return sum(each.cells for each in self.comparisons)
+        return sum(each.cells for one in self.comparisons for each in one.stages)
 
     @property
     def missing(self) -> int:
         """Of these, that are not there."""
-        return sum(each.missing for each in self.comparisons)
+        return sum(each.missing for one in self.comparisons for each in one.stages)
 
     @property
     def undefined(self) -> int:
         """Of these, that are there without a finite number."""
-        return sum(each.undefined for each in self.comparisons)
+        return sum(each.undefined for one in self.comparisons for each in one.stages)
 
 
 def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
@@ -162,7 +185,7 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
     Args:
         claim: the claim.
         store: the results.
-        full: at the full size of those of its suites that have one, else at their own.
+        full: at the full size of those of its suites that have one, else at their own; without second stages.
 
     Raises:
         UserError: as `plan` does, or there are results and none has the metric of a test.
@@ -176,7 +199,14 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
     paths = dict.fromkeys(path for test in claim.tests for path in test.suites)
     plans = {path: plan(read(path, full and read(path).full)) for path in paths}
     rows = {row["cell"]: row for row in store.results().to_pylist()}  # the newest last
-    return Verdict(claim, tuple(_compared(*pair, plans, rows, len(pairs)) for pair in pairs))
+    out = []
+    for test, rival, on in pairs:
+        first = _compared(test, rival, on, plans, rows, ALPHA, len(pairs))
+        whole = not first.missing and not first.undefined
+        if test.again is not None and whole and first.state == "open" and not full:
+            first = replace(first, again=_compared(test.again, rival, on, plans, rows, ALPHA / 2, len(pairs)))
+        out.append(first)
+    return Verdict(claim, tuple(out))
 
 
 def _check_metric(test: Test, suite: Path, jobs: Sequence[Job], rows: Mapping[str, dict[str, Any]]) -> None:
@@ -189,9 +219,9 @@ def _check_metric(test: Test, suite: Path, jobs: Sequence[Job], rows: Mapping[st
 
 def _compared(
     test: Test, rival: str | None, on: tuple[str, ...], plans: Mapping[Path, Sequence[Job]],
-    rows: Mapping[str, dict[str, Any]], count: int,
+    rows: Mapping[str, dict[str, Any]], alpha: float, count: int,
 ) -> Comparison:  # fmt: skip
-    """One of `count` comparisons of a claim, from the plans of its suites and all results by cell."""
+    """One of `count` comparisons of a claim at level 1 - alpha, from the plans of its suites and all results by cell."""
 
     missing, seen = 0, []
 
@@ -204,6 +234,7 @@ def _compared(
             own = [[cell for job in plans[path] if (job.method, job.on) == (m, log) for cell in job.cells] for m in methods]
             missing += sum(cell not in rows for cells in own for cell in cells)
             values = np.array([[have(cell) for cell in cells] for cells in own])
+            values = _signed_log(values) if test.log else values
             seen.append(values.reshape(-1))
             found[log] = values.mean(0)
         return found
@@ -214,19 +245,24 @@ def _compared(
     elif test.among:
         theirs = {}
     elif rival is None:
-        theirs = {log: np.full_like(values, test.than) for log, values in ours.items()}
+        number_of = _signed_log(test.than) if test.log else test.than
+        theirs = {log: np.full_like(values, number_of) for log, values in ours.items()}
     else:
         theirs = scores(test.suite, (rival,), on)
-    for path in test.suites:
+    for path in (test.suite, *([test.beside] if test.beside else [])):
         _check_metric(test, path, plans[path], rows)
     values = np.concatenate(seen)
     if lacking := int((~np.isfinite(values)).sum()):
         nothing = Interval(math.nan, math.nan, math.nan)
-        return Comparison(test, rival, on, nothing, nothing, len(values), missing, lacking - missing)
+        return Comparison(test, rival, on, nothing, nothing, len(values), missing, lacking - missing, 1.0 - alpha)
     if test.less:
         ours, theirs = theirs, ours
-    gain, strict = (_gain(test, ours, theirs, level) for level in (1.0 - ALPHA, 1.0 - ALPHA / count))
-    return Comparison(test, rival, on, gain, strict, len(values), 0, 0)
+    gain, strict = (_gain(test, ours, theirs, level) for level in (1.0 - alpha, 1.0 - alpha / count))
+    return Comparison(test, rival, on, gain, strict, len(values), 0, 0, 1.0 - alpha)
+
+
+def _signed_log(values: Any) -> Any:
+    return np.sign(values) * np.log10(1.0 + np.abs(values))
 
 
 def _gain(test: Test, ours: Mapping[str, np.ndarray], theirs: Mapping[str, np.ndarray], level: float) -> Interval:

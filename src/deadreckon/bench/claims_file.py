@@ -19,11 +19,14 @@
     each = false                            # whether it is claimed of each log by itself, and not of their mean
     beside = "other.toml"                   # in the place of `than`: a suite on whose tasks the same methods do worse
     among = true                            # in the place of `than`: logs of a task differ, by more than seeds do
+    log = false                             # whether a number x counts as sign(x) log10(1 + |x|)
+    again = { suite = "fresh.toml" }        # a suite of the same methods and logs and other seeds (`first_seed`), which decides
+                                            # where this one is open with all its cells; it may have a `log` of its own
 """
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
@@ -87,11 +90,13 @@ def _check_tuned(path: Path, tuned: Mapping[str, Sequence[str]], suites: Iterabl
                 raise UserError(f"{path}, [tuned], {agent}: {unknown('log', str(log), logs)}")
 
 
+_PROTOCOL = ("kind", "episodes", "evaluations", "rows", "offline", "designs", "budget")  # alike in both stages of a test
 _TEXT, _NAMES, _TRUTH = (str, "text"), (list, "a list of names"), (bool, "true or false")
 _KINDS: dict[str, tuple[Any, str]] = {
     "suite": _TEXT, "beside": _TEXT, "method": (str | list, "a method, or a list of methods"),
     "than": (list | int | float, "a list of methods, or a number"), "on": _NAMES, "metric": _TEXT, "less": _TRUTH,
-    "margin": (int | float, "a number"), "each": _TRUTH, "among": _TRUTH,
+    "margin": (int | float, "a number"), "each": _TRUTH, "among": _TRUTH, "log": _TRUTH,
+    "again": (dict, "a table with a suite"),
 }  # fmt: skip
 
 
@@ -145,8 +150,43 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
         given = test | {"suite": places[names[0]], "method": tuple(own), "on": left}
         given |= {"than": tuple(than) if isinstance(than, list) else than}
         given |= {"beside": places[names[1]], "beside_on": other} if "beside" in test else {}
-        tests.append(Test(**given))
+        again = given.pop("again", None)
+        first = Test(**given)
+        tests.append(first if again is None else replace(first, again=_again(path, where, first, again, suites)))
     return Claim(said["id"], said["says"], said["place"], tuple(tests), said.get("note", ""))
+
+
+def _again(path: Path, where: str, first: Test, said: dict[str, Any], suites: dict[str, Suite]) -> Test:
+    """The second stage of a test, which shares no run with the first."""
+    where = f"{where}, again"
+    _check_keys(where, said, {"suite", "log"}, ("suite",))
+    for key, value in said.items():
+        wanted, kind = _KINDS[key]
+        if not isinstance(value, wanted):
+            raise UserError(f"{where}: {key} must be {kind}, got {value!r}")
+    if first.beside is not None:
+        raise UserError(f"{where}: a test with beside has no second stage")
+    place = path.parent / safe_path(file := said["suite"], f"{where}: suite")
+    own, suite = read(first.suite), suites.setdefault(file, read(place))
+    for method in [*first.method, *(first.than if isinstance(first.than, tuple) else ())]:
+        same = {each.name: each for each in suite.methods}
+        if method not in same:
+            raise UserError(f"{where}: {unknown(f'method of {file}', method, same)}")
+        if same[method] != {each.name: each for each in own.methods}[method]:
+            raise UserError(f"{where}: {method} is not the same in {file} as in {first.suite.name}")
+    for on in first.on:
+        if on not in suite.on:
+            raise UserError(f"{where}: {unknown(f'log, task, problem or case of {file}', on, suite.on)}")
+    for key in _PROTOCOL:
+        if getattr(own, key) != getattr(suite, key):
+            raise UserError(f"{where}: {file} has another {key} than {first.suite.name}, so it is no second stage of it")
+    if any(own.steps.get(on) != suite.steps.get(on) for on in first.on):
+        raise UserError(f"{where}: {file} has other steps than {first.suite.name}, so it is no second stage of it")
+    if own.first_seed < suite.first_seed + suite.seeds and suite.first_seed < own.first_seed + own.seeds:
+        raise UserError(
+            f"{where}: {file} has seeds of {first.suite.name}; its first_seed must be {own.first_seed + own.seeds} or more"
+        )
+    return replace(first, suite=place, log=said.get("log", first.log))
 
 
 def _check_keys(where: str, said: dict[str, Any], known: set[str], needed: Sequence[str]) -> None:

@@ -47,8 +47,9 @@ def _jobs(suite: Suite, lanes: int | None) -> list[Job]:
         for method in suite.methods:
             one = describe(suite, method, on)
             one = dataclasses.replace(one, revisions=revisions_of(one), suite=suite.name)
+            seeds = range(suite.first_seed, suite.first_seed + suite.seeds)
             for first in range(0, suite.seeds, together):
-                jobs.append(dataclasses.replace(one, seeds=tuple(range(first, min(first + together, suite.seeds)))))
+                jobs.append(dataclasses.replace(one, seeds=tuple(seeds[first : first + together])))
     return jobs
 
 

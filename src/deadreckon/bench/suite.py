@@ -49,6 +49,7 @@ OWN = {
 BUDGETS = ("full", "cpu")
 SIZES = {"seeds", "steps", "offline", "episodes", "evaluations", "rows", "designs", "budget"}  # what [full] may change
 _ELSEWHERE = re.compile(r"^[/\\~]|^[A-Za-z]:|(^|[/\\])\.\.($|[/\\])")  # beginnings and parts of paths, on any system
+_SEED = 1_000_000  # the first one at most: programs take their seeds as 32-bit numbers
 _CELLS = 1_000_000  # of a suite at most, as all are planned before the first is run
 STEPS = 100_000  # where a suite says nothing
 
@@ -80,7 +81,8 @@ class Suite:
         kind: `learn` from logs, `online` in simulators, `design`, or `ope`: the DOPE protocol.
         on: names of logs, tasks or problems.
         methods: each of them is run on each of those.
-        seeds: of each: 0 .. seeds - 1.
+        seeds: of each: `first_seed` and those after it.
+        first_seed: above 0 where seeds are to be fresh, beside those of another suite.
         steps: updates (learn) or environment steps (online), on each of `on`.
         episodes: an evaluation, a seed.
         evaluations: of a run, the last one at its end.
@@ -105,6 +107,7 @@ class Suite:
     on: tuple[str, ...]
     methods: tuple[Method, ...]
     seeds: int = 3
+    first_seed: int = 0
     steps: dict[str, int] = field(default_factory=dict)
     episodes: int = 20
     evaluations: int = 10
@@ -211,6 +214,10 @@ def _suite(path: Path, where: str, document: dict[str, Any], full: bool) -> Suit
     counts = {key: document[key] for key in whole if key in document}
     for key, value in counts.items():
         check_count(where, key, value)
+    first = document.get("first_seed", 0)
+    if isinstance(first, bool) or not isinstance(first, int) or not 0 <= first <= _SEED:
+        raise UserError(f"{where}: first_seed must be a whole number from 0 to {_SEED:,}, got {first!r}")
+    counts["first_seed"] = first
     if document.get("budget", "full") not in BUDGETS:
         raise UserError(f"{where}: budget must be one of {', '.join(BUDGETS)}, got {document['budget']!r}")
     steps = _steps(where, document.get("steps", STEPS), on)
