@@ -7,12 +7,16 @@ from collections.abc import Sequence
 from importlib import metadata
 from typing import Any
 
+from deadreckon._version import __version__
+
 
 def versions() -> dict[str, Any]:
     """Of packages, Python, platform and device, and the threads there are."""
     import jax
 
-    named = {name: metadata.version(name) for name in ("deadreckon", "jax", "jaxlib", "equinox", "optax", "numpy", "mujoco")}
+    # Its own is that of the code which runs, which may be a checkout that nobody installed.
+    named = {"deadreckon": __version__}
+    named |= {name: metadata.version(name) for name in ("jax", "jaxlib", "equinox", "optax", "numpy", "mujoco")}
     device = jax.devices()[0]
     return named | {
         "python": platform.python_version(),
