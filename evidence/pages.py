@@ -9,6 +9,7 @@ A page holds blocks between `<!-- NAME ARGUMENTS -->` and `<!-- end -->`, whose 
     curves SUITE         learning curves, a panel for each log: means over seeds, bands from the lowest to the highest
     ranking SUITE        interquartile means over logs, probability of improvement over the first method, performance profiles
     constraint SUITE     BEAR's scores beside its constraint at the end of each run: MMD and multiplier, with a picture
+    improved             agents beside the policies that made the logs
     claims               every claim with what the results say of it
     pending              declared cells without results, and what they would take
 """
@@ -40,13 +41,15 @@ from deadreckon.report.picture import PANEL, sheet
 from deadreckon.report.text import words
 from deadreckon.stats.interval import LEVEL, PERCENT
 from deadreckon.stats.scores import interval, iqm, performance_profile, probability_of_improvement
+from evidence.improved import improved
 
 STUDIES = "evidence.studies"
 trust(STUDIES)
 
 HERE = Path(__file__).resolve().parent
 PAGES = HERE.parent / "docs" / "results"
-BLOCK = re.compile(r"(<!-- (table|curves|ranking|constraint|claims|pending)(?: ([\w.-]+))? -->\n)(.*?)(<!-- end -->)", re.S)
+_NAMES = "table|curves|ranking|constraint|claims|improved|pending"
+BLOCK = re.compile(rf"(<!-- ({_NAMES})(?: ([\w.-]+))? -->\n)(.*?)(<!-- end -->)", re.S)
 
 
 @cache
@@ -208,6 +211,12 @@ def claimed(name: str, files: dict[str, bytes]) -> str:
     return "\n".join([*rows, "", *details, ""])
 
 
+def improvements(name: str, files: dict[str, bytes]) -> str:
+    """All agents that learn from logs alone beside the policies that made the logs."""
+    suites = queue(HERE / "queue.toml")
+    return improved(suites, store_of(suites, HERE))
+
+
 def pending(name: str, files: dict[str, bytes]) -> str:
     """Suites with cells that are missing, and the time of a core that they would take where jobs like them are done."""
     rows = ["| suite | size | cells missing | hours of one core | command |", "|---|---|---:|---:|---|"]
@@ -227,7 +236,8 @@ def pending(name: str, files: dict[str, bytes]) -> str:
 
 
 MAKE: dict[str, Callable[[str, dict[str, bytes]], str]] = {
-    "table": table, "curves": curves, "ranking": ranking, "constraint": constraint, "claims": claimed, "pending": pending,
+    "table": table, "curves": curves, "ranking": ranking, "constraint": constraint, "claims": claimed, "improved": improvements,
+    "pending": pending,
 }  # fmt: skip
 
 

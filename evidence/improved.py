@@ -1,0 +1,94 @@
+"""Which agents are above the policy that made a log, on the log where they are furthest above it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from deadreckon.agents import AGENTS, agent_class
+from deadreckon.bench.plan import plan
+from deadreckon.bench.store import Store
+from deadreckon.bench.suite import Suite
+from deadreckon.report.text import words
+from deadreckon.stats.comparison import paired
+from deadreckon.stats.interval import ALPHA, Interval
+
+# Mean scores: of the logs' episodes (`deadreckon data info NAME`), and of the expert policies over 1,000 episodes. Logs of
+# people (the door, the kitchen) are not among them: what their episodes score is not what one policy does.
+BEHAVIOUR = {
+    "hopper-medium-v2": 40.1, "halfcheetah-medium-v2": 35.9, "walker2d-medium-v2": 29.5,
+    "hopper-medium-expert-v2": 56.5, "halfcheetah-medium-expert-v2": 58.3,
+    "hopper-random-v2": 1.0, "halfcheetah-random-v2": -0.4,
+    "hopper-uniform-v2": 1.1, "halfcheetah-uniform-v2": -0.2, "walker2d-uniform-v2": 0.0,
+    "hopper-expert-v2": 100.1, "halfcheetah-expert-v2": 80.6, "walker2d-expert-v2": 85.6,
+    "maze2d-umaze-v1": -2.5, "carla-lane-state-noisy-v0": 72.0,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Runs:
+    """Runs of one method of a suite on one log."""
+
+    method: str
+    on: str
+    suite: Suite
+    scores: np.ndarray
+
+    def gain(self, level: float) -> Interval:
+        """Over the log's own mean; one run has no interval."""
+        return paired({self.on: self.scores}, {self.on: np.full_like(self.scores, BEHAVIOUR[self.on])}, level)
+
+
+def improved(suites: Sequence[Suite], store: Store) -> str:
+    """A table of all agents that learn from logs alone, in Markdown.
+
+    Of each agent all logs are looked at whose own mean score is known, so intervals are at a level for as many
+    (Bonferroni); the one whose interval begins highest is shown. Methods with a comma in their names are variants,
+    which are left out.
+
+    Args:
+        suites: of which those of kind `learn` count, at their own size.
+        store: the results.
+    """
+    rows = {row["cell"]: row for row in store.results().to_pylist()}
+    found: dict[str, dict[frozenset[str], _Runs]] = {}
+    declared: dict[str, list[str]] = {}
+    for suite in suites:
+        agents = {method.name: method.agent for method in suite.methods if ", " not in method.name}
+        for agent in agents.values():
+            declared.setdefault(agent, []).append(f"`{suite.name}.toml`")
+        if suite.kind != "learn":
+            continue
+        for job in plan(suite):
+            there = [cell for cell in job.cells if cell in rows and np.isfinite(rows[cell]["score"])]
+            if job.method in agents and job.on in BEHAVIOUR and there:
+                runs = _Runs(job.method, job.on, suite, np.array([rows[cell]["score"] for cell in there]))
+                found.setdefault(agents[job.method], {})[frozenset(there)] = runs  # cells of two suites count once
+    titles = "agent", "log", "updates", "seeds", "score", "the log's own", "gain", "improves"
+    lines = [f"| {' | '.join(titles)} |", "|---|---|---:|---:|---:|---:|---:|---|"]
+    for agent in sorted(AGENTS):
+        if not agent_class(agent).offline:
+            continue
+        if agent in found:
+            lines.append(_line(list(found[agent].values())))
+        else:
+            places = [*dict.fromkeys(declared.get(agent, ()))]
+            says = f"no result on these logs; see {words(places)}" if places else "not declared"
+            lines.append(f"| `{agent}` | | | | | | | {says} |")
+    return "\n".join([*lines, ""])
+
+
+def _line(runs: list[_Runs]) -> str:
+    level = 1.0 - ALPHA / len(runs)
+    several = [each for each in runs if len(each.scores) > 1]
+    if several:
+        best = max(several, key=lambda each: each.gain(level).low)
+        gain = best.gain(level)
+        told, says = f"{gain:.1f}", "yes" if gain.low > 0 else "not shown"
+    else:
+        best = max(runs, key=lambda each: each.scores[0] - BEHAVIOUR[each.on])
+        told, says = f"{best.scores[0] - BEHAVIOUR[best.on]:.1f}", "one seed"
+    own, steps = BEHAVIOUR[best.on], best.suite.steps[best.on]
+    of = f", best of {len(runs)}" if len(runs) > 1 else ""
+    mean, seeds = f"{best.scores.mean():.1f}", len(best.scores)
+    return f"| {best.method} | {best.on}{of} | {steps:,} | {seeds} | {mean} | {own:g} | {told} | {says} |"

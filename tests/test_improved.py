@@ -1,0 +1,69 @@
+"""Agents beside the policies that made the logs: what counts as an improvement."""
+
+import pytest
+
+from deadreckon.bench.ledger import store_of
+from deadreckon.bench.plan import plan
+from deadreckon.bench.store import JobResult
+from deadreckon.bench.suite import read
+from evidence.improved import BEHAVIOUR, improved
+
+SUITE = """
+kind = "learn"
+ledger = "ledger"
+seeds = 3
+steps = 100
+evaluations = 1
+logs = ["hopper-medium-v2", "halfcheetah-medium-v2", "door-human-v1"]
+
+[methods]
+AWAC = { agent = "awac" }
+"AWAC, other" = { agent = "awac", fields = { temperature = 1.0 } }
+"""
+HOPPER, CHEETAH = BEHAVIOUR["hopper-medium-v2"], BEHAVIOUR["halfcheetah-medium-v2"]
+
+
+@pytest.fixture
+def row(tmp_path, monkeypatch):
+    """A function that gives AWAC's row, from scores by the method and the beginning of the log's name."""
+    (tmp_path / "one.toml").write_text(SUITE)
+    monkeypatch.chdir(tmp_path)
+
+    def told(scores):
+        suite = read("one.toml")
+        store = store_of([suite], tmp_path)
+        for job in plan(suite):
+            values = scores.get((job.method, job.on.partition("-")[0]), [])
+            one = {"raw": 0.0, "steps": 100, "seconds": 1.0, "failure": "", "versions": "{}", "more": "{}"}
+            if values:
+                store.keep(job, JobResult([{"seed": s, "score": v, **one} for s, v in zip(job.seeds, values)], []))
+        lines = improved([suite], store).splitlines()
+        (found,) = [line for line in lines if line.startswith(("| AWAC |", "| `awac` |"))]
+        return [cell.strip() for cell in found.strip("|").split("|")]
+
+    return told
+
+
+def test_the_log_with_the_highest_lower_end_is_shown(row):
+    wide, narrow = [HOPPER + x for x in (0.0, 30.0, 60.0)], [CHEETAH + x for x in (4.0, 5.0, 6.0)]
+    found = row({("AWAC", "hopper"): wide, ("AWAC", "halfcheetah"): narrow})
+    assert found[:4] == ["AWAC", "halfcheetah-medium-v2, best of 2", "100", "3"]
+    assert found[-1] == "yes"
+    assert found[-2] == "5.0 [1.4, 8.6]"  # 5 -+ 6.205 / sqrt(3): Student's interval of 97.5 %, as two logs were looked at
+
+
+def test_the_best_of_two_logs_has_to_be_above_at_a_level_for_two(row):
+    """Alone the interval of 95 % would lie above: 3 -+ 4.303 / sqrt(3)."""
+    above = {("AWAC", "hopper"): [HOPPER + x for x in (2.0, 3.0, 4.0)]}
+    assert row(above)[-2:] == ["3.0 [0.5, 5.5]", "yes"]
+    found = row(above | {("AWAC", "halfcheetah"): [CHEETAH - x for x in (2.0, 3.0, 4.0)]})
+    assert found[-2:] == ["3.0 [-0.6, 6.6]", "not shown"]
+
+
+def test_one_seed_shows_nothing(row):
+    assert row({("AWAC", "hopper"): [99.0]})[-2:] == [f"{99.0 - HOPPER:.1f}", "one seed"]
+
+
+def test_variants_and_logs_of_people_do_not_count(row):
+    found = row({("AWAC, other", "hopper"): [99.0, 98.0, 97.0], ("AWAC", "door"): [99.0, 98.0, 97.0]})
+    assert found == ["`awac`", *[""] * 6, "no result on these logs; see `one.toml`"]
