@@ -44,7 +44,8 @@ def improved(suites: Sequence[Suite], store: Store) -> str:
 
     Of each agent all logs are looked at whose own mean score is known, so intervals are at a level for as many
     (Bonferroni); the one whose interval begins highest is shown. Methods with a comma in their names are variants,
-    which are left out.
+    which are left out; so are runs with a score that is not finite. Of agents that are not shown to improve it says which
+    suites have more runs to come.
 
     Args:
         suites: of which those of kind `learn` count, at their own size.
@@ -52,42 +53,44 @@ def improved(suites: Sequence[Suite], store: Store) -> str:
     """
     rows = {row["cell"]: row for row in store.results().to_pylist()}
     found: dict[str, dict[frozenset[str], _Runs]] = {}
-    declared: dict[str, list[str]] = {}
+    waiting: dict[str, list[str]] = {}
     for suite in suites:
         agents = {method.name: method.agent for method in suite.methods if ", " not in method.name}
-        for agent in agents.values():
-            declared.setdefault(agent, []).append(f"`{suite.name}.toml`")
         if suite.kind != "learn":
             continue
         for job in plan(suite):
-            there = [cell for cell in job.cells if cell in rows and np.isfinite(rows[cell]["score"])]
-            if job.method in agents and job.on in BEHAVIOUR and there:
-                runs = _Runs(job.method, job.on, suite, np.array([rows[cell]["score"] for cell in there]))
+            if job.method not in agents or job.on not in BEHAVIOUR:
+                continue
+            there = [cell for cell in job.cells if cell in rows]
+            runs = _Runs(job.method, job.on, suite, np.array([rows[cell]["score"] for cell in there], float))
+            if there and np.isfinite(runs.scores).all():
                 found.setdefault(agents[job.method], {})[frozenset(there)] = runs  # cells of two suites count once
+            if len(there) < len(job.cells):
+                waiting.setdefault(agents[job.method], []).append(f"`{suite.name}.toml`")
     titles = "agent", "log", "updates", "seeds", "score", "the log's own", "gain", "improves"
     lines = [f"| {' | '.join(titles)} |", "|---|---|---:|---:|---:|---:|---:|---|"]
     for agent in sorted(AGENTS):
         if not agent_class(agent).offline:
             continue
+        places = [*dict.fromkeys(waiting.get(agent, ()))]
+        more = f"; more in {words(places)}" if places else ""
         if agent in found:
-            lines.append(_line(list(found[agent].values())))
+            lines.append(_line(list(found[agent].values()), more))
         else:
-            places = [*dict.fromkeys(declared.get(agent, ()))]
-            says = f"no result on these logs; see {words(places)}" if places else "not declared"
-            lines.append(f"| `{agent}` | | | | | | | {says} |")
+            lines.append(f"| `{agent}` | | | | | | | no result on these logs{more} |")
     return "\n".join([*lines, ""])
 
 
-def _line(runs: list[_Runs]) -> str:
+def _line(runs: list[_Runs], more: str) -> str:
     level = 1.0 - ALPHA / len(runs)
     several = [each for each in runs if len(each.scores) > 1]
     if several:
         best = max(several, key=lambda each: each.gain(level).low)
         gain = best.gain(level)
-        told, says = f"{gain:.1f}", "yes" if gain.low > 0 else "not shown"
+        told, says = f"{gain:.1f}", "yes" if gain.low > 0 else f"not shown{more}"
     else:
         best = max(runs, key=lambda each: each.scores[0] - BEHAVIOUR[each.on])
-        told, says = f"{best.scores[0] - BEHAVIOUR[best.on]:.1f}", "one seed"
+        told, says = f"{best.scores[0] - BEHAVIOUR[best.on]:.1f}", f"one seed{more}"
     own, steps = BEHAVIOUR[best.on], best.suite.steps[best.on]
     of = f", best of {len(runs)}" if len(runs) > 1 else ""
     mean, seeds = f"{best.scores.mean():.1f}", len(best.scores)

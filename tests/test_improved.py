@@ -61,9 +61,9 @@ def test_the_best_of_two_logs_has_to_be_above_at_a_level_for_two(row):
 
 
 def test_one_seed_shows_nothing(row):
-    assert row({("AWAC", "hopper"): [99.0]})[-2:] == [f"{99.0 - HOPPER:.1f}", "one seed"]
+    assert row({("AWAC", "hopper"): [99.0]})[-2:] == [f"{99.0 - HOPPER:.1f}", "one seed; more in `one.toml`"]
 
 
 def test_variants_and_logs_of_people_do_not_count(row):
     found = row({("AWAC, other", "hopper"): [99.0, 98.0, 97.0], ("AWAC", "door"): [99.0, 98.0, 97.0]})
-    assert found == ["`awac`", *[""] * 6, "no result on these logs; see `one.toml`"]
+    assert found == ["`awac`", *[""] * 6, "no result on these logs; more in `one.toml`"]
