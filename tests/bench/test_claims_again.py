@@ -134,7 +134,7 @@ def test_numbers_of_very_different_sizes_are_compared_by_their_logarithms(folder
     [
         ("again", "first_seed = 4", "first_seed = 3", "again.toml has seeds of suite.toml; its first_seed must be 4 or more"),
         ("again", "steps = 100", "steps = 200", "again.toml has other steps than suite.toml"),
-        ("again", "evaluations = 1", "evaluations = 1\nepisodes = 7", "again.toml has another episodes than suite.toml"),
+        ("again", "evaluations = 1", "evaluations = 1\nepisodes = 7", "again.toml has other episodes than suite.toml"),
         ("again", 'BC = { agent = "bc" }', "", "unknown method of again.toml 'BC'"),
         ("again", 'BC = { agent = "bc" }', 'BC = { agent = "bc", fields = { lr = 0.1 } }', "BC is not the same in again.toml"),
         ("again", "hopper-medium-v2", "walker2d-medium-v2", "task, problem or case of again.toml 'hopper-medium-v2'"),

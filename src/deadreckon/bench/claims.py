@@ -140,7 +140,7 @@ class Comparison:
 
     @property
     def alone(self) -> State:
-        """What its first stage says."""
+        """What it says by itself, without a second stage."""
         if self.missing or self.undefined or not self.gain.low < self.gain.high:  # also where they are NaN
             return "open"
         if self.gain.low > self.test.margin:

@@ -91,6 +91,7 @@ def _check_tuned(path: Path, tuned: Mapping[str, Sequence[str]], suites: Iterabl
 
 
 _PROTOCOL = ("kind", "episodes", "evaluations", "rows", "offline", "designs", "budget")  # alike in both stages of a test
+_PLACED = ("steps", "files", "data")  # the same, of each log, task or problem
 _TEXT, _NAMES, _TRUTH = (str, "text"), (list, "a list of names"), (bool, "true or false")
 _KINDS: dict[str, tuple[Any, str]] = {
     "suite": _TEXT, "beside": _TEXT, "method": (str | list, "a method, or a list of methods"),
@@ -177,11 +178,10 @@ def _again(path: Path, where: str, first: Test, said: dict[str, Any], suites: di
     for on in first.on:
         if on not in suite.on:
             raise UserError(f"{where}: {unknown(f'log, task, problem or case of {file}', on, suite.on)}")
-    for key in _PROTOCOL:
-        if getattr(own, key) != getattr(suite, key):
-            raise UserError(f"{where}: {file} has another {key} than {first.suite.name}, so it is no second stage of it")
-    if any(own.steps.get(on) != suite.steps.get(on) for on in first.on):
-        raise UserError(f"{where}: {file} has other steps than {first.suite.name}, so it is no second stage of it")
+    other = [key for key in _PROTOCOL if getattr(own, key) != getattr(suite, key)]
+    other += [key for key in _PLACED for on in first.on if getattr(own, key).get(on) != getattr(suite, key).get(on)]
+    if other:
+        raise UserError(f"{where}: {file} has other {other[0]} than {first.suite.name}, so it is no second stage of it")
     if own.first_seed < suite.first_seed + suite.seeds and suite.first_seed < own.first_seed + own.seeds:
         raise UserError(
             f"{where}: {file} has seeds of {first.suite.name}; its first_seed must be {own.first_seed + own.seeds} or more"
