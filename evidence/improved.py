@@ -1,4 +1,4 @@
-"""Which agents are above the policy that made a log, on the log where they are furthest above it."""
+"""Which agents are above a log's own mean score, on the log where they are furthest above it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,7 +14,8 @@ from deadreckon.stats.comparison import paired
 from deadreckon.stats.interval import ALPHA, Interval
 
 # Mean scores: of the logs' episodes (`deadreckon data info NAME`), and of the expert policies over 1,000 episodes. Logs of
-# people (the door, the kitchen) are not among them: what their episodes score is not what one policy does.
+# people (the door, the kitchen) are not among them: what their episodes score is not what one policy does. Nor are logs whose
+# mean nobody has noted, such as walker2d-random.
 BEHAVIOUR = {
     "hopper-medium-v2": 40.1, "halfcheetah-medium-v2": 35.9, "walker2d-medium-v2": 29.5,
     "hopper-medium-expert-v2": 56.5, "halfcheetah-medium-expert-v2": 58.3,
@@ -23,12 +24,18 @@ BEHAVIOUR = {
     "hopper-expert-v2": 100.1, "halfcheetah-expert-v2": 80.6, "walker2d-expert-v2": 85.6,
     "maze2d-umaze-v1": -2.5, "carla-lane-state-noisy-v0": 72.0,
 }  # fmt: skip
+# Of agents as they are; others decide defaults or compare variants.
+SUITES = [
+    "gym", "gym-more", "medium", "extremes", "defaults-gym", "defaults-mazes", "carla-lane-state", "carla-lane-agents",
+    "carla-lane-models", "heavy", "maze2d", "agents-hopper", "agents-maze2d", "models-hopper", "models-halfcheetah",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
 class _Runs:
     """Runs of one method of a suite on one log."""
 
+    agent: str
     method: str
     on: str
     suite: Suite
@@ -44,11 +51,11 @@ def improved(suites: Sequence[Suite], store: Store) -> str:
 
     Of each agent all logs are looked at whose own mean score is known, so intervals are at a level for as many
     (Bonferroni); the one whose interval begins highest is shown. Methods with a comma in their names are variants,
-    which are left out; so are runs with a score that is not finite. Of agents that are not shown to improve it says which
-    suites have more runs to come.
+    which are left out. An agent improves where all runs of a suite are there and finite and the interval lies above 0. Of
+    others it says which suites have more runs to come.
 
     Args:
-        suites: of which those of kind `learn` count, at their own size.
+        suites: of which those of `SUITES` count, at their own size.
         store: the results.
     """
     rows = {row["cell"]: row for row in store.results().to_pylist()}
@@ -56,17 +63,18 @@ def improved(suites: Sequence[Suite], store: Store) -> str:
     waiting: dict[str, list[str]] = {}
     for suite in suites:
         agents = {method.name: method.agent for method in suite.methods if ", " not in method.name}
-        if suite.kind != "learn":
+        if suite.name not in SUITES:
             continue
         for job in plan(suite):
             if job.method not in agents or job.on not in BEHAVIOUR:
                 continue
             there = [cell for cell in job.cells if cell in rows]
-            runs = _Runs(job.method, job.on, suite, np.array([rows[cell]["score"] for cell in there], float))
+            scores = np.array([rows[cell]["score"] for cell in there], float)
+            runs = _Runs(agents[job.method], job.method, job.on, suite, scores)
             if there and np.isfinite(runs.scores).all():
-                found.setdefault(agents[job.method], {})[frozenset(there)] = runs  # cells of two suites count once
+                found.setdefault(runs.agent, {})[frozenset(there)] = runs  # the same cells of two suites count once
             if len(there) < len(job.cells):
-                waiting.setdefault(agents[job.method], []).append(f"`{suite.name}.toml`")
+                waiting.setdefault(runs.agent, []).append(f"`{suite.name}.toml`")
     titles = "agent", "log", "updates", "seeds", "score", "the log's own", "gain", "improves"
     lines = [f"| {' | '.join(titles)} |", "|---|---|---:|---:|---:|---:|---:|---|"]
     for agent in sorted(AGENTS):
@@ -83,15 +91,16 @@ def improved(suites: Sequence[Suite], store: Store) -> str:
 
 def _line(runs: list[_Runs], more: str) -> str:
     level = 1.0 - ALPHA / len(runs)
-    several = [each for each in runs if len(each.scores) > 1]
+    several = [each for each in runs if len(each.scores) == each.suite.seeds > 1]
     if several:
         best = max(several, key=lambda each: each.gain(level).low)
         gain = best.gain(level)
-        told, says = f"{gain:.1f}", "yes" if gain.low > 0 else f"not shown{more}"
+        told, says = f"{gain:.1f}", "yes" if 0 < gain.low < gain.high else f"not shown{more}"
     else:
-        best = max(runs, key=lambda each: each.scores[0] - BEHAVIOUR[each.on])
-        told, says = f"{best.scores[0] - BEHAVIOUR[best.on]:.1f}", f"one seed{more}"
+        best = max(runs, key=lambda each: each.scores.mean() - BEHAVIOUR[each.on])
+        told, says = f"{best.scores.mean() - BEHAVIOUR[best.on]:.1f}", f"{len(best.scores)} of {best.suite.seeds} seeds{more}"
     own, steps = BEHAVIOUR[best.on], best.suite.steps[best.on]
     of = f", best of {len(runs)}" if len(runs) > 1 else ""
     mean, seeds = f"{best.scores.mean():.1f}", len(best.scores)
-    return f"| {best.method} | {best.on}{of} | {steps:,} | {seeds} | {mean} | {own:g} | {told} | {says} |"
+    name = best.method if best.method.lower() == best.agent else f"{best.method} (`{best.agent}`)"
+    return f"| {name} | {best.on}{of} | {steps:,} | {seeds} | {mean} | {own:g} | {told} | {says} |"

@@ -27,6 +27,7 @@ HOPPER, CHEETAH = BEHAVIOUR["hopper-medium-v2"], BEHAVIOUR["halfcheetah-medium-v
 def row(tmp_path, monkeypatch):
     """A function that gives AWAC's row, from scores by the method and the beginning of the log's name."""
     (tmp_path / "one.toml").write_text(SUITE)
+    monkeypatch.setattr("evidence.improved.SUITES", ["one"])
     monkeypatch.chdir(tmp_path)
 
     def told(scores):
@@ -60,8 +61,12 @@ def test_the_best_of_two_logs_has_to_be_above_at_a_level_for_two(row):
     assert found[-2:] == ["3.0 [-0.6, 6.6]", "not shown"]
 
 
-def test_one_seed_shows_nothing(row):
-    assert row({("AWAC", "hopper"): [99.0]})[-2:] == [f"{99.0 - HOPPER:.1f}", "one seed; more in `one.toml`"]
+def test_a_part_of_the_seeds_shows_nothing(row):
+    assert row({("AWAC", "hopper"): [99.0, 99.5]})[-2:] == [f"{99.25 - HOPPER:.1f}", "2 of 3 seeds; more in `one.toml`"]
+
+
+def test_equal_scores_of_all_seeds_show_nothing(row):
+    assert row({("AWAC", "hopper"): [99.0] * 3})[-1] == "not shown; more in `one.toml`"
 
 
 def test_variants_and_logs_of_people_do_not_count(row):

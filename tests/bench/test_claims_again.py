@@ -47,9 +47,9 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def kept(name, scores):
+def kept(name, scores, full=False):
     """The suite's store with these scores: method -> one a seed."""
-    suite = read(name)
+    suite = read(name, full)
     store = store_of([suite], Path())
     for job in plan(suite):
         if job.method in scores:
@@ -107,17 +107,38 @@ def test_cells_of_the_second_stage_are_missing_once_it_counts():
 def test_the_full_size_has_no_second_stage(folder):
     (folder / "suite.toml").write_text(SUITE + "\n[full]\nsteps = 200\n")
     kept("suite.toml", OPEN)
+    kept("suite.toml", OPEN, full=True)
     store = kept("again.toml", BETTER)
     (claim,) = claims("claims.toml")
-    assert verdict(claim, store, full=True).state == "open"
+    found = verdict(claim, store, full=True)
+    assert (found.state, found.missing, found.comparisons[0].again) == ("open", 0, None)
     assert verdict(claim, store).state == "holds"
+
+
+def test_at_full_size_suites_without_one_keep_their_second_stage():
+    kept("suite.toml", OPEN)
+    store = kept("again.toml", BETTER)
+    (claim,) = claims("claims.toml")
+    assert verdict(claim, store, full=True).state == "holds"
+
+
+def test_the_second_stage_contradicts_at_a_level_for_all_comparisons(folder):
+    both = SUITE.replace("TD3 =", 'SAC = { agent = "sac" }\nTD3 =')
+    (folder / "suite.toml").write_text(both)
+    (folder / "again.toml").write_text(both.replace("seeds = 4", "seeds = 5\nfirst_seed = 4"))
+    (folder / "claims.toml").write_text(CLAIMS.replace('["BC"]', '["BC", "SAC"]'))
+    kept("suite.toml", OPEN | {"SAC": OPEN["BC"]})
+    for one in said(kept("again.toml", WORSE | {"SAC": WORSE["BC"]})).comparisons:
+        assert one.again is not None
+        ours, theirs = ({"hopper": np.array(WORSE[name])} for name in ("TD3", "BC"))
+        assert one.again.strict == paired(ours, theirs, 1 - 0.05 / 2 / 2)
 
 
 @pytest.mark.parametrize(("sign", "state"), [(1, "holds"), (-1, "contradicted")])
 def test_numbers_of_very_different_sizes_are_compared_by_their_logarithms(folder, sign, state):
-    """One value of five is a thousand times the others: Student's interval of means would be open with any number of seeds."""
+    """One value of five is a thousand times the others: Student's interval of means is open."""
     heavy = sign * np.array([1e3, 2e3, 5e3, 3e3, 4e6])
-    one = CLAIMS.replace('than = ["BC"]', "than = 0.0")
+    one = CLAIMS.replace('than = ["BC"]', f"than = {sign * 9.0}")
     (folder / "claims.toml").write_text(one)
     kept("suite.toml", {"TD3": [*heavy[1:]]})
     store = kept("again.toml", {"TD3": [*heavy]})
@@ -126,27 +147,31 @@ def test_numbers_of_very_different_sizes_are_compared_by_their_logarithms(folder
     assert said(store).state == state
     (found,) = said(store).comparisons
     assert found.again is not None
-    assert found.again.gain.value == pytest.approx(sign * np.log10(1 + abs(heavy)).mean())
+    assert found.again.gain.value == pytest.approx(sign * (np.log10(1 + abs(heavy)).mean() - 1.0))  # log10(1 + 9) = 1
 
 
 @pytest.mark.parametrize(
     ("file", "old", "new", "message"),
     [
         ("again", "first_seed = 4", "first_seed = 3", "again.toml has seeds of suite.toml; its first_seed must be 4 or more"),
-        ("again", "steps = 100", "steps = 200", "again.toml has other steps than suite.toml"),
-        ("again", "evaluations = 1", "evaluations = 1\nepisodes = 7", "again.toml has other episodes than suite.toml"),
+        ("again", "steps = 100", "steps = 200", "steps of again.toml and of suite.toml differ"),
+        ("again", "evaluations = 1", "evaluations = 1\nepisodes = 7", "episodes of again.toml and of suite.toml differ"),
         ("again", 'BC = { agent = "bc" }', "", "unknown method of again.toml 'BC'"),
         ("again", 'BC = { agent = "bc" }', 'BC = { agent = "bc", fields = { lr = 0.1 } }', "BC is not the same in again.toml"),
         ("again", "hopper-medium-v2", "walker2d-medium-v2", "task, problem or case of again.toml 'hopper-medium-v2'"),
         ("again", "first_seed = 4", "first_seed = -1", "first_seed must be a whole number from 0 to 1,000,000, got -1"),
         ("again", "first_seed = 4", "first_seed = true", "first_seed must be a whole number from 0 to 1,000,000, got True"),
+        ("again", "seeds = 5", "seeds = 1", "again.toml must have two seeds or more, and no section [full]"),
+        ("again", 'TD3 = { agent = "td3" }', 'TD3 = { agent = "td3" }\n[full]\nsteps = 200', "no section [full]"),
+        ("claims", 'again = { suite = "again.toml" }', 'margin = -5.0, again = { suite = "again.toml", log = true }',
+         "the margin -5 would be of logarithms there; leave log or the margin out"),
         ("claims", "again = { ", "again = { margin = 1, ", "unknown key 'margin'"),
         ("claims", '{ suite = "again.toml" }', "{ log = true }", "suite is missing"),
         ("claims", '{ suite = "again.toml" }', "{ suite = 3 }", "suite must be text, got 3"),
         ("claims", '{ suite = "again.toml" }', '"again.toml"', "again must be a table with a suite, got 'again.toml'"),
         ("claims", '"again.toml" }', '"../again.toml" }', "suite"),
     ],
-)
+)  # fmt: skip
 def test_wrong_second_stages_are_refused_in_one_line(folder, file, old, new, message):
     path = folder / f"{file}.toml"
     assert old in path.read_text()

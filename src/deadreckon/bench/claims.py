@@ -7,9 +7,10 @@ differences are equal: an interval of no width says that there are too few runs,
 all its comparisons hold. It is contradicted where one of its k comparisons is, whose interval has level 1 - alpha / k then
 (Bonferroni).
 
-Where a test has `again`, a second suite with fresh seeds, and is open with all its cells, the same comparison is made there, of
-those cells alone, with intervals of 1 - alpha / 2 and 1 - alpha / 2k, and what it says counts. As the two stages share no run,
-at most a share of alpha + alpha / 2 of the comparisons without any difference is decided.
+Where a test has `again`, a second suite with fresh seeds, and is open with all its cells, all of them finite, the comparison
+is made there, of those cells alone, with intervals of 1 - alpha / 2 and 1 - alpha / 2k, and what it says counts. As the two
+stages share no run, at most a share of alpha + alpha / 2 of the comparisons whose true gain is the margin, in each stage on its
+own scale, is decided.
 
 Where a test has `beside`, another suite, the same methods are compared on its logs: the gain is the difference of means over
 tasks, which are taken as samples, with Welch's interval (`stats.comparison.between`). Logs of one task are averaged first.
@@ -56,8 +57,9 @@ class Test:
         beside: another suite with the same methods, on whose tasks they are claimed to do worse.
         beside_on: its logs.
         among: whether it is claimed that logs of a task differ.
-        log: whether a number x counts as sign(x) log10(1 + |x|), which is for numbers of very different sizes.
-        again: the same with fresh seeds, for where this one is open with all its cells; never at the full size.
+        log: whether a number x counts as sign(x) log10(1 + |x|), for numbers of very different sizes; `than`, too, but not the
+            margin, which is a difference of such logarithms.
+        again: the same with fresh seeds, for where this one is open with all its cells; never where these are of the full size.
     """
 
     suite: Path
@@ -203,7 +205,7 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
     for test, rival, on in pairs:
         first = _compared(test, rival, on, plans, rows, ALPHA, len(pairs))
         whole = not first.missing and not first.undefined
-        if test.again is not None and whole and first.state == "open" and not full:
+        if test.again is not None and whole and first.state == "open" and not (full and read(test.suite).full):
             first = replace(first, again=_compared(test.again, rival, on, plans, rows, ALPHA / 2, len(pairs)))
         out.append(first)
     return Verdict(claim, tuple(out))

@@ -19,7 +19,7 @@
     each = false                            # whether it is claimed of each log by itself, and not of their mean
     beside = "other.toml"                   # in the place of `than`: a suite on whose tasks the same methods do worse
     among = true                            # in the place of `than`: logs of a task differ, by more than seeds do
-    log = false                             # whether a number x counts as sign(x) log10(1 + |x|)
+    log = false                             # whether a number x, and `than`, counts as sign(x) log10(1 + |x|)
     again = { suite = "fresh.toml" }        # a suite of the same methods and logs and other seeds (`first_seed`), which decides
                                             # where this one is open with all its cells; it may have a `log` of its own
 """
@@ -153,11 +153,13 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
         given |= {"beside": places[names[1]], "beside_on": other} if "beside" in test else {}
         again = given.pop("again", None)
         first = Test(**given)
-        tests.append(first if again is None else replace(first, again=_again(path, where, first, again, suites)))
+        tests.append(first if again is None else replace(first, again=_again(path, where, first, again, suite, suites)))
     return Claim(said["id"], said["says"], said["place"], tuple(tests), said.get("note", ""))
 
 
-def _again(path: Path, where: str, first: Test, said: dict[str, Any], suites: dict[str, Suite]) -> Test:
+def _again(
+    path: Path, where: str, first: Test, said: dict[str, Any], own: Suite, suites: dict[str, Suite]
+) -> Test:  # fmt: skip
     """The second stage of a test, which shares no run with the first."""
     where = f"{where}, again"
     _check_keys(where, said, {"suite", "log"}, ("suite",))
@@ -168,12 +170,16 @@ def _again(path: Path, where: str, first: Test, said: dict[str, Any], suites: di
     if first.beside is not None:
         raise UserError(f"{where}: a test with beside has no second stage")
     place = path.parent / safe_path(file := said["suite"], f"{where}: suite")
-    own, suite = read(first.suite), suites.setdefault(file, read(place))
+    suite = suites.setdefault(file, read(place))
+    if first.margin and said.get("log", first.log) != first.log:
+        raise UserError(f"{where}: the margin {first.margin:g} would be of logarithms there; leave log or the margin out")
+    if suite.seeds < 2 or suite.full:
+        raise UserError(f"{where}: {file} must have two seeds or more, and no section [full]")
+    theirs, ours = ({each.name: each for each in one.methods} for one in (suite, own))
     for method in [*first.method, *(first.than if isinstance(first.than, tuple) else ())]:
-        same = {each.name: each for each in suite.methods}
-        if method not in same:
-            raise UserError(f"{where}: {unknown(f'method of {file}', method, same)}")
-        if same[method] != {each.name: each for each in own.methods}[method]:
+        if method not in theirs:
+            raise UserError(f"{where}: {unknown(f'method of {file}', method, theirs)}")
+        if theirs[method] != ours[method]:
             raise UserError(f"{where}: {method} is not the same in {file} as in {first.suite.name}")
     for on in first.on:
         if on not in suite.on:
@@ -181,7 +187,7 @@ def _again(path: Path, where: str, first: Test, said: dict[str, Any], suites: di
     other = [key for key in _PROTOCOL if getattr(own, key) != getattr(suite, key)]
     other += [key for key in _PLACED for on in first.on if getattr(own, key).get(on) != getattr(suite, key).get(on)]
     if other:
-        raise UserError(f"{where}: {file} has other {other[0]} than {first.suite.name}, so it is no second stage of it")
+        raise UserError(f"{where}: {other[0]} of {file} and of {first.suite.name} differ, so it is no second stage of it")
     if own.first_seed < suite.first_seed + suite.seeds and suite.first_seed < own.first_seed + own.seeds:
         raise UserError(
             f"{where}: {file} has seeds of {first.suite.name}; its first_seed must be {own.first_seed + own.seeds} or more"
