@@ -62,9 +62,9 @@ def improved(suites: Sequence[Suite], store: Store) -> str:
     found: dict[str, dict[frozenset[str], _Runs]] = {}
     waiting: dict[str, list[str]] = {}
     for suite in suites:
-        agents = {method.name: method.agent for method in suite.methods if ", " not in method.name}
         if suite.name not in SUITES:
             continue
+        agents = {method.name: method.agent for method in suite.methods if ", " not in method.name}
         for job in plan(suite):
             if job.method not in agents or job.on not in BEHAVIOUR:
                 continue

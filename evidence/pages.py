@@ -9,7 +9,7 @@ A page holds blocks between `<!-- NAME ARGUMENTS -->` and `<!-- end -->`, whose 
     curves SUITE         learning curves, a panel for each log: means over seeds, bands from the lowest to the highest
     ranking SUITE        interquartile means over logs, probability of improvement over the first method, performance profiles
     constraint SUITE     BEAR's scores beside its constraint at the end of each run: MMD and multiplier, with a picture
-    improved             agents beside the policies that made the logs
+    improved             agents beside the logs' own mean scores
     claims               every claim with what the results say of it
     pending              declared cells without results, and what they would take
 """
@@ -212,7 +212,7 @@ def claimed(name: str, files: dict[str, bytes]) -> str:
 
 
 def improvements(name: str, files: dict[str, bytes]) -> str:
-    """All agents that learn from logs alone beside the policies that made the logs."""
+    """All agents that learn from logs alone beside the logs' own mean scores."""
     suites = queue(HERE / "queue.toml")
     return improved(suites, store_of(suites, HERE))
 

@@ -1,4 +1,6 @@
-"""Agents beside the policies that made the logs: what counts as an improvement."""
+"""Agents beside the logs' own mean scores: what counts as an improvement."""
+
+from pathlib import Path
 
 import pytest
 
@@ -6,7 +8,7 @@ from deadreckon.bench.ledger import store_of
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import JobResult
 from deadreckon.bench.suite import read
-from evidence.improved import BEHAVIOUR, improved
+from evidence.improved import BEHAVIOUR, SUITES, improved
 
 SUITE = """
 kind = "learn"
@@ -43,6 +45,11 @@ def row(tmp_path, monkeypatch):
         return [cell.strip() for cell in found.strip("|").split("|")]
 
     return told
+
+
+def test_the_suites_that_count_are_there():
+    folder = Path(__file__).parent.parent / "evidence"
+    assert set(SUITES) <= {path.stem for path in folder.glob("*.toml")}
 
 
 def test_the_log_with_the_highest_lower_end_is_shown(row):

@@ -77,10 +77,14 @@ class Test:
     again: "Test | None" = None
 
     @property
+    def compared(self) -> tuple[Path, ...]:
+        """Suites whose cells it compares."""
+        return (self.suite,) if self.beside is None else (self.suite, self.beside)
+
+    @property
     def suites(self) -> tuple[Path, ...]:
         """Whose cells it needs, those of a second stage included."""
-        own = (self.suite,) if self.beside is None else (self.suite, self.beside)
-        return own if self.again is None else (*own, *self.again.suites)
+        return self.compared if self.again is None else (*self.compared, *self.again.suites)
 
 
 @dataclass(frozen=True)
@@ -235,8 +239,7 @@ def _compared(
         for log in logs:
             own = [[cell for job in plans[path] if (job.method, job.on) == (m, log) for cell in job.cells] for m in methods]
             missing += sum(cell not in rows for cells in own for cell in cells)
-            values = np.array([[have(cell) for cell in cells] for cells in own])
-            values = _signed_log(values) if test.log else values
+            values = _scaled(test, np.array([[have(cell) for cell in cells] for cells in own]))
             seen.append(values.reshape(-1))
             found[log] = values.mean(0)
         return found
@@ -247,11 +250,10 @@ def _compared(
     elif test.among:
         theirs = {}
     elif rival is None:
-        number_of = _signed_log(test.than) if test.log else test.than
-        theirs = {log: np.full_like(values, number_of) for log, values in ours.items()}
+        theirs = {log: _scaled(test, np.full_like(values, test.than)) for log, values in ours.items()}
     else:
         theirs = scores(test.suite, (rival,), on)
-    for path in (test.suite, *([test.beside] if test.beside else [])):
+    for path in test.compared:
         _check_metric(test, path, plans[path], rows)
     values = np.concatenate(seen)
     if lacking := int((~np.isfinite(values)).sum()):
@@ -263,8 +265,9 @@ def _compared(
     return Comparison(test, rival, on, gain, strict, len(values), 0, 0, 1.0 - alpha)
 
 
-def _signed_log(values: Any) -> Any:
-    return np.sign(values) * np.log10(1.0 + np.abs(values))
+def _scaled(test: Test, values: np.ndarray) -> np.ndarray:
+    """The numbers as the test compares them."""
+    return np.sign(values) * np.log10(1.0 + np.abs(values)) if test.log else values
 
 
 def _gain(test: Test, ours: Mapping[str, np.ndarray], theirs: Mapping[str, np.ndarray], level: float) -> Interval:
