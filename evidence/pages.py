@@ -9,6 +9,7 @@ A page holds blocks between `<!-- NAME ARGUMENTS -->` and `<!-- end -->`, whose 
     curves SUITE         learning curves, a panel for each log: means over seeds, bands from the lowest to the highest
     ranking SUITE        interquartile means over logs, probability of improvement over the first method, performance profiles
     constraint SUITE     BEAR's scores beside its constraint at the end of each run: MMD and multiplier, with a picture
+    changed              agents beside what they were before a change of their defaults
     improved             agents beside the logs' own mean scores
     claims               every claim with what the results say of it
     pending              declared cells without results, and what they would take
@@ -41,6 +42,7 @@ from deadreckon.report.picture import PANEL, sheet
 from deadreckon.report.text import words
 from deadreckon.stats.interval import LEVEL, PERCENT
 from deadreckon.stats.scores import interval, iqm, performance_profile, probability_of_improvement
+from evidence.changed import changed
 from evidence.improved import improved
 
 STUDIES = "evidence.studies"
@@ -48,7 +50,7 @@ trust(STUDIES)
 
 HERE = Path(__file__).resolve().parent
 PAGES = HERE.parent / "docs" / "results"
-_NAMES = "table|curves|ranking|constraint|claims|improved|pending"
+_NAMES = "table|curves|ranking|constraint|claims|changed|improved|pending"
 BLOCK = re.compile(rf"(<!-- ({_NAMES})(?: ([\w.-]+))? -->\n)(.*?)(<!-- end -->)", re.S)
 
 
@@ -217,6 +219,12 @@ def improvements(name: str, files: dict[str, bytes]) -> str:
     return improved(suites, store_of(suites, HERE))
 
 
+def changes(name: str, files: dict[str, bytes]) -> str:
+    """Agents beside what they were before a change of their defaults."""
+    suites = queue(HERE / "queue.toml")
+    return changed(suites, store_of(suites, HERE))
+
+
 def pending(name: str, files: dict[str, bytes]) -> str:
     """Suites with cells that are missing, and the time of a core that they would take where jobs like them are done."""
     rows = ["| suite | size | cells missing | hours of one core | command |", "|---|---|---:|---:|---|"]
@@ -236,8 +244,8 @@ def pending(name: str, files: dict[str, bytes]) -> str:
 
 
 MAKE: dict[str, Callable[[str, dict[str, bytes]], str]] = {
-    "table": table, "curves": curves, "ranking": ranking, "constraint": constraint, "claims": claimed, "improved": improvements,
-    "pending": pending,
+    "table": table, "curves": curves, "ranking": ranking, "constraint": constraint, "claims": claimed, "changed": changes,
+    "improved": improvements, "pending": pending,
 }  # fmt: skip
 
 

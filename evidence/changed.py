@@ -1,0 +1,58 @@
+"""What changes of agents' defaults cost or gain on each log, and in the mean over logs."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from deadreckon.bench.jobs import Job
+from deadreckon.bench.plan import plan
+from deadreckon.bench.store import Store
+from deadreckon.bench.suite import Suite
+from deadreckon.stats.comparison import paired
+
+BEFORE = ", before"  # how methods are named that are an agent as it was
+# Suites that pair agents with what they were, and those that run the same settings with further seeds.
+PAIRS = ["defaults-gym", "defaults-mazes", "defaults-antmaze"]
+MORE = ["defaults-decide", "defaults-hopper", "defaults-awac"]
+
+
+def changed(suites: Sequence[Suite], store: Store) -> str:
+    """A table of all agents that are paired with what they were, in Markdown: score now less score before, in points.
+
+    A difference is between runs of the same seed, over all seeds that both have in any of the suites, with Student's 95 %
+    interval; the last column is the mean over the logs that have one, each counted alike (`stats.comparison.paired`).
+
+    Args:
+        suites: of which those of `PAIRS` and `MORE` count, at their own size.
+        store: the results.
+    """
+    rows = {row["cell"]: row["score"] for row in store.results().to_pylist()}
+    scores: dict[str, dict[int, float]] = {}  # by what a job is, whatever its seeds
+    jobs: list[Job] = []
+    for suite in suites:
+        if suite.name not in PAIRS + MORE:
+            continue
+        for job in plan(suite):
+            there = {seed: rows[cell] for seed, cell in zip(job.seeds, job.cells, strict=True) if cell in rows}
+            scores.setdefault(job.content(0), {}).update(there)
+            jobs += [job] if suite.name in PAIRS else []
+    found = {(job.method, job.on): scores[job.content(0)] for job in jobs}
+    logs, methods = ([*dict.fromkeys(names)] for names in zip(*((job.on, job.method) for job in jobs), strict=True))
+    lines = [f"| agent | {' | '.join(logs)} | mean over these logs |", "|---|" + "---:|" * (len(logs) + 1)]
+    for method in methods:
+        if f"{method}{BEFORE}" not in methods:
+            continue
+        sides: tuple[dict[str, np.ndarray], dict[str, np.ndarray]] = {}, {}
+        cells = []
+        for log in logs:
+            now, before = found.get((method, log), {}), found.get((f"{method}{BEFORE}", log), {})
+            seeds = sorted(now.keys() & before.keys())
+            if len(seeds) < 2:
+                cells.append("-")
+                continue
+            for side, each in zip(sides, (now, before), strict=True):
+                side[log] = np.array([each[seed] for seed in seeds])
+            cells.append(f"{paired({log: sides[0][log]}, {log: sides[1][log]}):.1f} ({len(seeds)})")
+        mean = f"{paired(*sides):.1f}" if sides[0] else "-"
+        lines.append(f"| {method} | {' | '.join(cells)} | {mean} |")
+    return "\n".join([*lines, ""])
