@@ -12,6 +12,7 @@ proposals on 1,000 rows of 20 variables; BoTorch's greedy batch is measured for 
 """
 
 import argparse
+import contextlib
 import json
 import subprocess
 import time
@@ -135,8 +136,8 @@ def speed(peer: Peer) -> None:
 RIVALS = "BoTorch, noisy EI", "BoTorch, mean", "scikit-learn"
 
 
-def one(peer: Peer, name: str, seed: int) -> list[float]:
-    """Best and median true score of `auto` and of each of `RIVALS`, and the seconds of all but the last."""
+def scores_of(peer: Peer, name: str, seed: int) -> list[float]:
+    """Best and median true score of `auto` and of each of `RIVALS`, and the seconds of all but scikit-learn."""
     table = TABLES[name](seed=seed)
     data, begun = table.designs(), time.perf_counter()
     made, took = [designer("auto").propose(data, COUNT, seed=seed).x], [time.perf_counter() - begun]
@@ -149,11 +150,15 @@ def one(peer: Peer, name: str, seed: int) -> list[float]:
     return [float(value) for y in true for value in (y.max(), np.median(y))] + took
 
 
-def kept(path: Path | None, name: str, seed: int) -> list[float] | None:
-    """What the file has of a table and seed."""
-    lines = path.read_text().splitlines() if path and path.exists() else []
-    found = [each["row"] for each in map(json.loads, lines) if (each["table"], each["seed"]) == (name, seed)]
-    return found[0] if found else None
+def kept(path: Path | None, made_by: dict[str, Any]) -> dict[tuple[str, int], list[float]]:
+    """What a file has of tables and seeds, made by the same code; a last line that was cut off counts for nothing."""
+    found = {}
+    for line in path.read_text().splitlines() if path and path.exists() else []:
+        with contextlib.suppress(json.JSONDecodeError):
+            each = json.loads(line)
+            if each["made_by"] == made_by:
+                found[each["table"], each["seed"]] = each["row"]
+    return found
 
 
 def main() -> None:
@@ -167,23 +172,25 @@ def main() -> None:
     asked = parser.parse_args()
     warnings.simplefilter("ignore")
     peer = Peer(asked.peer_python)
-    print(peer.ask(op="versions")["versions"], flush=True)
+    versions = peer.ask(op="versions")["versions"]
+    print(versions, flush=True)
     if asked.speed:
         speed(peer)
         return
     print(f"| table | auto | {' | '.join(RIVALS)} | seconds: auto, BoTorch's two |\n" + "|---" * 6 + "|")
     gains = [f"| table | {' | '.join(f'{rival}: best | median' for rival in RIVALS)} |", "|---" * 7 + "|"]
+    made_by = {"count": COUNT, "auto": type(designer("auto")).revision, "peer": versions}
+    done = kept(asked.out, made_by)
     for name in asked.tables:
-        rows = []
         for seed in range(asked.seeds):
-            row = kept(asked.out, name, seed)
-            if row is None:
-                row = one(peer, name, seed)
-                if asked.out:
-                    with asked.out.open("a") as file:
-                        file.write(json.dumps({"table": name, "seed": seed, "row": row}) + "\n")
-            rows.append(row)
-        all_rows = np.array(rows)
+            if (name, seed) in done:
+                continue
+            done[name, seed] = scores_of(peer, name, seed)
+            if asked.out:
+                with asked.out.open("a") as file:
+                    line = {"table": name, "seed": seed, "made_by": made_by, "row": done[name, seed]}
+                    file.write(json.dumps(line) + "\n")
+        all_rows = np.array([done[name, seed] for seed in range(asked.seeds)])
         a = all_rows.mean(0)
         cells = [f"{a[i]:.2f} / {a[i + 1]:.2f}" for i in (0, 2, 4, 6)]
         print(f"| {name} | {' | '.join(cells)} | {', '.join(f'{s:.1f}' for s in a[8:])} |", flush=True)

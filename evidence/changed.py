@@ -20,7 +20,8 @@ def changed(suites: Sequence[Suite], store: Store) -> str:
     """A table of all agents that are paired with what they were, in Markdown: score now less score before, in points.
 
     A difference is between runs of the same seed, over all seeds that both have in any of the suites, with Student's 95 %
-    interval; the last column is the mean over the logs that have one, each counted alike (`stats.comparison.paired`).
+    interval; the last column is the mean over the logs that have one, each counted alike (`stats.comparison.paired`). A log
+    on which a run has no finite score has no difference.
 
     Args:
         suites: of which those of `PAIRS` and `MORE` count, at their own size.
@@ -35,24 +36,29 @@ def changed(suites: Sequence[Suite], store: Store) -> str:
         for job in plan(suite):
             there = {seed: rows[cell] for seed, cell in zip(job.seeds, job.cells, strict=True) if cell in rows}
             scores.setdefault(job.content(0), {}).update(there)
-            jobs += [job] if suite.name in PAIRS else []
+            if suite.name in PAIRS:
+                jobs.append(job)
     found = {(job.method, job.on): scores[job.content(0)] for job in jobs}
-    logs, methods = ([*dict.fromkeys(names)] for names in zip(*((job.on, job.method) for job in jobs), strict=True))
-    lines = [f"| agent | {' | '.join(logs)} | mean over these logs |", "|---|" + "---:|" * (len(logs) + 1)]
+    logs, methods = [*dict.fromkeys(job.on for job in jobs)], [*dict.fromkeys(job.method for job in jobs)]
+    lines = [f"| agent | {' | '.join(logs)} | mean over the logs beside it |", "|---|" + "---:|" * (len(logs) + 1)]
     for method in methods:
-        if f"{method}{BEFORE}" not in methods:
-            continue
-        sides: tuple[dict[str, np.ndarray], dict[str, np.ndarray]] = {}, {}
-        cells = []
-        for log in logs:
-            now, before = found.get((method, log), {}), found.get((f"{method}{BEFORE}", log), {})
-            seeds = sorted(now.keys() & before.keys())
-            if len(seeds) < 2:
-                cells.append("-")
-                continue
-            for side, each in zip(sides, (now, before), strict=True):
-                side[log] = np.array([each[seed] for seed in seeds])
-            cells.append(f"{paired({log: sides[0][log]}, {log: sides[1][log]}):.1f} ({len(seeds)})")
-        mean = f"{paired(*sides):.1f}" if sides[0] else "-"
-        lines.append(f"| {method} | {' | '.join(cells)} | {mean} |")
+        if f"{method}{BEFORE}" in methods:
+            lines.append(_line(method, logs, found))
     return "\n".join([*lines, ""])
+
+
+def _line(method: str, logs: Sequence[str], found: dict[tuple[str, str], dict[int, float]]) -> str:
+    sides: tuple[dict[str, np.ndarray], dict[str, np.ndarray]] = {}, {}
+    cells = []
+    for log in logs:
+        both = [found.get((name, log), {}) for name in (method, f"{method}{BEFORE}")]
+        seeds = sorted(both[0].keys() & both[1].keys())
+        pair = np.array([[each[seed] for seed in seeds] for each in both])
+        if len(seeds) < 2:
+            cells.append("-")
+        elif not np.isfinite(pair).all():
+            cells.append("not finite")
+        else:
+            sides[0][log], sides[1][log] = pair
+            cells.append(f"{paired({log: pair[0]}, {log: pair[1]}):.1f} ({len(seeds)})")
+    return f"| {method} | {' | '.join(cells)} | {f'{paired(*sides):.1f}' if sides[0] else '-'} |"

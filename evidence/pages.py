@@ -36,6 +36,7 @@ from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Suite, queue, read
 from deadreckon.bench.tables import tables
 from deadreckon.bench.times import forecast
+from deadreckon.errors import UserError
 from deadreckon.imports import trust
 from deadreckon.report import charts
 from deadreckon.report.picture import PANEL, sheet
@@ -51,7 +52,8 @@ trust(STUDIES)
 HERE = Path(__file__).resolve().parent
 PAGES = HERE.parent / "docs" / "results"
 _NAMES = "table|curves|ranking|constraint|claims|changed|improved|pending"
-BLOCK = re.compile(rf"(<!-- ({_NAMES})(?: ([\w.-]+))? -->\n)(.*?)(<!-- end -->)", re.S)
+OPENING = rf"<!-- ({_NAMES})(?: ([\w.-]+))? -->\n"
+BLOCK = re.compile(rf"({OPENING})((?:(?!<!-- ).)*?)(<!-- end -->)", re.S)
 
 
 @cache
@@ -213,16 +215,14 @@ def claimed(name: str, files: dict[str, bytes]) -> str:
     return "\n".join([*rows, "", *details, ""])
 
 
-def improvements(name: str, files: dict[str, bytes]) -> str:
-    """All agents that learn from logs alone beside the logs' own mean scores."""
-    suites = queue(HERE / "queue.toml")
-    return improved(suites, store_of(suites, HERE))
+def of_queue(make: Callable[[Sequence[Suite], Store], str]) -> Callable[[str, dict[str, bytes]], str]:
+    """What is made of all suites of the queue and their results."""
 
+    def block(name: str, files: dict[str, bytes]) -> str:
+        suites = queue(HERE / "queue.toml")
+        return make(suites, store_of(suites, HERE))
 
-def changes(name: str, files: dict[str, bytes]) -> str:
-    """Agents beside what they were before a change of their defaults."""
-    suites = queue(HERE / "queue.toml")
-    return changed(suites, store_of(suites, HERE))
+    return block
 
 
 def pending(name: str, files: dict[str, bytes]) -> str:
@@ -244,13 +244,21 @@ def pending(name: str, files: dict[str, bytes]) -> str:
 
 
 MAKE: dict[str, Callable[[str, dict[str, bytes]], str]] = {
-    "table": table, "curves": curves, "ranking": ranking, "constraint": constraint, "claims": claimed, "changed": changes,
-    "improved": improvements, "pending": pending,
+    "table": table, "curves": curves, "ranking": ranking, "constraint": constraint, "claims": claimed,
+    "changed": of_queue(changed), "improved": of_queue(improved), "pending": pending,
 }  # fmt: skip
 
 
 def made(text: str, files: dict[str, bytes]) -> str:
-    """A page with its blocks as the ledger says; `files` gets the pictures that they show, by name."""
+    """A page with its blocks as the ledger says; `files` gets the pictures that they show, by name.
+
+    Raises:
+        UserError: a block that does not end before the next one begins.
+    """
+    whole = {match.start() for match in BLOCK.finditer(text)}
+    for match in re.finditer(OPENING, text):
+        if match.start() not in whole:
+            raise UserError(f"{match[0].strip()} has no <!-- end --> before what follows it")
     return BLOCK.sub(lambda m: f"{m[1]}\n{MAKE[m[2]](m[3] or '', files)}\n{m[5]}", text)
 
 
@@ -261,7 +269,11 @@ def main(args: Sequence[str]) -> int:
         return 2
     check, files, wanted = "--check" in args, {}, {}
     for path in sorted(PAGES.glob("*.md")):  # all are made before any is written
-        wanted[path] = made(path.read_text(), files).encode()
+        try:
+            wanted[path] = made(path.read_text(), files).encode()
+        except UserError as error:
+            print(f"{path}: {error}", file=sys.stderr)
+            return 2
     wanted |= {PAGES / name: data for name, data in files.items()}
     wrong = [path for path, data in wanted.items() if not path.exists() or path.read_bytes() != data]
     for path in wrong:

@@ -1,5 +1,9 @@
 """Agents beside what they were: which runs are paired, and the mean over logs."""
 
+from math import nan
+
+import pytest
+
 from deadreckon.bench.ledger import store_of
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import JobResult
@@ -20,9 +24,12 @@ CRR = { agent = "crr" }
 BC = { agent = "bc" }
 """
 MORE = PAIRS.replace(', "door-human-v1"', "").replace("seeds = 2", "seeds = 3").replace("CRR, before", "CRR, tanh-normal")
+HOPPER = {("CRR", "hopper"): [11.0, 13.0, 15.0], ("CRR, tanh-normal", "hopper"): [10.0, 11.0, 12.0]}
 
 
-def test_differences_are_of_the_same_seeds_of_all_suites(tmp_path, monkeypatch):
+@pytest.fixture
+def row(tmp_path, monkeypatch):
+    """A function that gives CRR's row, from scores by the method and the beginning of the log's name."""
     for name, text in ("one", PAIRS), ("two", MORE):
         (tmp_path / f"{name}.toml").write_text(text)
     monkeypatch.setattr("evidence.changed.PAIRS", ["one"])
@@ -30,15 +37,29 @@ def test_differences_are_of_the_same_seeds_of_all_suites(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     suites = [read("one.toml"), read("two.toml")]
     store = store_of(suites, tmp_path)
-    scores = {
-        ("CRR", "hopper-medium-v2"): [11.0, 13.0, 15.0], ("CRR, tanh-normal", "hopper-medium-v2"): [10.0, 11.0, 12.0],
-        ("CRR", "door-human-v1"): [3.0, 5.0], ("CRR, before", "door-human-v1"): [9.0, 7.0],
-    }  # fmt: skip
-    one = {"raw": 0.0, "steps": 100, "seconds": 1.0, "failure": "", "versions": "{}", "more": "{}"}
-    for job in (job for suite in suites for job in plan(suite)):
-        values = scores.get((job.method, job.on), [])[: len(job.seeds)]
-        if values:
-            store.keep(job, JobResult([{"seed": s, "score": v, **one} for s, v in zip(job.seeds, values)], []))
-    # 1, 2, 3: 2 -+ 4.303 / sqrt(3); -6 and -2: -4 -+ 12.706 * 2; their mean -1, of variance (1/3 + 4) / 4 with 1.17 degrees.
-    (line,) = changed(suites, store).splitlines()[2:]
-    assert line.startswith("| CRR | 2.0 [-0.5, 4.5] (3) | -4.0 [-29.4, 21.4] (2) | -1.0 [")
+
+    def told(scores):
+        one = {"raw": 0.0, "steps": 100, "seconds": 1.0, "failure": "", "versions": "{}", "more": "{}"}
+        for job in (job for suite in suites for job in plan(suite)):
+            values = scores.get((job.method, job.on.partition("-")[0]), [])[: len(job.seeds)]
+            if values:
+                store.keep(job, JobResult([{"seed": s, "score": v, **one} for s, v in zip(job.seeds, values)], []))
+        (line,) = changed(suites, store).splitlines()[2:]
+        return [cell.strip() for cell in line.strip("|").split("|")]
+
+    return told
+
+
+def test_differences_are_of_the_same_seeds_of_all_suites(row):
+    """2 -+ 4.303 / sqrt(3), and -4 -+ 12.706 * 2; their mean has the variance (1/3 + 4) / 4, with 1.17 degrees of freedom."""
+    found = row(HOPPER | {("CRR", "door"): [3.0, 5.0], ("CRR, before", "door"): [9.0, 7.0]})
+    assert found == ["CRR", "2.0 [-0.5, 4.5] (3)", "-4.0 [-29.4, 21.4] (2)", "-1.0 [-10.5, 8.5]"]
+
+
+def test_a_log_with_one_seed_in_common_or_a_score_that_is_not_finite_does_not_count(row):
+    assert row(HOPPER | {("CRR", "door"): [3.0, 5.0], ("CRR, before", "door"): [9.0]})[2:] == ["-", "2.0 [-0.5, 4.5]"]
+
+
+def test_a_score_that_is_not_finite_is_told(row):
+    found = row(HOPPER | {("CRR", "door"): [3.0, nan], ("CRR, before", "door"): [9.0, 7.0]})
+    assert found[2:] == ["not finite", "2.0 [-0.5, 4.5]"]

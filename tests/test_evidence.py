@@ -11,6 +11,7 @@ from deadreckon.bench.claims_file import claims
 from deadreckon.bench.ledger import store_of
 from deadreckon.bench.plan import plan_all
 from deadreckon.bench.suite import queue
+from deadreckon.errors import UserError
 from deadreckon.stats.interval import Interval
 from evidence import pages
 
@@ -68,3 +69,10 @@ def test_a_claim_that_is_contradicted_says_so_before_all_scores_are_there():
     assert pages._reads(Verdict(claim, (there, missing))) == "**contradicted**"
     assert pages._reads(Verdict(claim, (missing,))) == "open: 4 of 6 scores"
     assert pages._reads(Verdict(claim, (undefined,))) == "**open**: all scores are there, 1 of them not finite"
+
+
+def test_a_block_that_does_not_end_is_refused():
+    """Else what lies between it and the end of the next block would go."""
+    page = "<!-- pending -->\n<!-- end -->\n<!-- table a.toml -->\n\ntext\n\n<!-- pending -->\n<!-- end -->\n"
+    with pytest.raises(UserError, match="^<!-- table a.toml --> has no <!-- end --> before"):
+        pages.made(page, {})
