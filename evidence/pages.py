@@ -11,6 +11,7 @@ A page holds blocks between `<!-- NAME ARGUMENTS -->` and `<!-- end -->`, whose 
     constraint SUITE     BEAR's scores beside its constraint at the end of each run: MMD and multiplier, with a picture
     changed              agents beside what they were before a change of their defaults
     improved             agents beside the logs' own mean scores
+    above                on which design problems NEMO is above the forward model and the ensemble
     claims               every claim with what the results say of it
     pending              declared cells without results, and what they would take
 """
@@ -44,6 +45,7 @@ from deadreckon.report.text import words
 from deadreckon.stats.interval import LEVEL, PERCENT
 from deadreckon.stats.scores import interval, iqm, performance_profile, probability_of_improvement
 from evidence.changed import changed
+from evidence.designs_above import above
 from evidence.improved import improved
 
 STUDIES = "evidence.studies"
@@ -51,7 +53,7 @@ trust(STUDIES)
 
 HERE = Path(__file__).resolve().parent
 PAGES = HERE.parent / "docs" / "results"
-_NAMES = "table|curves|ranking|constraint|claims|changed|improved|pending"
+_NAMES = "table|curves|ranking|constraint|above|claims|changed|improved|pending"
 OPENING = rf"<!-- ({_NAMES})(?: ([\w.-]+))? -->\n"
 BLOCK = re.compile(rf"({OPENING})((?:(?!<!-- ).)*?)(<!-- end -->)", re.S)
 
@@ -245,7 +247,7 @@ def pending(name: str, files: dict[str, bytes]) -> str:
 
 MAKE: dict[str, Callable[[str, dict[str, bytes]], str]] = {
     "table": table, "curves": curves, "ranking": ranking, "constraint": constraint, "claims": claimed,
-    "changed": of_queue(changed), "improved": of_queue(improved), "pending": pending,
+    "above": of_queue(above), "changed": of_queue(changed), "improved": of_queue(improved), "pending": pending,
 }  # fmt: skip
 
 

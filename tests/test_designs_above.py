@@ -1,0 +1,46 @@
+"""NEMO beside two rivals: what counts as above both."""
+
+import json
+
+from deadreckon.bench.ledger import store_of
+from deadreckon.bench.plan import plan
+from deadreckon.bench.store import JobResult
+from deadreckon.bench.suite import read
+from evidence.designs_above import above
+
+SUITE = """
+kind = "design"
+ledger = "ledger"
+seeds = 3
+budget = "cpu"
+problems = ["ant-morphology", "dkitty-morphology", "hopper-controller"]
+
+[methods]
+NEMO = { agent = "nemo" }
+ensemble = { agent = "ensemble" }
+forward = { agent = "forward" }
+"""
+NEAR, FAR = [1.0, 2.0, 3.0], [11.0, 12.0, 14.0]
+
+
+def test_above_both_by_the_best_or_by_the_median(tmp_path, monkeypatch):
+    (tmp_path / "one.toml").write_text(SUITE)
+    monkeypatch.setattr("evidence.designs_above.SUITES", ["one"])
+    monkeypatch.chdir(tmp_path)
+    suite = read("one.toml")
+    store = store_of([suite], tmp_path)
+    # (best, median) of NEMO; those of both rivals are near, but for one that is as far as NEMO's on the second problem.
+    own = {"ant-morphology": (FAR, NEAR), "dkitty-morphology": (FAR, NEAR), "hopper-controller": (FAR, FAR[:2])}
+    for job in plan(suite):
+        best, median = own[job.on] if job.method == "NEMO" else (NEAR, NEAR)
+        if (job.method, job.on) == ("forward", "dkitty-morphology"):
+            best = FAR
+        one = {"raw": 0.0, "steps": 0, "seconds": 1.0, "failure": "", "versions": "{}"}
+        rows = [{"seed": s, "score": b, "more": json.dumps({"median": m}), **one} for s, b, m in zip(job.seeds, best, median)]
+        store.keep(job, JobResult(rows, []))
+    ant, dkitty, hopper, _, count = above([suite], store).splitlines()[2:]
+    # 10, 10 and 11: 10.33 -+ 4.303 / 3
+    assert ant == "| ant-morphology | 10.3 [8.9, 11.8] | 10.3 [8.9, 11.8] | 0.0 [0.0, 0.0] | 0.0 [0.0, 0.0] | best |"
+    assert dkitty.endswith("| no |")
+    assert hopper.endswith("| not all cells are there |")
+    assert count == "NEMO is above both on 1 of 2 problems."
