@@ -93,3 +93,23 @@ def test_a_model_of_more_data_errs_less(monkeypatch):
     assert set(few) == {"own", "far", "slope"}
     assert np.isfinite(list(few.values())).all()
     assert many["own"] < few["own"]
+
+
+@pytest.mark.slow
+def test_the_same_superconductors_are_scored_by_four_oracles(real_data, home, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    from evidence.studies.superconductor_judges import designs, everything, judges
+
+    lines = (real_data / "supercon" / "Supercon_data.csv").read_text().splitlines()
+    (home / "designs").mkdir(parents=True)
+    (home / "designs" / "superconductor.csv").write_text("\n".join(lines[:400]))
+    judges.cache_clear()
+    try:
+        found = designs("80", seed=0, method="best")
+        shown = everything().visible
+        assert found["shown"] == np.sort(shown.y)[: round(0.8 * len(shown.y))].max()
+        assert found["best"] > found["median"]
+        assert len({found[name] for name in found if name.startswith("best")}) == 4
+        assert min(found["best_half"], found["best_shallow"], found["best_histogram"]) > 0.5 * found["shown"]
+    finally:
+        judges.cache_clear()  # of another list
