@@ -6,9 +6,9 @@ import pytest
 
 from deadreckon.bench.ledger import store_of
 from deadreckon.bench.plan import plan
-from deadreckon.bench.store import JobResult
 from deadreckon.bench.suite import read
 from evidence.changed import changed
+from tests.results import keep
 
 PAIRS = """
 kind = "learn"
@@ -39,11 +39,9 @@ def row(tmp_path, monkeypatch):
     store = store_of(suites, tmp_path)
 
     def told(scores):
-        one = {"raw": 0.0, "steps": 100, "seconds": 1.0, "failure": "", "versions": "{}", "more": "{}"}
         for job in (job for suite in suites for job in plan(suite)):
-            values = scores.get((job.method, job.on.partition("-")[0]), [])[: len(job.seeds)]
-            if values:
-                store.keep(job, JobResult([{"seed": s, "score": v, **one} for s, v in zip(job.seeds, values)], []))
+            if values := scores.get((job.method, job.on.partition("-")[0])):
+                keep(store, job, values)
         (line,) = changed(suites, store).splitlines()[2:]
         return [cell.strip() for cell in line.strip("|").split("|")]
 

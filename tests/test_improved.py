@@ -6,9 +6,9 @@ import pytest
 
 from deadreckon.bench.ledger import store_of
 from deadreckon.bench.plan import plan
-from deadreckon.bench.store import JobResult
 from deadreckon.bench.suite import read
 from evidence.improved import BEHAVIOUR, SUITES, improved
+from tests.results import keep
 
 SUITE = """
 kind = "learn"
@@ -36,10 +36,8 @@ def row(tmp_path, monkeypatch):
         suite = read("one.toml")
         store = store_of([suite], tmp_path)
         for job in plan(suite):
-            values = scores.get((job.method, job.on.partition("-")[0]), [])
-            one = {"raw": 0.0, "steps": 100, "seconds": 1.0, "failure": "", "versions": "{}", "more": "{}"}
-            if values:
-                store.keep(job, JobResult([{"seed": s, "score": v, **one} for s, v in zip(job.seeds, values)], []))
+            if values := scores.get((job.method, job.on.partition("-")[0])):
+                keep(store, job, values)
         lines = improved([suite], store).splitlines()
         (found,) = [line for line in lines if line.startswith(("| AWAC |", "| `awac` |"))]
         return [cell.strip() for cell in found.strip("|").split("|")]

@@ -10,10 +10,10 @@ from deadreckon.bench.claims import verdict
 from deadreckon.bench.claims_file import claims
 from deadreckon.bench.ledger import store_of
 from deadreckon.bench.plan import plan
-from deadreckon.bench.store import JobResult
 from deadreckon.bench.suite import read
 from deadreckon.errors import UserError
 from deadreckon.stats.comparison import paired
+from tests.results import keep
 
 SUITE = '''
 kind = "learn"
@@ -77,11 +77,7 @@ def kept(scores, full=False):
     for job in plan(suite):
         values = scores.get((job.method, job.on.partition("-")[0]))
         if values is not None:
-            rows = [
-                {"seed": s, "score": v, "raw": v, "steps": 100, "seconds": 1.0, "failure": "", "versions": "{}", "more": "{}"}
-                for s, v in zip(job.seeds, values)
-            ]
-            store.keep(job, JobResult(rows, []))
+            keep(store, job, values)
     return store
 
 
@@ -200,8 +196,7 @@ def test_the_same_methods_are_compared_on_the_tasks_of_another_suite(folder, les
     for job in (job for suite in suites for job in plan(suite)):
         values = scores.get((job.method, job.on))
         if values is not None:
-            base = {"raw": 0.0, "steps": 100, "seconds": 1.0, "failure": "", "versions": "{}", "more": "{}"}
-            store.keep(job, JobResult([base | {"seed": s, "score": v} for s, v in zip(job.seeds, values)], []))
+            keep(store, job, values)
     [one] = verdict(claim, store).comparisons
     expected = scipy.stats.ttest_ind([46.0, 53.0], [(15.0 + 19.0) / 2, 31.0], equal_var=False)
     limits = expected.confidence_interval(0.95)
@@ -245,9 +240,8 @@ def test_logs_of_a_task_are_compared_with_each_other(folder, gap, state):
     store, noise = store_of([suite], folder), np.array([0.5, -1.0, 1.5, -1.0])
     runs = {logs[0]: 40 + noise, logs[1]: 40 + gap + noise[::-1], logs[2]: np.full(4, 90.0)}
     for job in plan(suite):
-        base = {"raw": 0.0, "steps": 100, "seconds": 1.0, "failure": "", "versions": "{}", "more": "{}"}
         shift = {"BC": 3.0, "TD3": -3.0}.get(job.method, 0.0)
-        store.keep(job, JobResult([base | {"seed": s, "score": runs[job.on][s] + shift} for s in job.seeds], []))
+        keep(store, job, runs[job.on] + shift)
     [one] = verdict(claim, store).comparisons
     f = scipy.stats.f_oneway(runs[logs[0]], runs[logs[1]]).statistic
     limits = [(f / scipy.stats.f.ppf(p, 1, 6) - 1) / 4 for p in (0.975, 0.025)]

@@ -9,10 +9,10 @@ from deadreckon.bench.claims import verdict
 from deadreckon.bench.claims_file import claims
 from deadreckon.bench.ledger import store_of
 from deadreckon.bench.plan import plan
-from deadreckon.bench.store import JobResult
 from deadreckon.bench.suite import read
 from deadreckon.errors import UserError
 from deadreckon.stats.comparison import paired
+from tests.results import keep
 
 SUITE = """
 kind = "learn"
@@ -53,11 +53,8 @@ def kept(name, scores, full=False):
     store = store_of([suite], Path())
     for job in plan(suite):
         if job.method in scores:
-            rows = [
-                {"seed": s, "score": v, "raw": v, "steps": 100, "seconds": 1.0, "failure": "", "versions": "{}", "more": "{}"}
-                for s, v in zip(job.seeds, scores[job.method], strict=True)
-            ]
-            store.keep(job, JobResult(rows, []))
+            assert len(scores[job.method]) == len(job.seeds)
+            keep(store, job, scores[job.method])
     return store
 
 

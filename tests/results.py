@@ -1,0 +1,24 @@
+"""Results of suites that no run made, for tests of what is read off them."""
+
+import json
+from collections.abc import Sequence
+
+from deadreckon.bench.jobs import Job
+from deadreckon.bench.store import JobResult, Store
+
+
+def keep(store: Store, job: Job, scores: Sequence[float], **more: Sequence[float]) -> None:
+    """Keeps a job's scores, of its first seeds where there are fewer.
+
+    Args:
+        store: that is to have them.
+        job: whose they are.
+        scores: one a seed.
+        **more: further numbers, one a seed.
+    """
+    told = {"raw": 0.0, "steps": 100, "seconds": 1.0, "failure": "", "versions": "{}"}
+    rows = [
+        {"seed": seed, "score": score, "more": json.dumps({name: values[i] for name, values in more.items()}), **told}
+        for i, (seed, score) in enumerate(zip(job.seeds, scores))
+    ]
+    store.keep(job, JobResult(rows, []))
