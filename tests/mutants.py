@@ -778,6 +778,31 @@ MUTANTS = (
         ("mbo/test_batch.py::test_replicates_are_pooled_with_their_noise",),
     ),
     Mutant(
+        "unit-of-scores", "mbo/validation.py", "1e-12 * (y.std() or 1.0)", "1e-12",
+        "intervals of small scores are told to hold, and do not",
+        ("mbo/test_validation.py::test_the_unit_of_the_scores_does_not_matter",),
+    ),
+    Mutant(
+        "rows-for-designs", "mbo/validation.py", "len(np.unique(data.x, axis=0)) >= count", "len(data) >= count",
+        "replicates of few designs pass for rows that the model has not seen",
+        ("mbo/test_validation.py::test_replicates_of_few_designs_are_not_taken_for_rows_that_the_model_has_not_seen",),
+    ),
+    Mutant(
+        "levels-ascend", "mbo/rules.py", "if self.levels is None else value", "if True else value",
+        "levels that are numbers are compared by their places",
+        ("mbo/test_rules.py::test_levels_that_are_numbers_are_compared_as_numbers_in_whatever_order_they_stand",),
+    ),
+    Mutant(
+        "best-forbidden", "mbo/baselines.py", "rows if data.repair.free else", "rows if True else",
+        "the best of the data are proposed against the rules",
+        ("mbo/test_rules.py::test_the_best_of_the_data_are_those_that_the_rules_allow",),
+    ),
+    Mutant(
+        "few-held-out", "mbo/forward.py", "max(len(data) // 5, ENOUGH)", "len(data) // 5",
+        "a handful of rows calibrates an interval of 95 %",
+        ("mbo/test_validation.py::test_a_method_that_is_fitted_once_holds_out_enough_to_calibrate_by",),
+    ),
+    Mutant(
         "conformal-rank", "mbo/validation.py", "(len(error) + 1) * share", "len(error) * share",
         "intervals lack the correction for few rows",
         ("mbo/test_gp.py::test_the_factor_is_the_quantile_with_its_correction",),

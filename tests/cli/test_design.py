@@ -133,3 +133,21 @@ def test_bench(tmp_path, capsys):
     assert out.count("| branin |") == 7  # best, median, both normalised, and three that tell whom to trust
     assert "random on nk" in out
     assert "Median design, by the oracle" in out
+
+
+@pytest.mark.parametrize(
+    ("names", "name"),
+    [
+        (["a", "b", "yield", "std_yield"], "predicted_std_yield"),
+        (["a", "predicted_y", "y", "y_"], "predicted_y_"),  # the input predicted_y has an underscore put behind the first
+    ],
+)
+def test_targets_whose_columns_would_have_one_name_are_refused(table, capsys, names, name):
+    with open("two.csv", "w", newline="") as file:
+        csv.writer(file).writerows([names, *np.random.default_rng(0).uniform(0, 1, (16, 4)).round(2).tolist()])
+    assert main(["design", "two.csv", "--targets", *names[2:], "-n", "2", "--out", "f"]) == 2
+    assert capsys.readouterr().err.strip() == (
+        f"deadreckon: two: targets {names[2]} and {names[3]} would both have the column {name} of the proposals; "
+        "rename one of them in the table"
+    )
+    assert not (table / "f").exists()

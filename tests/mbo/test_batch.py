@@ -8,7 +8,7 @@ import pytest
 
 from deadreckon.errors import UserError
 from deadreckon.mbo import designer
-from deadreckon.mbo.batch import batch, check_batch, key
+from deadreckon.mbo.batch import batch, check_batch, keys, moved
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.nn_distance import nn_distance, usual_distance
 from tests.mbo.practice import SIZES, TABLES
@@ -50,7 +50,7 @@ def test_rules_hold_exactly_and_no_proposal_is_there_twice(name, tmp_path):
         assert len(rows) == 24
         assert all(HELD[name](row) for row in rows)
         assert len({tuple(row.values()) for row in rows}) == 24
-        assert not {key(row) for row in made.x} & {key(row) for row in data.x}
+        assert not set(keys(data, made.x)) & set(keys(data, data.x))
 
 
 @pytest.mark.slow
@@ -70,7 +70,7 @@ def test_duplicates_are_replaced_and_the_first_stays():
     twice = np.repeat(data.x[:2] * 0.9, 4, axis=0)
     found = batch(data, twice, 6, lambda x: x[:, 0])
     np.testing.assert_allclose(found[:2], data.x[:2] * 0.9)
-    assert len({key(row) for row in found}) == 6
+    assert len(set(keys(data, found))) == 6
     # Those that fill it were made around these, by their value.
     assert (found[2:, 0] > np.median(data.x[:, 0])).all()
 
@@ -78,7 +78,7 @@ def test_duplicates_are_replaced_and_the_first_stays():
 def test_designs_of_the_data_are_proposed_only_where_asked():
     data = TABLES["wide"]().designs()
     found = batch(data, data.x[:5], 5)
-    assert not {key(row) for row in found} & {key(row) for row in data.x}
+    assert not set(keys(data, found)) & set(keys(data, data.x))
     np.testing.assert_array_equal(batch(data, data.x[:5], 5, repeat=True), data.x[:5])
     with pytest.raises(UserError, match="a proposal is there twice, or is in the data"):
         check_batch(data, data.x[:5], repeat=False)
@@ -194,3 +194,22 @@ def test_the_nearest_design_that_satisfies_all_is_found():
     assert mixture.repair.exact(away)[1].all()  # the grid has a point for each, however it was rounded
     # Projection in units of the data's deviations: both move alike, as these are nearly the same.
     np.testing.assert_allclose(found[1][:2], [0.5, 0.3], atol=0.02)
+
+
+def test_whole_numbers_are_told_apart_however_large_they_are():
+    rng = np.random.default_rng(0)
+    count = 1_000_000 + rng.permutation(100)[:40]
+    frame = {"count": count, "y": rng.normal(size=40)}
+    data = Designs.from_frame(frame, "y", kinds={"count": "integer"})
+    assert len(set(keys(data, data.x))) == 40
+    near = Designs.from_frame({"a": 1_000 + np.linspace(0, 1, 40), "y": frame["y"]}, "y")
+    assert len(set(keys(near, near.x))) == 40
+
+
+def test_a_whole_number_on_a_log_scale_stays_whole():
+    rng = np.random.default_rng(0)
+    frame = {"layers": rng.integers(1, 51, 30), "a": rng.uniform(size=30), "y": rng.normal(size=30)}
+    data = Designs.from_frame(frame, "y", kinds={"layers": "integer"}, logs=["layers"])
+    tried = moved(data, data.x, 0.05, np.random.default_rng(1))
+    assert (tried[:, 0] == np.round(tried[:, 0])).all()
+    assert (tried != data.x).any(1).all()

@@ -1,5 +1,6 @@
 """Schemas of tables of experiments: drafted, saved, read back, and refused in one line."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,9 @@ from pyarrow import csv
 
 from deadreckon.cli.main import main
 from deadreckon.errors import UserError
-from deadreckon.mbo.design_schema import DesignSchema, describe
+from deadreckon.mbo.design_schema import DesignColumn, DesignSchema, describe
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.front import targets_of
 from tests.mbo.practice import TABLES
 
 
@@ -61,6 +64,71 @@ def test_describe_prints_and_does_not_overwrite(table, capsys):
     assert main(["design", "describe", "mine.csv", "--save", "s.toml"]) == 0
     assert main(["design", "describe", "mine.csv", "--save", "s.toml"]) == 2
     assert "s.toml is there already" in capsys.readouterr().err
+
+
+def test_direction_and_standard_error_are_of_the_schemas_own_target(table):
+    schema, _ = describe(table)
+    columns = {**schema.columns, "layers": DesignColumn("std_error")}
+    schema = dataclasses.replace(schema, columns=columns, minimise=True)
+    own, other = schema.read(table, pool=False), schema.read(table, target="rate", pool=False)  # replicates give errors too
+    assert (own.minimise, other.minimise) == (True, False)
+    assert own.std_error is not None
+    assert other.std_error is None
+    assert schema.read(table, target="rate", minimise=True).minimise
+    assert [v.name for v in own.variables] == ["heat", "rate", "colour"]
+    assert [v.name for v in other.variables] == ["heat", "colour"]  # neither the old target nor its error
+    assert [v.name for v in schema.read(table, std_error="rate").variables] == ["heat", "colour"]
+    nameless = dataclasses.replace(schema, columns={"heat": DesignColumn("input")})
+    assert nameless.read(table, target="rate", ignore=("y", "layers", "colour")).minimise
+
+
+@pytest.mark.parametrize("given", [{"std_error": "rate"}, {"weights": {"rate": 2.0}}])
+def test_outputs_that_the_call_names_need_not_be_in_the_schema(table, given):
+    schema, _ = describe(table)
+    columns = {name: column for name, column in schema.columns.items() if name != "rate"}
+    data = dataclasses.replace(schema, columns=columns).read(table, **given)
+    assert [v.name for v in data.variables] == ["heat", "layers", "colour"]
+
+
+@pytest.mark.parametrize("column", ["input", "fixed", "ignore", "weighted"])
+def test_what_the_call_makes_the_target_has_no_other_role(table, column):
+    schema, _ = describe(table)
+    as_what = {
+        "input": schema.columns["rate"], "fixed": dataclasses.replace(schema.columns["rate"], step=0.1, log=True, fix=0.1),
+        "ignore": DesignColumn("ignore"), "weighted": DesignColumn("weighted", weight=2.0),
+    }  # fmt: skip
+    schema = dataclasses.replace(schema, columns={**schema.columns, "rate": as_what[column]})
+    plain = Designs.from_csv(table, "rate", ignore=["y"])
+    made = schema.read(table, target="rate")
+    assert made.target == "rate"
+    assert made.variables == plain.variables
+    np.testing.assert_array_equal(made.y, plain.y)
+    with pytest.raises(UserError, match="kinds is of inputs, and rate is the target"):
+        schema.read(table, target="rate", kinds={"rate": "continuous"})  # what the call itself says is checked
+    if column != "weighted":
+        y, rate = targets_of(lambda **more: schema.read(table, **more), ["y", "rate"], [])
+        assert y.variables == rate.variables == plain.variables
+
+
+def test_a_schema_with_several_targets(table, capsys):
+    schema, _ = describe(table)
+    dataclasses.replace(schema, minimise=True).save("least.toml")
+    read = DesignSchema.load("least.toml").read
+    for small, want in (([], [True, False]), (["y"], [True, False]), (["rate"], [True, True])):
+        made = targets_of(lambda **more: read(table, **more), ["y", "rate"], small)
+        assert [each.minimise for each in made] == want
+    for name, changed, said in (
+        ("weighted", {"layers": DesignColumn("weighted", weight=-1.0)}, "column layers has the role weighted"),
+        ("error", {"layers": DesignColumn("std_error")}, "column layers has the role std_error"),
+        ("nameless", {"y": DesignColumn("ignore")}, "minimise = true is of no column"),
+    ):
+        dataclasses.replace(schema, columns={**schema.columns, **changed}, minimise=True).save(f"{name}.toml")
+        asked = ["design", "mine.csv", "--schema", f"{name}.toml", "--targets", "y", "rate", "-n", "2", "--out", "x"]
+        assert main(asked) == 2
+        told = capsys.readouterr().err.strip()
+        assert told.startswith(f"deadreckon: {name}.toml: {said}")
+        assert "\n" not in told
+    assert not (table.parent / "x").exists()
 
 
 @pytest.mark.parametrize(

@@ -141,8 +141,8 @@ def _write_proposals(method: Any, data: Any, problem: Any, options: Design, out:
     written = data.write(out / "proposals.csv", made.x, more)
     for line in _told(data, made):
         print(line)
-    if made.quality is not None and made.quality.warning:
-        print(f"! {made.quality.warning}", file=sys.stderr)
+    if problem is None and made.warning:
+        print(f"! {made.warning}", file=sys.stderr)
     if scores is not None:
         print(f"{scores}\nthe oracle is {problem.about if problem else ''}")
     print(written)

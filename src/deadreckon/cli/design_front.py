@@ -1,6 +1,7 @@
 """`deadreckon design --targets A B`: proposals, lines, CSV and page for several targets at once."""
 
 import sys
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +31,50 @@ def check(name: str, options: Any) -> None:
         raise UserError("design needs --data FILE with --targets A B")
 
 
+def check_schema(path: Any, schema: Any) -> None:
+    """Refuses a schema that says what does not go with several targets.
+
+    Raises:
+        UserError: one line, with the column.
+    """
+    for role in ("weighted", "std_error"):
+        for name in schema.named(role):
+            raise UserError(
+                f"{path}: column {name} has the role {role}, which does not go with --targets; make its role input or ignore"
+            )
+    if schema.minimise and not schema.named("target"):
+        raise UserError(
+            f"{path}: minimise = true is of no column, since none is the target; leave it out, and name those of --targets "
+            "that are to be made small (--minimise NAMES)"
+        )
+
+
+def added_names(data: Any) -> list[str]:
+    """What columns of the proposals are called: prediction, deviation and that of the true score, for one target after another.
+
+    Raises:
+        UserError: two targets would have a column in common.
+    """
+    from deadreckon.mbo.proposal_table import free_name
+
+    owners: dict[str, str] = {}
+    for each in data:
+        for what in ("predicted", "predicted_std", "mean_std"):
+            name = free_name(f"{what}_{each.target}", data[0])
+            if name in owners:
+                raise UserError(
+                    f"{each.name}: targets {owners[name]} and {each.target} would both have the column {name} of the "
+                    "proposals; rename one of them in the table"
+                )
+            owners[name] = each.target
+    return list(owners)
+
+
 def write_proposals(options: Any, asked: dict[str, Any]) -> None:
-    """Proposes, writes and prints; `asked` are keywords of `Designs.from_frame`, but for the targets."""
+    """Proposes, writes and prints; `asked` are keywords of `Designs.from_frame`, but for the targets.
+
+    Those in `--minimise` are made small, and the schema's own target where the schema says so.
+    """
     from deadreckon.mbo.design_schema import DesignSchema
     from deadreckon.mbo.designs import Designs
     from deadreckon.mbo.front import propose_front, targets_of
@@ -40,8 +83,11 @@ def write_proposals(options: Any, asked: dict[str, Any]) -> None:
     from deadreckon.report.design_front import write_front
 
     schema = None if options.schema is None else DesignSchema.load(options.schema)
+    if schema is not None:
+        check_schema(options.schema, schema)
     read = Designs.from_csv if schema is None else schema.read
     data = targets_of(lambda **more: read(options.data, **more), options.targets, options.minimise or (), **asked)
+    names = added_names(data)
     point = None
     if options.reference:
         if set(options.reference) != set(options.targets):
@@ -51,13 +97,9 @@ def write_proposals(options: Any, asked: dict[str, Any]) -> None:
     with alone(out, what=str(out)):
         with Watch() as watch:
             front = propose_front(data, options.n, seed=options.seed, reference=point, repeat=options.repeat, watch=watch)
-        x, more = front.made[0].x, {}
-        for each, made in zip(data, front.made):
-            more[f"predicted_{each.target}"] = each.shown(made.predicted)
-            more[f"predicted_std_{each.target}"] = made.predicted_std
-            more[f"mean_std_{each.target}"] = made.mean_std
-        more["distance"] = nn_distance(data[0], x)
-        named = {free_name(key, data[0]): value for key, value in more.items()}
+        x = front.made[0].x
+        more = [(each.shown(made.predicted), made.predicted_std, made.mean_std) for each, made in zip(data, front.made)]
+        named: dict[str, Any] = dict(zip(names, chain(*more))) | {free_name("distance", data[0]): nn_distance(data[0], x)}
         written = data[0].write(out / "proposals.csv", x, named)
         for line in told(front):
             print(line)

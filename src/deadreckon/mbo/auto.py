@@ -16,7 +16,7 @@ from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.forward import Forward, on_held_out
 from deadreckon.mbo.gp import GP
 from deadreckon.mbo.ram import RaM
-from deadreckon.mbo.validation import ENOUGH, Quality, spearman
+from deadreckon.mbo.validation import ENOUGH, Quality, checkable, spearman
 from deadreckon.randomness import generator
 from deadreckon.training.hyperparameters import Count, Number, Sizes, host
 
@@ -42,7 +42,7 @@ class Auto(Designer):
     def solve(self, setting: DesignInput) -> list[Proposals]:
         """Proposals of the method that the rule takes, with the quality of all that were tried."""
         gp = GP(kappa=self.kappa)
-        if len(setting.data) < max(self.networks_from, ENOUGH):
+        if len(setting.data) < self.networks_from or not checkable(setting.data, 2 * ENOUGH):
             return gp.solve(setting)
         sizes = {"hidden": self.hidden, "steps": self.steps}
         tried = [gp, Forward(members=5, **sizes), RaM(**sizes)]

@@ -17,16 +17,19 @@ class BestOfData(Designer):
     from_data: ClassVar[bool] = True
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
-        """The same for every seed.
+        """Those that satisfy the rules, the same for every seed.
 
         Raises:
-            UserError: the data has fewer designs than are asked for.
+            UserError: the data has fewer such designs than are asked for.
         """
-        if setting.n > len(setting.data):
-            raise UserError(f"{setting.data.name} has {len(setting.data):,} designs, fewer than the {setting.n:,} asked for")
-        rows = setting.data.best(setting.n)
-        x, y = setting.data.x[rows], setting.data.y[rows]
-        return [Proposals(self.label, x, y, np.zeros(setting.n), seed) for seed in setting.seeds]
+        data, n = setting.data, setting.n
+        rows = data.best(len(data))
+        rows = (rows if data.repair.free else rows[data.repair.good(data.x[rows])])[:n]
+        if n > len(rows):
+            within = "" if data.repair.free else " that satisfy the rules"
+            raise UserError(f"{data.name} has {len(rows):,} designs{within}, fewer than the {n:,} asked for")
+        # Their scores were measured, which says nothing of how far they would scatter.
+        return [Proposals(self.label, data.x[rows], data.y[rows], np.full(n, np.nan), seed) for seed in setting.seeds]
 
 
 class Jitter(Designer):

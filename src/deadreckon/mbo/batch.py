@@ -80,23 +80,30 @@ class Chosen:
         self.data = data
         self.x: list[np.ndarray] = []
         self.z = np.empty((0, data.coordinates.size))
-        self.known: set[bytes] = set() if repeat else {key(row) for row in data.x}
+        self.known: set[bytes] = set() if repeat else set(keys(data, data.x))
 
     def add(self, x: np.ndarray, n: int, apart: float) -> None:
         """Takes those that are new and at least so far, in coordinates, from all that were taken, until there are n."""
-        for row, z in zip(x, self.data.coordinates.encode(x).astype(np.float64)):
+        for row, key, z in zip(x, keys(self.data, x), self.data.coordinates.encode(x).astype(np.float64)):
             if len(self.x) >= n:
                 return
-            if key(row) in self.known or (len(self.z) and np.square(self.z - z).sum(1).min() < apart**2):
+            if key in self.known or (len(self.z) and np.square(self.z - z).sum(1).min() < apart**2):
                 continue
-            self.known.add(key(row))
+            self.known.add(key)
             self.x.append(row)
             self.z = np.concatenate([self.z, z[None]])
 
 
-def key(row: np.ndarray) -> bytes:
-    """What tells designs apart: their numbers to six digits, since the seventh is no other experiment."""
-    return ",".join(f"{value + 0.0:.6g}" for value in row).encode()
+def keys(data: Designs, x: np.ndarray) -> list[bytes]:
+    """What tells (rows, variables) designs apart: whole numbers, levels and steps as they are, other numbers to six digits.
+
+    The seventh is no other experiment, but where it is the first that differs: of values between 1,000 and 1,001 it counts.
+    """
+    largest, spread = np.abs(data.x).max(0), np.ptp(data.x, axis=0)
+    alike = np.floor(np.log10(np.where(spread > 0, largest / np.where(spread > 0, spread, 1.0), 1.0))).clip(0, 3)
+    exact = [v.kind != "continuous" or v.step is not None for v in data.variables]
+    digits = [9 if e else 6 + int(a) for e, a in zip(exact, alike)]  # nine are what 32 bits hold
+    return [",".join(f"{value + 0.0:.{d}g}" for value, d in zip(row, digits)).encode() for row in x]
 
 
 def repaired(data: Designs, x: np.ndarray) -> np.ndarray:
@@ -145,9 +152,9 @@ def moved(data: Designs, x: np.ndarray, reach: float, rng: np.random.Generator) 
         seen = data.x[:, i]
         if v.log:
             away = reach * np.log(seen.max() / seen.min()) * rng.standard_normal(count)
-            x[rows, i] = (x[rows, i] * np.exp(away)).clip(v.low, v.high)
-            continue
-        away = reach * float(np.ptp(seen)) * rng.standard_normal(count)
+            away = x[rows, i] * np.expm1(away)
+        else:
+            away = reach * float(np.ptp(seen)) * rng.standard_normal(count)
         if v.kind != "continuous":
             away = np.where(away < 0, -1, 1) * np.maximum(np.round(np.abs(away)), 1)
         x[rows, i] = (x[rows, i] + away).clip(v.low, v.high)
@@ -163,8 +170,8 @@ def check_batch(data: Designs, x: np.ndarray, repeat: bool) -> None:
     for i, row in enumerate(written(data.variables, x)):
         if (rule := data.rules.broken(data.variables, row)) is not None:
             raise UserError(f"{data.name}: proposal {i} breaks {rule}")
-    keys = [key(row) for row in x]
-    if len(set(keys)) < len(keys) or not (repeat or {key(row) for row in data.x}.isdisjoint(keys)):
+    made = keys(data, x)
+    if len(set(made)) < len(made) or not (repeat or set(keys(data, data.x)).isdisjoint(made)):
         raise UserError(f"{data.name}: a proposal is there twice, or is in the data")
     apart = data.rules.apart
     if apart is not None and len(x) > 1 and distance_to_others(data, x).min() < apart * (1 - 1e-9):

@@ -13,7 +13,7 @@
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +69,7 @@ class DesignSchema:
 
     Attributes:
         columns: by name.
-        minimise: whether the target is to be made small.
+        minimise: whether the target is to be made small; counts for the column in that role alone, if there is one.
         constraints, mixtures, forbidden: see `mbo.rules.Rules.of`.
         max_distance, apart: see `mbo.rules.Rules`.
         table: options of the reader of tables, such as `separator` and `decimal`.
@@ -108,6 +108,23 @@ class DesignSchema:
             "max_distance": self.max_distance, "apart": self.apart,
         }  # fmt: skip
 
+    def called(self, more: Mapping[str, Any]) -> "DesignSchema":
+        """What it says in a call, where `more` are keywords of `Designs.from_frame`, with `target` among them.
+
+        What the call makes an output (target, standard error, weighted) has no other role, and what it ignores is no input. The
+        schema's own target and standard error are ignored where the call names others. `minimise` and the standard error are of
+        its own target, and count for no other.
+        """
+        own, said = self.named("target"), more.get("target")
+        mine = not own or said in (None, *own)
+        old = (*(own if said else ()), *(self.named("std_error") if more.get("std_error") or not mine else ()))
+        outputs, ignored = (said, more.get("std_error"), *(more.get("weights") or ())), more.get("ignore") or ()
+        columns = {
+            name: DesignColumn("ignore") if name in old else column for name, column in self.columns.items()
+            if name not in outputs and not (name in ignored and column.role == "input")
+        }  # fmt: skip
+        return replace(self, columns=columns, minimise=self.minimise and mine)
+
     def read(self, path: Path | str, **more: Any) -> Designs:
         """The designs of a file by this schema.
 
@@ -121,11 +138,11 @@ class DesignSchema:
         table, _, told = read_table(path, **self.table)
         for line in told:
             warnings.warn(f"{path}: {line}", stacklevel=2)
-        asked = together(self.options(), more)
+        asked = together(self.called(more).options(), more)
         target = asked.pop("target")
         if target is None:
             raise UserError(f'{path}: no column is the target; give one the role "target" in the schema, or name it (--target)')
-        known = {*self.columns, target, *asked["weights"]}
+        known = {*self.columns, target, asked["std_error"], *asked["weights"], *asked["ignore"]}
         strangers = [name for name in table.column_names if name not in known and name.strip()]
         if strangers:
             warnings.warn(f"{path}: not in the schema and left out: {', '.join(strangers)}", stacklevel=2)
@@ -218,7 +235,7 @@ def _column(where: str, told: Any) -> DesignColumn:
 
 
 def together(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
-    """Options with others added: entries of mappings and lists, while other values replace where they are given."""
+    """Options with others added: entries of mappings and lists; others replace, but for None, and False of what is set."""
     out = dict(first)
     for key, value in second.items():
         before = out.get(key)
@@ -226,7 +243,7 @@ def together(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, A
             out[key] = {**before, **(value or {})}
         elif isinstance(before, tuple):
             out[key] = (*before, *(value or ()))
-        elif value is not None and value is not False:
+        elif value is not None and (value is not False or key not in first):
             out[key] = value
     return out
 

@@ -45,7 +45,7 @@ class Proposals(Shown):
         method: the designer.
         x: (n, variables) as the data holds them; see `Designs.decode` for a table.
         predicted: (n,) what the method believes that they score; NaN where it believes nothing.
-        predicted_std: (n,) standard deviation of a new measurement, noise included (of `gp-bo`: of the true score); NaN
+        predicted_std: (n,) standard deviation of a new measurement, noise included, or of the true score (`noisy`); NaN
             likewise.
         seed: random seed.
         seconds: it took, of all seeds of a program together.
@@ -55,6 +55,7 @@ class Proposals(Shown):
         reason: why that one was chosen.
         mean_std: (n,) standard deviation of the true score, the mean of ever more measurements, as the model has it: it is not
             calibrated, since true scores are not in the data. None where the method does not tell it from noise.
+        noisy: whether `predicted_std` is of a measurement, noise included.
     """
 
     method: str
@@ -68,6 +69,7 @@ class Proposals(Shown):
     mean_std: np.ndarray | None = None
     compared: tuple[Quality, ...] = ()
     reason: str | None = None
+    noisy: bool = True
 
     def __len__(self) -> int:
         return len(self.x)
@@ -76,6 +78,20 @@ class Proposals(Shown):
     def predicts(self) -> bool:
         """Whether the method believes anything of its designs' scores."""
         return bool(np.isfinite(self.predicted).all())
+
+    @property
+    def of_what(self) -> str:
+        """What intervals are of."""
+        return "a new measurement, noise included" if self.noisy else "the true score, without a measurement's noise"
+
+    @property
+    def warning(self) -> str | None:
+        """What should be known before anybody tries them; None where nothing."""
+        if self.quality is not None:
+            return self.quality.warning
+        if self.fitted is None and not np.isfinite(self.predicted_std).any():
+            return None  # nothing is predicted
+        return "how well the method predicts designs that it has not seen was not tested; its predictions may rest on nothing"
 
     def calibrated(self, quality: Quality) -> "Proposals":
         """The same with deviations, of the model too, times the factor that was found out of fold."""

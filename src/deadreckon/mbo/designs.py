@@ -25,6 +25,8 @@ from deadreckon.mbo.rules import NO_RULES, Rules
 from deadreckon.mbo.variables import FEWEST, Variable, codes, filled, variable_of
 from deadreckon.provided import Shown
 
+LARGEST = 1e150  # score: the square of a larger one is none
+
 
 @dataclass(frozen=True, eq=False)
 class Designs(Shown):
@@ -67,6 +69,9 @@ class Designs(Shown):
         self.check(self.x)
         if not np.isfinite(self.y).all():
             raise UserError(f"{self.name}: {self.target} is not finite in row {int(np.argmin(np.isfinite(self.y)))}")
+        if np.abs(self.y).max(initial=0.0) > LARGEST:
+            most = int(np.abs(self.y).argmax())
+            raise UserError(f"{self.name}: {self.target} is {self.y[most]:g} in row {most}, and may be {LARGEST:g} at most")
         if len(self.y) < FEWEST:
             raise UserError(f"{self.name}: {len(self.y)} rows are too few to learn from, {FEWEST} or more are needed")
         if np.ptp(self.y) == 0:

@@ -4,7 +4,9 @@ Settings of the public baselines: 2048 x 2048, Gaussian likelihood, 200 steps of
 "mean" ensemble takes the minimum; here both are what they are called.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, ClassVar, Literal
 
 import jax
@@ -17,7 +19,7 @@ from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.fitted import Fitted, covariance_of_members, in_blocks
 from deadreckon.mbo.surrogate import Surrogate, climb
-from deadreckon.mbo.validation import ENOUGH, Quality, judged
+from deadreckon.mbo.validation import ENOUGH, Predict, Quality, checkable, judged, unseen
 from deadreckon.nets.mlp import MLP, minimum
 from deadreckon.randomness import generator
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
@@ -85,6 +87,11 @@ class Forward(Designer):
         """What tables call it."""
         return "Forward" if self.members == 1 else f"Ensemble, {self.objective}"
 
+    @property
+    def _value(self) -> Callable[[MLP, Array], Array]:
+        """What it predicts, and climbs."""
+        return mean_of if self.objective == "mean" else least_of
+
     def solve(self, setting: DesignInput) -> list[Proposals]:
         """From the best designs of the data, up the gradient."""
         learner = Gaussian(self.lr, self.members, self.hidden, 2, "relu", self.batch_size)
@@ -92,13 +99,13 @@ class Forward(Designer):
         weight = {"weight": redrawn(len(setting.data), self.members, 0)}
         states = setting.train(learner, self.steps, "forward", weight)
         view, start = setting.data.coordinates, Search.start(setting.data, setting.n)
-        value = mean_of if self.objective == "mean" else least_of
+        value = self._value
         found = []
         for seed, (nets, _) in zip(setting.seeds, states):
             x = climb(value, nets, start, self.ascent_steps, self.design_lr * view.size**0.5, *setting.bounds)
             made = self.decoded(setting, seed, x, lambda x, nets=nets: (value(nets, x), mixture(nets, x)[1]))
             found.append(replace(made, fitted=self._fitted(made.fitted, setting.data, nets)))
-        if not setting.validate or len(setting.data) < ENOUGH:
+        if not setting.validate or not checkable(setting.data, 2 * ENOUGH):
             return found
         quality = on_held_out(self, setting)
         return [each.calibrated(quality) for each in found]
@@ -122,22 +129,25 @@ class Forward(Designer):
         weight = {"weight": redrawn(len(data), self.members, 0)}
         nets = setting.train(learner, self.steps, "held-out", weight)[0][0]
         view = data.coordinates
-        mean, std = (np.asarray(each, np.float64) for each in mixture(nets, jnp.asarray(view.encode(x))))
+        z = jnp.asarray(view.encode(x))
+        mean, std = (np.asarray(each, np.float64) for each in (self._value(nets, z), mixture(nets, z)[1]))
         return view.score(mean), view.y_std * std
 
 
 def on_held_out(method: Any, setting: DesignInput, scored: bool = True) -> Quality:
-    """How well a method predicts a fifth of the designs that it is not fitted on, which calibrate its deviations crosswise.
+    """How well a method predicts a fifth of the designs, `ENOUGH` at least, that it is not fitted on and that calibrate it.
 
     Args:
         method: with `unseen`, which fits it on some designs and predicts others.
-        setting: with all the designs.
+        setting: with all the designs, twice `ENOUGH` or more.
         scored: whether it predicts scores, and not their order alone.
     """
     data = setting.data
     order = generator(0, "held-out designs").permutation(len(data))
-    held = order[: min(len(data) // 5, HELD)]
-    error = None if data.std_error is None else data.std_error[held]
-    part = setting._replace(data=data.part(order[len(held) :]), seeds=setting.seeds[:1])
-    mean, std = method.unseen(part, data.x[held], error)
+    held = order[: min(max(len(data) // 5, ENOUGH), HELD)]
+
+    def model(part: Designs) -> Predict:
+        return partial(method.unseen, setting._replace(data=part, seeds=setting.seeds[:1]))
+
+    mean, std = unseen(data, held, order[len(held) :], model)
     return judged(data.y[held], mean, std, np.arange(len(held)) % 2, method.label, scored=scored)

@@ -19,7 +19,7 @@ from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.gp import GP, search
 from deadreckon.mbo.hypervolume import hypervolume, improvement, non_dominated, reference_of
 from deadreckon.mbo.process import Process, fit
-from deadreckon.mbo.validation import ENOUGH, Quality, cross_validated
+from deadreckon.mbo.validation import Quality, checkable, cross_validated
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.randomness import generator
 
@@ -141,7 +141,7 @@ def propose_front(
         watch("targets", k, len(data))
         used = gp.used(each)
         processes.append(fit(used, rows=gp.fit_rows))
-        qualities.append(cross_validated(used, gp.predictor, each.target) if len(each) >= ENOUGH else None)
+        qualities.append(cross_validated(used, gp.predictor, each.target) if checkable(each) else None)
     rows = np.flatnonzero(non_dominated(y))
     pool = candidates(data[0], tuple(processes), y, n, seed)
     gains = Gains(processes, pool, data[0].x[rows], point, seed)
@@ -163,8 +163,8 @@ def _predicted(process: Process, x: np.ndarray, seed: int, quality: Quality | No
 def _range(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(scores,) the least scores of the front, and its ranges; those of all rows where it is flat."""
     front = y[non_dominated(y)]
-    span = np.ptp(front, axis=0)
-    return front.min(0), np.where(span > 0, span, np.maximum(np.ptp(y, axis=0), 1e-12))
+    span, all_rows = np.ptp(front, axis=0), np.ptp(y, axis=0)
+    return front.min(0), np.where(span > 0, span, np.where(all_rows > 0, all_rows, 1.0))
 
 
 def candidates(data: Designs, processes: tuple[Process, ...], y: np.ndarray, n: int, seed: int) -> np.ndarray:

@@ -15,7 +15,7 @@ from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.fitted import Fitted
 from deadreckon.mbo.process import Process, fit
-from deadreckon.mbo.validation import ENOUGH, Predict, cross_validated
+from deadreckon.mbo.validation import Predict, checkable, cross_validated
 from deadreckon.randomness import generator
 from deadreckon.training.hyperparameters import Count, CountOrZero, Number, host
 
@@ -45,7 +45,7 @@ class GP(Designer):
         """One process for all seeds, which differ in their searches."""
         data = self.used(setting.data)
         process, quality = fit(data, rows=self.fit_rows), None
-        if self.folds > 1 and len(data) >= ENOUGH:
+        if self.folds > 1 and checkable(data):
             setting.watch("cross-validation", 0, self.folds)
             quality = cross_validated(data, self.predictor, self.label, self.folds)
         found = []

@@ -168,7 +168,7 @@ def fit(data: Designs, rows: int = 400) -> Process:
     from scipy.optimize import minimize
 
     features = Features.of(data)
-    y_mean, y_std = float(data.y.mean()), max(float(data.y.std()), 1e-12)
+    y_mean, y_std = float(data.y.mean()), float(data.y.std()) or 1.0
     y, f, ratio = (data.y - y_mean) / y_std, features(data.x), relative_noise(data)
     count = len(data.variables)
     prior = np.concatenate([np.full(count, 2**0.5 + 0.5 * np.log(count)), [0.0, -4.0]])

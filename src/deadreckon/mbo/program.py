@@ -146,7 +146,7 @@ class Program:
         from scipy.sparse import csr_array
 
         where = [(k, column, value) for k, (row, _, _) in enumerate(rows) for column, value in row.items()]
-        k, columns, values = zip(*where)
+        k, columns, values = zip(*where) if where else ((), (), ())
         matrix = csr_array((values, (k, columns)), shape=(len(rows), len(cost)))
         whole = np.zeros(len(cost))
         whole[self.whole] = 1

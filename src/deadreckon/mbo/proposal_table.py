@@ -55,8 +55,8 @@ def about(data: Designs, made: Proposals) -> dict[str, list[Any]]:
             lines["warning"] = made.quality.warning
     lines |= {
         "predicted": MEAN,
-        "predicted_std": ONE,
-        "predicted_low, predicted_high": f"the {PERCENT} interval of one new measurement",
+        "predicted_std": ONE if made.noisy else TRUE,
+        "predicted_low, predicted_high": f"the {PERCENT} interval of {made.of_what}",
         **({} if made.mean_std is None else {"mean_std": TRUE}),
         "distance": DISTANCE,
         "nearest_row": "row of the data that is nearest, counted from 0 without the line of names",

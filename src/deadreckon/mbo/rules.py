@@ -50,25 +50,27 @@ class Linear:
 
 @dataclass(frozen=True)
 class Clause:
-    """A condition on one variable: `relation` is one of =, !=, <, <=, >, >=; of levels one of the first two.
+    """A condition on one variable.
 
     Attributes:
         column: of the designs.
-        relation: between its value and the given one.
-        value: a fraction, or the index of a level.
+        relation: between its value and the given one: =, !=, <, <=, > or >=.
+        value: the given one; of levels the index of one, or the number that they are compared with.
+        levels: indices of the levels that satisfy it, in whatever order these stand; None of a number.
     """
 
     column: int
     relation: str
     value: Fraction
+    levels: tuple[int, ...] | None = None
 
     def holds(self, value: Fraction) -> bool:
-        """Whether a value satisfies it."""
-        return COMPARED[self.relation](value, self.value)
+        """Whether a value, or the index of a level, satisfies it."""
+        return COMPARED[self.relation](value, self.value) if self.levels is None else value in self.levels
 
     def met(self, values: np.ndarray) -> np.ndarray:
         """(rows,) which values satisfy it, in floating point."""
-        return COMPARED[self.relation](values, float(self.value))
+        return COMPARED[self.relation](values, float(self.value)) if self.levels is None else np.isin(values, self.levels)
 
 
 @dataclass(frozen=True)
@@ -134,10 +136,10 @@ class Rules:
         parts = [f"{' + '.join(f'`{each}`' for each in group)} = 1" for group in mixtures]
         linear = tuple(_linear(text, variables, name) for text in [*constraints, *parts])
         for text in forbidden:
-            if (count := text.count("&") + 1) > _CONDITIONS:
+            if (count := len(_conditions(text))) > _CONDITIONS:
                 raise UserError(f"{name}: {text[:60]!r} ... has {count:,} conditions, and {_CONDITIONS} are the most")
         combinations = tuple(
-            Forbidden(tuple(_clause(part, variables, name, text) for part in text.split("&")), text) for text in forbidden
+            Forbidden(tuple(_clause(part, variables, name, text) for part in _conditions(text)), text) for text in forbidden
         )
         pinned = [_fixed(text, variables, name) for text in fixed]
         if twice := {column for column, _ in pinned if [c for c, _ in pinned].count(column) > 1}:
@@ -243,6 +245,11 @@ def _terms(side: str, text: str, variables: Sequence[Variable], name: str) -> li
     return out
 
 
+def _conditions(text: str) -> list[str]:
+    """Of a forbidden combination; & within a name in backticks separates none."""
+    return re.split(r"&(?=(?:[^`]*`[^`]*`)*[^`]*$)", text)
+
+
 def _clause(part: str, variables: Sequence[Variable], name: str, text: str) -> Clause:
     """`temp > 80` as a condition."""
     left, relation, right = _sides(part, name, f"each condition of the forbidden combination {text!r}")
@@ -250,14 +257,12 @@ def _clause(part: str, variables: Sequence[Variable], name: str, text: str) -> C
     v = variables[column]
     if v.leveled and relation not in ("=", "!=") and not v.numeric_levels:
         raise UserError(f"{name}: forbidden combination {text!r}: {v.name} has levels, which are compared by = and != alone")
-    if v.leveled and v.numeric_levels and relation not in ("=", "!="):
-        # As a condition on the index: that of the first level beyond the number.
-        bound = _fraction(right, v, name)
-        count = sum(Fraction(str(each)) < bound for each in v.levels)
-        equal = sum(Fraction(str(each)) == bound for each in v.levels)
-        index = count + equal if relation in (">", "<=") else count
-        return Clause(column, {">": ">=", ">=": ">=", "<": "<", "<=": "<"}[relation], Fraction(index))
-    return Clause(column, relation, Fraction(_level(right, v, name)) if v.leveled else _fraction(right, v, name))
+    if not v.leveled:
+        return Clause(column, relation, _fraction(right, v, name))
+    same = relation in ("=", "!=")
+    bound = Fraction(_level(right, v, name)) if same else _fraction(right, v, name)
+    values = [Fraction(i) if same else Fraction(str(level)) for i, level in enumerate(v.levels)]
+    return Clause(column, relation, bound, tuple(i for i, value in enumerate(values) if COMPARED[relation](value, bound)))
 
 
 def _fixed(text: str, variables: Sequence[Variable], name: str) -> tuple[int, float]:

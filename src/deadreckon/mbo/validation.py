@@ -21,7 +21,7 @@ from deadreckon.stats.interval import NORMAL
 SHARE = 0.95  # of truths that an interval should hold
 FOLDS = 5
 CHANCE = 0.025  # share of tables without any relation on which a method may be called skilled
-ENOUGH = 2 * FEWEST  # rows from which on models are cross-validated
+ENOUGH = 2 * FEWEST  # different designs that have to be predicted: of fewer than 19 no factor holds 95 % (`conformal_factor`)
 
 # (m, variables) designs and (m,) standard errors of their scores, or None -> (m,) mean and deviation of these, with noise
 Predict = Callable[[np.ndarray, np.ndarray | None], tuple[np.ndarray, np.ndarray]]
@@ -34,13 +34,14 @@ class Quality:
     Attributes:
         method: the model.
         observed, predicted, std: (rows,) scores, and what was said of them out of fold, before calibration.
-        r2: share of the scores' variance that is predicted; below 0 where the mean would be better; NaN, as `coverage`, where
-            the model predicts an order alone.
+        r2: share of the scores' variance that is predicted; below 0 where the mean would be better; 0 of scores that are all
+            the same; NaN, as `coverage`, where the model predicts an order alone.
         rank_correlation: Spearman's.
         coverage: share of scores within the calibrated interval of 95 %, crosswise.
         factor: on standard deviations, so that the interval holds its share.
         tried: how many methods were tried of which this is one.
         crossed: whether each row has taught the models of all other folds, as in cross-validation.
+        scored: whether the model predicts scores, and not their order alone.
     """
 
     method: str
@@ -53,6 +54,7 @@ class Quality:
     factor: float
     tried: int = 1
     crossed: bool = False
+    scored: bool = True
 
     @property
     def skilled(self) -> bool:
@@ -73,7 +75,7 @@ class Quality:
         return "the model ranks unseen designs no better than chance; its proposals rest on nothing that the table shows"
 
     def __str__(self) -> str:
-        if not np.isfinite(self.r2):
+        if not self.scored:
             return f"{self.method} out of fold: rank correlation {self.rank_correlation:.2f} (it predicts an order, not scores)"
         return (
             f"{self.method} out of fold: R2 {self.r2:.2f}, rank correlation {self.rank_correlation:.2f}, "
@@ -81,11 +83,20 @@ class Quality:
         )
 
 
+def checkable(data: Designs, count: int = ENOUGH) -> bool:
+    """Whether there are enough different designs, `count`, to say how well a model predicts those that it has not seen.
+
+    Fewer than `FEWEST` designs are not pooled (`mbo.replicates`): rows of one of them would lie in different folds, and a model
+    that has only kept in mind what it has seen would be praised.
+    """
+    return len(np.unique(data.x, axis=0)) >= count
+
+
 def cross_validated(data: Designs, model: Callable[[Designs], Predict], method: str, folds: int = FOLDS) -> Quality:
     """Fits a model on all folds but one, predicts that one, and so on.
 
     Args:
-        data: scored designs, each of which is in one fold; `ENOUGH` or more.
+        data: scored designs, all different, of which there are enough (`checkable`).
         model: fits designs.
         method: its name.
         folds: how many.
@@ -93,24 +104,29 @@ def cross_validated(data: Designs, model: Callable[[Designs], Predict], method: 
     fold = generator(0, "folds of designs").permutation(len(data)) % folds
     mean, std = np.empty(len(data)), np.empty(len(data))
     for k in range(folds):
-        rest = np.flatnonzero(fold != k)
-        # A part in which all scores or designs are the same teaches nothing.
-        if np.ptp(data.y[rest]) == 0 or not np.ptp(data.x[rest], axis=0).any():
-            mean[fold == k], std[fold == k] = data.y[rest].mean(), data.y.std()
-            continue
-        error = None if data.std_error is None else data.std_error[fold == k]
-        mean[fold == k], std[fold == k] = model(data.part(rest))(data.x[fold == k], error)
+        mean[fold == k], std[fold == k] = unseen(data, np.flatnonzero(fold == k), np.flatnonzero(fold != k), model)
     return replace(judged(data.y, mean, std, fold, method), crossed=True)
+
+
+def unseen(
+    data: Designs, held: np.ndarray, rest: np.ndarray, model: Callable[[Designs], Predict]
+) -> tuple[np.ndarray, np.ndarray]:
+    """(held,) means and deviations of the scores of some rows, by a model that was fitted to others."""
+    # Rows whose scores or designs are all the same teach nothing.
+    if np.ptp(data.y[rest]) == 0 or not np.ptp(data.x[rest], axis=0).any():
+        return np.full(len(held), data.y[rest].mean()), np.full(len(held), data.y.std())
+    error = None if data.std_error is None else data.std_error[held]
+    return model(data.part(rest))(data.x[held], error)
 
 
 def judged(y: np.ndarray, mean: np.ndarray, std: np.ndarray, fold: np.ndarray, method: str, scored: bool = True) -> Quality:
     """What predictions out of fold are worth: (rows,) scores, means, deviations and folds; `scored`: they are no mere order."""
     if not scored:
-        return Quality(method, y, mean, std, np.nan, spearman(y, mean), np.nan, 1.0)
-    error = np.abs(y - mean) / np.maximum(std, 1e-12)
+        return Quality(method, y, mean, std, np.nan, spearman(y, mean), np.nan, 1.0, scored=False)
+    error = np.abs(y - mean) / np.maximum(std, 1e-12 * (y.std() or 1.0))  # in whatever unit the scores are
     inside = [error[fold == k] <= NORMAL * conformal_factor(error[fold != k]) for k in np.unique(fold)]
     return Quality(
-        method, y, mean, std, float(1 - np.square(y - mean).sum() / np.square(y - y.mean()).sum()),
+        method, y, mean, std, 0.0 if np.ptp(y) == 0 else float(1 - np.square(y - mean).sum() / np.square(y - y.mean()).sum()),
         spearman(y, mean), float(np.concatenate(inside).mean()),
         conformal_factor(error),
     )  # fmt: skip

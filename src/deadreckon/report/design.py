@@ -41,7 +41,7 @@ def write_design(data: Designs, made: Proposals, far: np.ndarray, out: Path | st
     effects = averages(data, made.fitted) if made.fitted is not None and len(data.variables) <= MANY else []
     chosen = first_choice(made, far)
     sections: list[tuple[str, str, Markup | None]] = [
-        ("one", "If only one is tried", join(one_to_try(data, made, far), None if chosen is None else rule_note())),
+        ("one", "If only one is tried", join(one_to_try(data, made, far), None if chosen is None else rule_note(made))),
         ("doubts", "What the model does not know", doubts(data, made, far, effects)),
         ("designs", "Designs", _table(data, made, far, scores)),
         ("predicted", title, _chart(data, made, far, scores)),
@@ -60,7 +60,7 @@ def write_design(data: Designs, made: Proposals, far: np.ndarray, out: Path | st
 def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None) -> str:
     """The most important thing in a sentence or two."""
     best = number(float(data.shown(data.y.max())))
-    warning = None if made.quality is None else made.quality.warning
+    warning = made.warning if scores is None else None
     parts = [f"{warning.capitalize()}."] if warning else []
     parts.append(f"The best of the data has {data.target} {best}.")
     if made.predicts:
@@ -86,7 +86,7 @@ def _chart(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | Non
     ]
     unit = "usual distances to the data" if scores is None else f"{data.target}, true"
     text = (
-        f"Whiskers: {PERCENT} interval {'for a new measurement, noise included' if made.quality else 'of the prediction'}, "
+        f"Whiskers: {PERCENT} interval of {made.of_what}{'' if made.quality else ', by the model, not calibrated'}, "
         "where the method gives a standard deviation. A usual distance is the "
         "median distance of a scored design to its nearest neighbour, in standardised coordinates."
     )

@@ -272,11 +272,11 @@ def _plain(value: float) -> str:
     return f"{value:.2f}".replace("-", "\N{MINUS SIGN}")
 
 
-def rule_note() -> Markup:
+def rule_note(made: Proposals) -> Markup:
     """By which rule the proposal is chosen."""
     return note(
         f"Rule: the proposal whose {PERCENT} interval has the best lower end (the upper end where the target is to be small), "
         f"or the best prediction where the method gives no interval, among those within {FAR:g} usual distances of a scored "
-        "row. The interval is of the true score; a single measurement scatters more. Rows are counted from 0, without the line "
-        "of names; proposals are the rows of proposals.csv, counted likewise."
+        f"row. The interval is of {made.of_what}. Rows are counted from 0, without the line of names; proposals are the rows "
+        "of proposals.csv, counted likewise."
     )

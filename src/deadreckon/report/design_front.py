@@ -51,8 +51,8 @@ def _chart(front: Front) -> Markup:
     half = NORMAL * np.stack([made.predicted_std for made in front.made], 1)
     nan, mark = float("nan"), ("", " (front)")
     points = [
-        (f"row {i}{mark[int(best[i])]}", 2 - int(best[i]), float(observed[i, 0]), 0.0, float(observed[i, 1]), nan, nan)
-        for i in kept
+        (f"row {row}{mark[int(best[i])]}", 2 - int(best[i]), float(observed[i, 0]), 0.0, float(observed[i, 1]), nan, nan)
+        for i, row in zip(kept, front.data[0].numbered(kept))
     ] + [
         (f"design {i}", 0, float(x), 0.0, float(y), float(y - half[i, 1]), float(y + half[i, 1]))
         for i, (x, y) in enumerate(predicted)
@@ -76,7 +76,7 @@ def _table(front: Front, x: np.ndarray, scores: np.ndarray, rows: np.ndarray, pr
         heads += [f"{each.target}{', predicted' if predicted else ''}", *([f"{each.target}, std"] if predicted else [])]
     lines = []
     for k, i in enumerate(chosen):
-        cells = [tag("th", str(i), scope="row")]
+        cells = [tag("th", str(i if predicted else front.data[0].numbered(i)), scope="row")]
         for j, made in enumerate(front.made):
             cells.append(tag("td", tag("b", number(float(shown[i, j])))))
             cells += [tag("td", number(float(made.predicted_std[i])))] if predicted else []

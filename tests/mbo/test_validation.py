@@ -1,0 +1,95 @@
+"""What is said of a model out of fold, where the table is an awkward one."""
+
+import numpy as np
+import pytest
+
+from deadreckon.errors import UserError
+from deadreckon.mbo import designer
+from deadreckon.mbo.designer import DesignInput
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.forward import Forward, on_held_out
+from deadreckon.mbo.gp import GP
+from deadreckon.mbo.proposal_table import about
+from deadreckon.mbo.variables import Variable
+from deadreckon.report.design_advice import rule_note
+
+AB = (Variable("a", low=0.0, high=1.0), Variable("b", low=0.0, high=1.0))
+
+
+def table(rows=40, scale=1.0):
+    rng = np.random.default_rng(0)
+    x = rng.uniform(size=(rows, 2))
+    return Designs(x, scale * (np.sin(3 * x[:, 0]) + x[:, 1] + 0.1 * rng.standard_normal(rows)), AB)
+
+
+def test_the_unit_of_the_scores_does_not_matter():
+    """Femtofarads or farads: deviations of 1e-12 and less were cut off, and held 0 % of new scores."""
+    one, tiny = (designer("gp", rounds=5).propose(table(scale=scale), 4, validate=True) for scale in (1.0, 1e-15))
+    assert tiny.quality.r2 == pytest.approx(one.quality.r2, abs=0.02)
+    assert tiny.quality.coverage == pytest.approx(one.quality.coverage, abs=0.03)
+    assert tiny.predicted_std.mean() == pytest.approx(1e-15 * one.predicted_std.mean(), rel=0.1, abs=0.0)
+
+
+@pytest.mark.filterwarnings("ignore:.*replicate")
+def test_replicates_of_few_designs_are_not_taken_for_rows_that_the_model_has_not_seen():
+    """Their means are noise, which a model that has seen one of four replicates knows: R2 was 0.9."""
+    rng = np.random.default_rng(0)
+    x = np.repeat(rng.uniform(size=(8, 2)), 4, axis=0)
+    y = np.repeat(rng.standard_normal(8), 4) + 0.1 * rng.standard_normal(32)
+    made = designer("gp", rounds=5).propose(Designs(x, y, AB), 3, validate=True)
+    assert made.quality is None
+    assert "was not tested" in made.warning
+    assert designer("random").propose(Designs(x, y, AB), 3).warning is None  # predicts nothing
+
+
+@pytest.mark.parametrize("where", ["held out", "learned from"])
+def test_one_score_that_differs_is_no_reason_to_stop(where):
+    """Wherever it falls: what is left of the scores is flat."""
+    data = table(60)
+    setting = DesignInput(data, 4, [0], None, lambda what, step, steps: None)
+    order = np.random.default_rng(0)  # any table will do of which the one row lies on either side
+    found = {}
+    for row in order.permutation(60):
+        rare = Designs(data.x, (np.arange(60) == row).astype(float), AB)
+        with np.errstate(divide="raise", invalid="raise"):
+            quality = on_held_out(GP(), setting._replace(data=rare))
+        found["held out" if quality.observed.any() else "learned from"] = quality
+        if where in found:
+            break
+    assert found[where].r2 <= 0.05
+    assert not found[where].skilled
+    assert "R2" in str(found[where])
+
+
+def test_scores_whose_squares_are_none_are_refused():
+    with pytest.raises(UserError, match=r"y is 1e\+200 in row 3, and may be 1e\+150 at most"):
+        Designs(table().x, np.where(np.arange(40) == 3, 1e200, 0.0), AB)
+
+
+def test_intervals_are_said_to_be_of_what_they_are_of():
+    """A measurement's, but for gp-bo's, which are of the true score."""
+    told = {}
+    for name, fields in (("gp", {"rounds": 5}), ("gp-bo", {"ascent_steps": 5})):
+        made = designer(name, **fields).propose(table(), 3)
+        lines = about(table(), made)
+        told[name] = dict(zip(lines["what"], lines["value"]))["predicted_low, predicted_high"], str(rule_note(made))
+    assert all("of a new measurement, noise included" in text for text in told["gp"])
+    assert all("of the true score, without a measurement" in text for text in told["gp-bo"])
+
+
+@pytest.mark.parametrize("objective", ["mean", "min"])
+def test_an_ensemble_is_judged_by_what_it_predicts(objective):
+    """The least of the members' predictions is below their mean, out of fold too."""
+    method = Forward(members=3, objective=objective, hidden=(16,), steps=60)
+    setting = DesignInput(table(60), 4, [0], None, lambda what, step, steps: None)
+    nets_mean = method.replace(objective="mean").unseen(setting, table(60).x[:20], None)[0]
+    found = method.unseen(setting, table(60).x[:20], None)[0]
+    assert (found < nets_mean).all() == (objective == "min")
+
+
+def test_a_method_that_is_fitted_once_holds_out_enough_to_calibrate_by():
+    """Of 45 rows a fifth is 9, of which none holds 95 %."""
+    setting = DesignInput(table(45), 4, [0], None, lambda what, step, steps: None)
+    assert len(on_held_out(Forward(hidden=(8,), steps=20), setting).observed) == 20
+    few = Forward(hidden=(8,), steps=20, ascent_steps=5).propose(table(39), 3, validate=True)
+    assert few.quality is None
