@@ -8,7 +8,7 @@ from deadreckon.bench.store import JobResult, Store
 
 
 def keep(store: Store, job: Job, scores: Sequence[float], **more: Sequence[float]) -> None:
-    """Keeps a job's scores, of its first seeds where there are fewer.
+    """Keeps a job's scores: if there are fewer than seeds, those of the first seeds.
 
     Args:
         store: that is to have them.

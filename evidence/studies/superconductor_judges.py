@@ -33,7 +33,7 @@ def designs(case: str, *, seed: int, method: str, **fields: float) -> dict[str, 
     Returns:
         shown: the greatest temperature that the method was shown, in K.
         best, median: of the designs by the benchmark's boosting (374 trees of depth 16), in K.
-        best_half, median_half: by the same, learned from every other row.
+        best_half, median_half: by the same, learned from every other row that is not held out.
         best_shallow, median_shallow: by the same with trees of depth 6.
         best_histogram, median_histogram: by 300 trees of 31 leaves on binned values, at a rate of 0.1.
     """

@@ -78,6 +78,9 @@ def test_direction_and_standard_error_are_of_the_schemas_own_target(table):
     assert [v.name for v in own.variables] == ["heat", "rate", "colour"]
     assert [v.name for v in other.variables] == ["heat", "colour"]  # neither the old target nor its error
     assert [v.name for v in schema.read(table, std_error="rate").variables] == ["heat", "colour"]
+    weighted = dataclasses.replace(schema, columns={**schema.columns, "layers": DesignColumn("weighted", weight=-5.0)})
+    assert weighted.read(table).target == "y - 5 layers"
+    assert weighted.read(table, target="rate").target == "rate"
     nameless = dataclasses.replace(schema, columns={"heat": DesignColumn("input")})
     assert nameless.read(table, target="rate", ignore=("y", "layers", "colour")).minimise
 

@@ -10,6 +10,7 @@ from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.forward import Forward, on_held_out
 from deadreckon.mbo.gp import GP
 from deadreckon.mbo.proposal_table import about
+from deadreckon.mbo.validation import checkable
 from deadreckon.mbo.variables import Variable
 from deadreckon.report.design_advice import rule_note
 
@@ -39,6 +40,10 @@ def test_replicates_of_few_designs_are_not_taken_for_rows_that_the_model_has_not
     made = designer("gp", rounds=5).propose(Designs(x, y, AB), 3, validate=True)
     assert made.quality is None
     assert "was not tested" in made.warning
+    # Nor of many, where they were not pooled: those of a design lay in different folds.
+    many = np.repeat(rng.uniform(size=(25, 2)), 4, axis=0)
+    assert not checkable(Designs(many, np.repeat(rng.standard_normal(25), 4) + 0.1 * rng.standard_normal(100), AB))
+    assert checkable(table(25))
     assert designer("random").propose(Designs(x, y, AB), 3).warning is None  # predicts nothing
 
 
@@ -61,7 +66,7 @@ def test_one_score_that_differs_is_no_reason_to_stop(where):
     assert "R2" in str(found[where])
 
 
-def test_scores_whose_squares_are_none_are_refused():
+def test_scores_whose_squares_overflow_are_refused():
     with pytest.raises(UserError, match=r"y is 1e\+200 in row 3, and may be 1e\+150 at most"):
         Designs(table().x, np.where(np.arange(40) == 3, 1e200, 0.0), AB)
 

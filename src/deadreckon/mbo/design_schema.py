@@ -112,12 +112,13 @@ class DesignSchema:
         """What it says in a call, where `more` are keywords of `Designs.from_frame`, with `target` among them.
 
         What the call makes an output (target, standard error, weighted) has no other role, and what it ignores is no input. The
-        schema's own target and standard error are ignored where the call names others. `minimise` and the standard error are of
-        its own target, and count for no other.
+        schema's own target and standard error are ignored where the call names others. `minimise`, the standard error and what
+        is weighted are of its own target, and count for no other.
         """
         own, said = self.named("target"), more.get("target")
         mine = not own or said in (None, *own)
-        old = (*(own if said else ()), *(self.named("std_error") if more.get("std_error") or not mine else ()))
+        old = [*(own if said else ()), *(self.named("std_error") if more.get("std_error") or not mine else ())]
+        old += [] if mine else self.named("weighted")
         outputs, ignored = (said, more.get("std_error"), *(more.get("weights") or ())), more.get("ignore") or ()
         columns = {
             name: DesignColumn("ignore") if name in old else column for name, column in self.columns.items()

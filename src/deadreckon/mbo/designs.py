@@ -25,7 +25,7 @@ from deadreckon.mbo.rules import NO_RULES, Rules
 from deadreckon.mbo.variables import FEWEST, Variable, codes, filled, variable_of
 from deadreckon.provided import Shown
 
-LARGEST = 1e150  # score: the square of a larger one is none
+LARGEST = 1e150  # score: squares of larger ones would overflow
 
 
 @dataclass(frozen=True, eq=False)

@@ -66,8 +66,7 @@ class Front:
     @property
     def warnings(self) -> list[str]:
         """What should be known before anybody tries the proposals, by target."""
-        found = [(each.target, made.quality) for each, made in zip(self.data, self.made)]
-        return [f"{target}: {quality.warning}" for target, quality in found if quality is not None and quality.warning]
+        return [f"{each.target}: {made.warning}" for each, made in zip(self.data, self.made) if made.warning]
 
 
 @dataclass(frozen=True)

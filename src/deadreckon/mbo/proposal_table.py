@@ -51,8 +51,8 @@ def about(data: Designs, made: Proposals) -> dict[str, list[Any]]:
     }  # fmt: skip
     if made.quality is not None:
         lines["out of fold"] = str(made.quality)
-        if made.quality.warning:
-            lines["warning"] = made.quality.warning
+    if made.warning:
+        lines["warning"] = made.warning
     lines |= {
         "predicted": MEAN,
         "predicted_std": ONE if made.noisy else TRUE,
@@ -72,6 +72,7 @@ def about_front(front: Front) -> dict[str, list[Any]]:
         "data": first.name, "rows": len(first),
         **{f"target {each.target}": f"to be made {'small' if each.minimise else 'large'}" for each in front.data},
         **{f"out of fold, {d.target}": str(m.quality) for d, m in zip(front.data, front.made) if m.quality is not None},
+        **{f"warning, {d.target}": m.warning for d, m in zip(front.data, front.made) if m.warning},
         "hypervolume of the data": front.before, "expected to be added": front.gain,
         "predicted_TARGET": MEAN,
         "predicted_std_TARGET": ONE,

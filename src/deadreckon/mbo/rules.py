@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -193,10 +194,14 @@ def _column(given: str, variables: Sequence[Variable], name: str) -> int:
     return names.index(given)
 
 
+def _bare(text: str) -> str:
+    """Signs within names in backticks separate nothing."""
+    return re.sub(r"`[^`]*`", lambda match: "_" * len(match[0]), text)
+
+
 def _sides(text: str, name: str, what: str) -> tuple[str, str, str]:
     """What stands before a relation, the relation, and what stands behind it."""
-    bare = re.sub(r"`[^`]*`", lambda match: "_" * len(match[0]), text)  # relations within names are none
-    found = list(_RELATION.finditer(bare))
+    found = list(_RELATION.finditer(_bare(text)))
     if len(found) != 1:
         raise UserError(f"{name}: {what} needs one relation, got {text!r}")
     at = found[0]
@@ -247,7 +252,8 @@ def _terms(side: str, text: str, variables: Sequence[Variable], name: str) -> li
 
 def _conditions(text: str) -> list[str]:
     """Of a forbidden combination; & within a name in backticks separates none."""
-    return re.split(r"&(?=(?:[^`]*`[^`]*`)*[^`]*$)", text)
+    cuts = [i for i, sign in enumerate(_bare(text)) if sign == "&"]
+    return [text[start + 1 : end] for start, end in pairwise([-1, *cuts, len(text)])]
 
 
 def _clause(part: str, variables: Sequence[Variable], name: str, text: str) -> Clause:

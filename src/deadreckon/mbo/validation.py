@@ -84,12 +84,12 @@ class Quality:
 
 
 def checkable(data: Designs, count: int = ENOUGH) -> bool:
-    """Whether there are enough different designs, `count`, to say how well a model predicts those that it has not seen.
+    """Whether there are enough designs, `count`, to say how well a model predicts those that it has not seen, all different.
 
-    Fewer than `FEWEST` designs are not pooled (`mbo.replicates`): rows of one of them would lie in different folds, and a model
-    that has only kept in mind what it has seen would be praised.
+    Replicates that were not pooled (`mbo.replicates`), as those of fewer than `FEWEST` designs, would lie in different folds,
+    and a model that has only kept in mind what it has seen would be praised.
     """
-    return len(np.unique(data.x, axis=0)) >= count
+    return len(np.unique(data.x, axis=0)) == len(data) >= count
 
 
 def cross_validated(data: Designs, model: Callable[[Designs], Predict], method: str, folds: int = FOLDS) -> Quality:

@@ -23,7 +23,7 @@ def on_average(data: Designs, made: Proposals, effects: list[Effect]) -> Markup 
         return None
     drawn = _panels(data, made, effects, None)
     captions = [_caption(data, each, len(effects)) for each in effects]
-    warning = made.warning
+    warning = None if made.quality is None else made.quality.warning
     parts = [
         f"Each curve is the prediction averaged over {min(len(data), ROWS):,} rows of the data in which the variable has the "
         "value shown and the others are as they are (partial dependence).",
