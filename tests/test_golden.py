@@ -6,10 +6,7 @@ import pytest
 from tests import golden
 
 # Methods whose programs take seconds to compile, and most of whose code others below run, too.
-SLOW = {
-    "mbo/cbas", "mbo/autofocus", "online/steve", "online/mve", "online/rlpd", "online/slbo", "online/dapg",
-    "fine-tuning/td3_bc", "fine-tuning/cal_ql",
-}  # fmt: skip
+SLOW = {"mbo/cbas", "online/steve", "online/rlpd", "online/slbo", "online/dapg", "fine-tuning/td3_bc"}
 
 
 @pytest.mark.parametrize(
