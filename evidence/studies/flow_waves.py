@@ -1,6 +1,6 @@
 """Space-time diagrams of the ring and the merge, as drivers leave them and as controllers that are known to calm traffic do.
 
-python evidence/studies/flow_waves.py --picture docs/results/flow-waves.svg
+    python evidence/studies/flow_waves.py --picture docs/results/flow-waves.svg
 """
 
 from collections.abc import Callable

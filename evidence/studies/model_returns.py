@@ -60,11 +60,7 @@ class Options:
 
 @eqx.filter_jit
 def made_up(
-    agent: OnlineModelBasedAgent,
-    ensemble: Ensemble,
-    policy: EnvPolicy,
-    starts: Float[Array, "n o"],
-    key: PRNGKeyArray,
+    agent: OnlineModelBasedAgent, ensemble: Ensemble, policy: EnvPolicy, starts: Float[Array, "n o"], key: PRNGKeyArray,
     horizon: int,
 ) -> Float[Array, "t n"]:
     """Returns so far of episodes in the model."""
@@ -86,11 +82,7 @@ def made_up(
 
 @eqx.filter_jit
 def fan(
-    agent: OnlineModelBasedAgent,
-    ensemble: Ensemble,
-    start: Float[Array, "o"],
-    actions: Float[Array, "t a"],
-    n: int,
+    agent: OnlineModelBasedAgent, ensemble: Ensemble, start: Float[Array, "o"], actions: Float[Array, "t a"], n: int,
     key: PRNGKeyArray,
 ) -> Float[Array, "t n o"]:
     """Observations that follow the same actions, without an end; one that is not finite stays where it was."""

@@ -1,5 +1,7 @@
 """What is said of a model out of fold, where the table is an awkward one."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -8,11 +10,13 @@ from deadreckon.mbo import designer
 from deadreckon.mbo.designer import DesignInput
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.forward import Forward, on_held_out
+from deadreckon.mbo.front import propose_front
 from deadreckon.mbo.gp import GP
-from deadreckon.mbo.proposal_table import about
+from deadreckon.mbo.proposal_table import about, about_front
 from deadreckon.mbo.validation import checkable
 from deadreckon.mbo.variables import Variable
 from deadreckon.report.design_advice import rule_note
+from deadreckon.report.design_front import _table
 
 AB = (Variable("a", low=0.0, high=1.0), Variable("b", low=0.0, high=1.0))
 
@@ -98,3 +102,18 @@ def test_a_method_that_is_fitted_once_holds_out_enough_to_calibrate_by():
     assert len(on_held_out(Forward(hidden=(8,), steps=20), setting).observed) == 20
     few = Forward(hidden=(8,), steps=20, ascent_steps=5).propose(table(39), 3, validate=True)
     assert few.quality is None
+
+
+@pytest.mark.filterwarnings("ignore:.*are pooled")
+def test_what_was_not_tested_is_told_of_several_targets_and_in_spreadsheets_too():
+    rng = np.random.default_rng(0)
+    a = np.repeat(rng.uniform(size=12), 2)
+    frame = {"a": a, "y": rng.normal(size=24), "z": rng.normal(size=24)}
+    front = propose_front([Designs.from_frame(frame, target, ignore=(other,)) for target, other in ("yz", "zy")], 2)
+    assert [line.partition(":")[0] for line in front.warnings] == ["y", "z"]
+    assert all("was not tested" in line for line in front.warnings)
+    assert {"warning, y", "warning, z"} <= set(about_front(front)["what"])
+    assert "warning" in about(front.data[0], front.made[0])["what"]
+    shown = re.findall(r'scope="row">(\d+)<', str(_table(front, front.data[0].x, front.observed, np.ones(12, bool))))
+    assert set(map(int, shown)) <= set(range(0, 24, 2))  # rows of the table, of which every other one is pooled
+    assert max(map(int, shown)) > 11
