@@ -761,7 +761,7 @@ MUTANTS = (
         ("mbo/test_nemo.py::test_designs_travel_no_further_than_they_may",),
     ),
     Mutant(
-        "sum-unchecked", "mbo/rules.py", "total == self.bound if self.equal", "True if self.equal",
+        "sum-unchecked", "mbo/constraints.py", "total == self.bound if self.equal", "True if self.equal",
         "sums that must equal a number are not checked", ("mbo/test_batch.py",),
     ),
     Mutant(
@@ -788,9 +788,19 @@ MUTANTS = (
         ("mbo/test_validation.py::test_replicates_of_few_designs_are_not_taken_for_rows_that_the_model_has_not_seen",),
     ),
     Mutant(
-        "levels-ascend", "mbo/rules.py", "if self.levels is None else value", "if True else value",
+        "levels-ascend", "mbo/constraints.py", "if self.levels is None else value", "if True else value",
         "levels that are numbers are compared by their places",
         ("mbo/test_rules.py::test_levels_that_are_numbers_are_compared_as_numbers_in_whatever_order_they_stand",),
+    ),
+    Mutant(
+        "decimals-unasked", "mbo/repair.py", "- FINE, -self.rules.decimals(i))", "- FINE, 0)",
+        "sums with fixed parts of many decimals are called impossible",
+        ("mbo/test_rules.py::test_what_must_be_equal_has_as_many_decimals_as_it_takes",),
+    ),
+    Mutant(
+        "bounds-rounded-out", "mbo/variables.py", "low, high = _within(float(low), 1), _within(float(high), -1)", "pass",
+        "proposals lie beyond bounds of more digits than 32 bits hold",
+        ("mbo/test_rules.py::test_proposals_do_not_lie_beyond_bounds_as_they_are_written",),
     ),
     Mutant(
         "best-forbidden", "mbo/baselines.py", "rows if data.repair.free else", "rows if True else",

@@ -11,6 +11,7 @@ from deadreckon.mbo import designer
 from deadreckon.mbo.batch import batch, check_batch, keys, moved
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.nn_distance import nn_distance, usual_distance
+from deadreckon.mbo.process import fit
 from tests.mbo.practice import SIZES, TABLES
 
 
@@ -127,6 +128,17 @@ def test_a_least_distance_between_proposals_is_kept(method):
 
 
 @pytest.mark.filterwarnings("ignore:.*are pooled")
+def test_copies_of_rows_say_nothing_of_the_noise():
+    rng = np.random.default_rng(0)
+    a, y, count = rng.uniform(size=20), rng.normal(size=20) / 3, [3] * 10 + [5, 5, 4, 4] + [1] * 6
+    with pytest.warns(UserWarning, match="48 rows are replicates of 14 designs with the same y to the last digit; one of each"):
+        data = Designs.from_frame({"a": np.repeat(a, count), "y": np.repeat(y, count)}, "y")
+    assert data.std_error is None
+    assert data.replicates is None
+    np.testing.assert_allclose(np.sort(data.y), np.sort(y))
+    assert np.isclose(fit(data).noise, fit(Designs.from_frame({"a": a, "y": y}, "y")).noise)
+
+
 def test_replicates_are_pooled_with_their_noise():
     frame = {"a": [0, 0, 0, 1, 1, *range(2, 12)], "y": [1.0, 2.0, 3.0, 5.0, 7.0, *[0.5] * 10]}
     with pytest.warns(UserWarning, match="5 rows are replicates of 2 designs and are pooled; .* between replicates is 1.15"):

@@ -37,6 +37,14 @@ def test_what_is_drafted_reads_the_same_designs(table):
     assert data.variables[3].levels == ("blue", "green", "red")
 
 
+@pytest.mark.parametrize("value", [False, 0, 0.0, "no"])
+def test_values_that_are_false_or_zero_are_saved_too(tmp_path, value):
+    column = DesignColumn("input", "categorical", levels=(False, True), fix=value)
+    schema = DesignSchema({"a": column, "cost": DesignColumn("weighted", weight=0.0), "y": DesignColumn("target")})
+    schema.save(tmp_path / "mine.toml")
+    assert DesignSchema.load(tmp_path / "mine.toml") == schema
+
+
 def test_roles_and_rules_that_are_added_are_obeyed(table, capsys):
     schema, _ = describe(table)
     schema.save("mine.toml")

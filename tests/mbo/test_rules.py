@@ -68,3 +68,53 @@ def test_an_ampersand_within_a_name_separates_no_conditions():
     salt = Variable("salt & pepper", "continuous", 0.0, 1.0)
     [found] = Rules.of([salt, B], forbidden=["`salt & pepper` > 0.5 & b > 0.2"]).forbidden
     assert [(each.column, each.relation) for each in found.clauses] == [(0, ">"), (1, ">")]
+
+
+def mixture(**rules) -> Designs:
+    rng = np.random.default_rng(0)
+    parts = rng.dirichlet([1, 1, 1], 40).round(4)
+    parts[:, 2] = (1 - parts[:, 0] - parts[:, 1]).round(4)
+    frame = dict(zip("pqr", parts.T)) | {"kind": ["u", "v"] * 20, "y": rng.normal(size=40)}
+    return Designs.from_frame(frame, "y", **rules)
+
+
+@pytest.mark.parametrize(
+    "rules",
+    [{"mixtures": ["pqr"], "fixed": ["p=0.333333"]}, {"mixtures": ["pqr"], "fixed": ["p=0.3333333"]},
+     {"constraints": ["p + q = 0.123456"]}, {"constraints": ["2.5 p + q = 1.234567"]}],
+)  # fmt: skip
+def test_what_must_be_equal_has_as_many_decimals_as_it_takes(rules):
+    data = mixture(**rules)
+    found, good = data.repair.exact(data.x)
+    assert good.all()
+    assert data.repair.good(found).all()
+    assert len(np.unique(found[:, 1])) > 5  # not one way out for all
+
+
+def test_a_ratio_of_more_decimals_than_32_bits_hold_is_refused_with_the_way_to_write_it():
+    with pytest.raises(UserError, match="without 'p - 0.333333 q = 0' there would be some; .* in whole numbers, such as 3 a"):
+        mixture(constraints=["p - 0.333333 q = 0"], bounds={"q": (0.001, 0.9)})
+    data = mixture(constraints=["3 p - q = 0"])
+    assert data.repair.exact(data.x)[1].all()
+
+
+def test_rules_that_leave_no_candidate_of_a_search_crash_nothing():
+    data = mixture(constraints=["p - 0.333333 q = 0"], bounds={"p": (0.0, 1.0), "q": (0.0, 1.0)})
+    assert data.coordinates.encode(data.x[:0]).shape == (0, 4)
+
+
+@pytest.mark.parametrize("high", [0.999999999, 0.9876543, 16777216.3, 1.0])
+def test_proposals_do_not_lie_beyond_bounds_as_they_are_written(high):
+    data = mixture(bounds={"p": (-high, high)})
+    v = data.variables[0]
+    assert abs(v.high - high) < 1e-6 * high
+    far = np.array([[-9 * high, 0.5, 0.5, 0], [9 * high, 0.5, 0.5, 0]])
+    free = data.coordinates.decode(data.coordinates.encode(far))
+    ruled = mixture(bounds={"p": (-high, high)}, constraints=["p + q <= 2"]).repair.exact(far)[0]
+    for end in (*free[:, 0], *ruled[:, 0]):
+        assert abs(Fraction(str(end))) <= Fraction(str(high))
+
+
+def test_bounds_between_which_32_bits_hold_no_number():
+    with pytest.raises(UserError, match="column a: 32 bits hold no number between its bounds 0.30000001 and 0.30000001"):
+        Designs.from_frame({"a": [0.30000001] * 16, "y": np.arange(16.0)}, "y", bounds={"a": (0.30000001, 0.30000001)})

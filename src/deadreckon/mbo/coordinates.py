@@ -92,7 +92,7 @@ class Coordinates:
         for columns, n in self.groups:
             index = x[:, columns].astype(int)
             logits = (index[..., None] == np.arange(n)).astype(np.float64)
-            parts.append((logits[..., 1:] - logits[..., :1]).reshape(len(x), -1))
+            parts.append((logits[..., 1:] - logits[..., :1]).reshape(len(x), len(columns) * (n - 1)))
         return np.concatenate(parts, 1).astype(np.float32)
 
     def decode(self, z: np.ndarray) -> np.ndarray:

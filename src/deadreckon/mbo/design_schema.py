@@ -201,9 +201,9 @@ class DesignSchema:
         for name, column in self.columns.items():
             lines.append(f"[columns.{toml_value(name)}]")
             lines += [f"# {shown(' '.join(column.about.split()))}"] if column.about else []
-            given = {f.name: getattr(column, f.name) for f in fields(column) if f.name != "about"}
-            said = {key: value for key, value in given.items() if value not in (None, "") and value is not False}
-            lines += [f"{key} = {toml_value(value)}" for key, value in said.items()]
+            told = {f.name: getattr(column, f.name) for f in fields(column) if f.name != "about"}
+            told = {f.name: told[f.name] for f in fields(column) if f.name in told and told[f.name] != f.default}
+            lines += [f"{key} = {toml_value(value)}" for key, value in told.items()]
             lines.append("")
         return "\n".join(lines)
 

@@ -7,7 +7,8 @@ from fractions import Fraction
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.mbo.rules import Clause, Rules
+from deadreckon.mbo.constraints import Clause
+from deadreckon.mbo.rules import Rules
 from deadreckon.mbo.variables import Variable
 
 SECONDS = 5.0  # that one program may take
@@ -69,7 +70,12 @@ class Program:
                     row |= {self.at[i] + level: float(weight) * float(value) for level, value in enumerate(v.levels)}
                 else:
                     row[self.at[i]] = float(weight * self._unit(i))
-            self.rows.append((row, float(each.bound) if each.equal else -math.inf, float(each.bound)))
+            # In units of the finest grid, beside which the solver's tolerance of 1e-6 is nothing.
+            grids = [abs(float(weight * self._unit(i))) for i, weight in each.weights if i not in fixed and steps[i]]
+            fine = min([1.0, *grids])
+            bound = float(each.bound) / fine
+            row = {column: value / fine for column, value in row.items()}
+            self.rows.append((row, bound if each.equal else -math.inf, bound))
         for each in rules.forbidden:
             self.rows.append(({self._fails(clause): 1.0 for clause in each.clauses}, 1.0, math.inf))
 

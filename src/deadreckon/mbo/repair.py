@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.mbo.constraints import places
 from deadreckon.mbo.program import Program, ends
 from deadreckon.mbo.rules import Rules, written
 
@@ -47,8 +48,9 @@ class Repair:
             return Fraction(1) if v.kind == "integer" else None
         low, high = (b if math.isfinite(b) else float(s) for b, s in ((v.low, seen.min()), (v.high, seen.max())))
         largest = max(abs(low), abs(high), 1e-30)
-        digits = math.floor(math.log10(max(high - low, 1e-7 * largest))) - FINE
-        return Fraction(10) ** max(digits, math.ceil(math.log10(largest)) - 6)  # seven digits are what 32 bits hold
+        digits = min(math.floor(math.log10(max(high - low, 1e-7 * largest))) - FINE, -self.rules.decimals(i))
+        apart = np.spacing(np.nextafter(np.float32(largest), np.float32(0)))  # of the largest numbers of 32 bits
+        return Fraction(10) ** max(digits, math.ceil(math.log10(apart)))
 
     def good(self, x: np.ndarray) -> np.ndarray:
         """(rows,) which designs satisfy all rules exactly as they are written."""
@@ -172,4 +174,6 @@ class Repair:
                 if without(replace(rules, **{kind: tuple(e for e in getattr(rules, kind) if e is not each)})):
                     blamed.append(("forbidding " if kind == "forbidden" else "") + each.text)
         told = f"; without {' or without '.join(map(repr, blamed))} there would be some" if blamed else ""
+        if any(each.equal and max(places(weight) for _, weight in each.weights) >= FINE for each in rules.linear):
+            told += "; numbers have the seven digits that 32 bits hold: write a ratio in whole numbers, such as 3 a - b = 0"
         raise UserError(f"{name}: no design within the bounds satisfies all constraints{told}")

@@ -18,7 +18,8 @@ def pooled(data: "Designs") -> "Designs":
     A pooled score is the mean of its rows; where these have standard errors above 0, the mean weighed by their inverse squares.
     Its standard error follows from those of the rows where they are given, else from the scatter within designs, pooled over
     all designs (the pooled variance of one-way analysis of variance): s / sqrt(measurements), for unreplicated designs too.
-    Data without replicates is given back as it is, and so is data of fewer than `FEWEST` different designs.
+    Data without replicates is given back as it is, and so is data of fewer than `FEWEST` different designs. Where all
+    replicates have the same score to the last digit, nothing is learned of the noise: of each design one row is kept.
     """
     _, first, which = np.unique(data.x, axis=0, return_index=True, return_inverse=True)
     which = which.reshape(-1)
@@ -35,13 +36,17 @@ def pooled(data: "Designs") -> "Designs":
     freedom = len(data) - len(first)
     plain = np.bincount(which, data.y) / count
     scatter = float(np.sqrt(np.square(data.y - plain[which]).sum() / freedom))
+    repeated = f"{data.name}: {int(count[count > 1].sum())} rows are replicates of {int((count > 1).sum())} designs"
+    if given is None and (data.y == data.y[first][which]).all():
+        told = f"{repeated} with the same {data.target} to the last digit; one of each is kept, as if the others were copies"
+        warnings.warn(told, stacklevel=3)
+        return replace(data, x=data.x[first], y=data.y[first], table_rows=data.numbered(first))
     if given is None:
         error = scatter / np.sqrt(count)
     else:
         error = np.sqrt(np.bincount(which, np.square(weight * given))) / np.bincount(which, weight)
     warnings.warn(
-        f"{data.name}: {int(count[count > 1].sum())} rows are replicates of {int((count > 1).sum())} designs and are pooled; "
-        f"the standard deviation of {data.target} between replicates is {scatter:.3g}",
+        f"{repeated} and are pooled; the standard deviation of {data.target} between replicates is {scatter:.3g}",
         stacklevel=3,
     )
     return replace(data, x=data.x[first], y=y, replicates=count, std_error=error, table_rows=data.numbered(first))

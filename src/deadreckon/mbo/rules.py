@@ -4,82 +4,18 @@ All are checked exactly, as fractions of the decimal numbers that are written, s
 """
 
 import math
-import operator
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from deadreckon.errors import UserError, unknown
+from deadreckon.errors import UserError
+from deadreckon.mbo.constraints import Forbidden, Linear, conditions, places, read_clause, read_fixed, read_linear
 from deadreckon.mbo.variables import Variable
 
-_NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
-_LONGEST, _EXPONENT = 100, 300  # characters of a number, and its exponent of ten
-_LARGEST = 1e300
 _CONDITIONS = 50  # of a forbidden combination
-COMPARED = {
-    "=": operator.eq, "!=": operator.ne, "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
-}  # fmt: skip
-_RELATION = re.compile(r"<=|>=|==|!=|=|<|>")
-
-
-@dataclass(frozen=True)
-class Linear:
-    """A weighted sum of numbers that is at most, or exactly, a bound.
-
-    Attributes:
-        weights: (column of the designs, weight) of each variable in it.
-        equal: whether the sum must equal the bound.
-        bound: of the sum.
-        text: as it was given.
-    """
-
-    weights: tuple[tuple[int, Fraction], ...]
-    equal: bool
-    bound: Fraction
-    text: str
-
-    def holds(self, values: Sequence[Any]) -> bool:
-        """Whether a design, with its values as they are written, satisfies it."""
-        total = sum(weight * values[column] for column, weight in self.weights)
-        return total == self.bound if self.equal else total <= self.bound
-
-
-@dataclass(frozen=True)
-class Clause:
-    """A condition on one variable.
-
-    Attributes:
-        column: of the designs.
-        relation: between its value and the given one: =, !=, <, <=, > or >=.
-        value: the given one; of levels the index of one, or the number that they are compared with.
-        levels: indices of the levels that satisfy it, in whatever order these stand; None of a number.
-    """
-
-    column: int
-    relation: str
-    value: Fraction
-    levels: tuple[int, ...] | None = None
-
-    def holds(self, value: Fraction) -> bool:
-        """Whether a value, or the index of a level, satisfies it."""
-        return COMPARED[self.relation](value, self.value) if self.levels is None else value in self.levels
-
-    def met(self, values: np.ndarray) -> np.ndarray:
-        """(rows,) which values satisfy it, in floating point."""
-        return COMPARED[self.relation](values, float(self.value)) if self.levels is None else np.isin(values, self.levels)
-
-
-@dataclass(frozen=True)
-class Forbidden:
-    """A combination of conditions that no proposal may satisfy all at once; `text` is as it was given."""
-
-    clauses: tuple[Clause, ...]
-    text: str
 
 
 @dataclass(frozen=True)
@@ -105,6 +41,16 @@ class Rules:
         """Columns that linear constraints and forbidden combinations are about."""
         linear = {column for each in self.linear for column, _ in each.weights}
         return linear | {clause.column for each in self.forbidden for clause in each.clauses}
+
+    def decimals(self, column: int) -> int:
+        """Decimals that the other numbers of the equalities with a column have: its weights', fixed parts' and bounds'."""
+        fixed = {c: Fraction(str(np.float32(value))) for c, value in self.fixed}
+        found = [0]
+        for each in self.linear:
+            if each.equal and column in (weights := dict(each.weights)):
+                left = each.bound - sum(weight * fixed.get(c, 0) for c, weight in weights.items())
+                found += [places(left), *map(places, weights.values())]
+        return max(found)
 
     @classmethod
     def of(
@@ -135,14 +81,14 @@ class Rules:
             UserError: one line that says what cannot be read.
         """
         parts = [f"{' + '.join(f'`{each}`' for each in group)} = 1" for group in mixtures]
-        linear = tuple(_linear(text, variables, name) for text in [*constraints, *parts])
+        linear = tuple(read_linear(text, variables, name) for text in [*constraints, *parts])
         for text in forbidden:
-            if (count := len(_conditions(text))) > _CONDITIONS:
+            if (count := len(conditions(text))) > _CONDITIONS:
                 raise UserError(f"{name}: {text[:60]!r} ... has {count:,} conditions, and {_CONDITIONS} are the most")
         combinations = tuple(
-            Forbidden(tuple(_clause(part, variables, name, text) for part in _conditions(text)), text) for text in forbidden
+            Forbidden(tuple(read_clause(part, variables, name, text) for part in conditions(text)), text) for text in forbidden
         )
-        pinned = [_fixed(text, variables, name) for text in fixed]
+        pinned = [read_fixed(text, variables, name) for text in fixed]
         if twice := {column for column, _ in pinned if [c for c, _ in pinned].count(column) > 1}:
             raise UserError(f"{name}: {variables[min(twice)].name} is fixed twice")
         if max_distance is not None and not max_distance > 0:
@@ -184,136 +130,3 @@ def written(variables: Sequence[Variable], x: np.ndarray) -> list[list[Any]]:
     """(rows, variables) designs as they are written (the shortest number that float32 tells apart); of levels the index."""
     whole = [v.kind != "continuous" for v in variables]
     return [[int(i) if w else str(np.float32(i)) for w, i in zip(whole, row)] for row in np.asarray(x, np.float32)]
-
-
-def _column(given: str, variables: Sequence[Variable], name: str) -> int:
-    names = [v.name for v in variables]
-    given = given.strip().strip("`")
-    if given not in names:
-        raise UserError(f"{name}: {unknown('variable', given, names)}")
-    return names.index(given)
-
-
-def _bare(text: str) -> str:
-    """Signs within names in backticks separate nothing."""
-    return re.sub(r"`[^`]*`", lambda match: "_" * len(match[0]), text)
-
-
-def _sides(text: str, name: str, what: str) -> tuple[str, str, str]:
-    """What stands before a relation, the relation, and what stands behind it."""
-    found = list(_RELATION.finditer(_bare(text)))
-    if len(found) != 1:
-        raise UserError(f"{name}: {what} needs one relation, got {text!r}")
-    at = found[0]
-    return text[: at.start()], {"==": "="}.get(at[0], at[0]), text[at.end() :]
-
-
-def _linear(text: str, variables: Sequence[Variable], name: str) -> Linear:
-    """`a + 2 b <= 0.8` as a constraint."""
-    left, relation, right = _sides(text, name, 'a constraint such as "a + b <= 0.8"')
-    if relation not in ("<=", ">=", "="):
-        raise UserError(f"{name}: constraint {text!r} takes <=, >= or =, not {relation}")
-    weights: dict[int, Fraction] = {}
-    constant = Fraction(0)
-    for side, sign in ((left, 1), (right, -1)):
-        for factor, column in _terms(side, text, variables, name):
-            if column is None:
-                constant += sign * factor
-            else:
-                weights[column] = weights.get(column, Fraction(0)) + sign * factor
-    weights = {column: weight for column, weight in weights.items() if weight}
-    if not weights:
-        raise UserError(f"{name}: constraint {text!r} names no variable")
-    for column in weights:
-        v = variables[column]
-        if v.leveled and not v.numeric_levels:
-            raise UserError(f"{name}: constraint {text!r} is of numbers, and {v.name} has levels; use a forbidden combination")
-    turn = -1 if relation == ">=" else 1
-    turned = tuple((column, turn * weight) for column, weight in weights.items())
-    return Linear(turned, relation == "=", -turn * constant, text.replace("`", ""))
-
-
-def _terms(side: str, text: str, variables: Sequence[Variable], name: str) -> list[tuple[Fraction, int | None]]:
-    """(factor, column) of each term of a sum; column None of numbers alone."""
-    term = re.compile(rf"\s*([+-])?\s*({_NUMBER})?\s*\*?\s*(`[^`]+`|[^\W\d]\w*)?\s*")
-    at, out = 0, []
-    while at < len(side.rstrip()):
-        found = term.match(side, at)
-        if found is None or (found[2] is None and found[3] is None) or (out and found[1] is None):
-            where = side[at:].strip()
-            raise UserError(f"{name}: constraint {text!r} cannot be read at {where!r}; a sum such as a + 2 b is needed")
-        factor = (Fraction(1) if found[2] is None else _exact(found[2], name)) * (-1 if found[1] == "-" else 1)
-        out.append((factor, None if found[3] is None else _column(found[3], variables, name)))
-        at = found.end()
-    if not out:
-        raise UserError(f"{name}: constraint {text!r} has an empty side")
-    return out
-
-
-def _conditions(text: str) -> list[str]:
-    """Of a forbidden combination; & within a name in backticks separates none."""
-    cuts = [i for i, sign in enumerate(_bare(text)) if sign == "&"]
-    return [text[start + 1 : end] for start, end in pairwise([-1, *cuts, len(text)])]
-
-
-def _clause(part: str, variables: Sequence[Variable], name: str, text: str) -> Clause:
-    """`temp > 80` as a condition."""
-    left, relation, right = _sides(part, name, f"each condition of the forbidden combination {text!r}")
-    column = _column(left, variables, name)
-    v = variables[column]
-    if v.leveled and relation not in ("=", "!=") and not v.numeric_levels:
-        raise UserError(f"{name}: forbidden combination {text!r}: {v.name} has levels, which are compared by = and != alone")
-    if not v.leveled:
-        return Clause(column, relation, _fraction(right, v, name))
-    same = relation in ("=", "!=")
-    bound = Fraction(_level(right, v, name)) if same else _fraction(right, v, name)
-    values = [Fraction(i) if same else Fraction(str(level)) for i, level in enumerate(v.levels)]
-    return Clause(column, relation, bound, tuple(i for i, value in enumerate(values) if COMPARED[relation](value, bound)))
-
-
-def _fixed(text: str, variables: Sequence[Variable], name: str) -> tuple[int, float]:
-    """`temp=60` as a column and what a design holds there."""
-    left, relation, right = _sides(text, name, 'a fixed value such as "temp=60"')
-    if relation != "=":
-        raise UserError(f"{name}: a fixed value is NAME=VALUE, got {text!r}")
-    column = _column(left, variables, name)
-    v = variables[column]
-    value = float(_level(right, v, name) if v.leveled else _fraction(right, v, name))
-    if not v.leveled and not v.low <= value <= v.high:
-        raise UserError(f"{name}: {v.name} is fixed at {value:g}, outside its bounds [{v.low:g}, {v.high:g}]")
-    if v.kind == "integer" and value != round(value):
-        raise UserError(f"{name}: {v.name} holds whole numbers and is fixed at {value:g}")
-    return column, value
-
-
-def _level(text: str, v: Variable, name: str) -> int:
-    """The index of a level that was given as a text."""
-    given = text.strip().strip("`'\"")
-    for i, level in enumerate(v.levels):
-        if str(level).lower() == given.lower() if isinstance(level, bool) else str(level) == given:
-            return i
-    raise UserError(f"{name}: {unknown(f'level of {v.name}', given, list(map(str, v.levels)))}")
-
-
-def _fraction(text: str, v: Variable, name: str) -> Fraction:
-    try:
-        return _exact(text.strip(), name)
-    except (ValueError, ZeroDivisionError) as error:
-        if isinstance(error, UserError):
-            raise
-        raise UserError(f"{name}: {v.name} is compared with {text.strip()!r}, a number is needed") from None
-
-
-def _exact(text: str, name: str) -> Fraction:
-    """A number as it is written; raises ValueError where there is none.
-
-    As a fraction, 1e999999999 would have a billion digits; what no float holds is no bound of a design either.
-    """
-    exponent = re.search(r"[eE]([+-]?\d+)\s*$", text)
-    if len(text) > _LONGEST or (exponent is not None and abs(int(exponent[1])) > _EXPONENT):
-        most = f"up to {_LONGEST} characters and exponents from -{_EXPONENT} to {_EXPONENT}"
-        raise UserError(f"{name}: the number {text[:40]!r} is too long or too large; numbers have {most}")
-    found = Fraction(text)
-    if abs(found) > _LARGEST:
-        raise UserError(f"{name}: the number {text[:40]!r} is too large; numbers are at most {_LARGEST:.0e} from zero")
-    return found

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import Any, Literal
 
 import numpy as np
@@ -142,7 +143,19 @@ def _number(
     if outside.any():
         row = int(np.argmax(outside))
         raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, outside the bounds [{low:g}, {high:g}]")
+    if bounds is not None:
+        low, high = _within(float(low), 1), _within(float(high), -1)
+        if low > high:
+            raise UserError(f"{name}: column {column}: 32 bits hold no number between its bounds {bounds[0]} and {bounds[1]}")
     return values, Variable(column, kind, float(low), float(high))  # type: ignore[arg-type]
+
+
+def _within(bound: float, inwards: int) -> float:
+    """The nearest number to a bound that 32 bits hold and that, as it is written, does not lie beyond it."""
+    found = np.float32(bound)
+    if math.isfinite(bound) and inwards * (Fraction(str(found)) - Fraction(str(bound))) < 0:
+        found = np.nextafter(found, np.float32(inwards * math.inf))
+    return float(str(found))
 
 
 def _typed(levels: Sequence[Any], stored: pa.DataType) -> tuple[Any, ...]:

@@ -1,0 +1,221 @@
+"""Linear constraints, forbidden combinations and fixed values, and how they are read from what people write.
+
+Numbers are fractions of the decimal numbers that are written, so that a mixture that must sum to 1 can do so exactly.
+"""
+
+import operator
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from deadreckon.errors import UserError, unknown
+from deadreckon.mbo.variables import Variable
+
+_NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
+_LONGEST, _EXPONENT = 100, 300  # characters of a number, and its exponent of ten
+_LARGEST = 1e300
+COMPARED = {
+    "=": operator.eq, "!=": operator.ne, "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
+}  # fmt: skip
+_RELATION = re.compile(r"<=|>=|==|!=|=|<|>")
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A weighted sum of numbers that is at most, or exactly, a bound.
+
+    Attributes:
+        weights: (column of the designs, weight) of each variable in it.
+        equal: whether the sum must equal the bound.
+        bound: of the sum.
+        text: as it was given.
+    """
+
+    weights: tuple[tuple[int, Fraction], ...]
+    equal: bool
+    bound: Fraction
+    text: str
+
+    def holds(self, values: Sequence[Any]) -> bool:
+        """Whether a design, with its values as they are written, satisfies it."""
+        total = sum(weight * values[column] for column, weight in self.weights)
+        return total == self.bound if self.equal else total <= self.bound
+
+
+@dataclass(frozen=True)
+class Clause:
+    """A condition on one variable.
+
+    Attributes:
+        column: of the designs.
+        relation: between its value and the given one: =, !=, <, <=, > or >=.
+        value: the given one; of levels the index of one, or the number that they are compared with.
+        levels: indices of the levels that satisfy it, in whatever order these stand; None of a number.
+    """
+
+    column: int
+    relation: str
+    value: Fraction
+    levels: tuple[int, ...] | None = None
+
+    def holds(self, value: Fraction) -> bool:
+        """Whether a value, or the index of a level, satisfies it."""
+        return COMPARED[self.relation](value, self.value) if self.levels is None else value in self.levels
+
+    def met(self, values: np.ndarray) -> np.ndarray:
+        """(rows,) which values satisfy it, in floating point."""
+        return COMPARED[self.relation](values, float(self.value)) if self.levels is None else np.isin(values, self.levels)
+
+
+@dataclass(frozen=True)
+class Forbidden:
+    """A combination of conditions that no proposal may satisfy all at once; `text` is as it was given."""
+
+    clauses: tuple[Clause, ...]
+    text: str
+
+
+def _column(given: str, variables: Sequence[Variable], name: str) -> int:
+    names = [v.name for v in variables]
+    given = given.strip().strip("`")
+    if given not in names:
+        raise UserError(f"{name}: {unknown('variable', given, names)}")
+    return names.index(given)
+
+
+def _bare(text: str) -> str:
+    """Signs within names in backticks separate nothing."""
+    return re.sub(r"`[^`]*`", lambda match: "_" * len(match[0]), text)
+
+
+def _sides(text: str, name: str, what: str) -> tuple[str, str, str]:
+    """What stands before a relation, the relation, and what stands behind it."""
+    found = list(_RELATION.finditer(_bare(text)))
+    if len(found) != 1:
+        raise UserError(f"{name}: {what} needs one relation, got {text!r}")
+    at = found[0]
+    return text[: at.start()], {"==": "="}.get(at[0], at[0]), text[at.end() :]
+
+
+def read_linear(text: str, variables: Sequence[Variable], name: str) -> Linear:
+    """`a + 2 b <= 0.8` as a constraint."""
+    left, relation, right = _sides(text, name, 'a constraint such as "a + b <= 0.8"')
+    if relation not in ("<=", ">=", "="):
+        raise UserError(f"{name}: constraint {text!r} takes <=, >= or =, not {relation}")
+    weights: dict[int, Fraction] = {}
+    constant = Fraction(0)
+    for side, sign in ((left, 1), (right, -1)):
+        for factor, column in _terms(side, text, variables, name):
+            if column is None:
+                constant += sign * factor
+            else:
+                weights[column] = weights.get(column, Fraction(0)) + sign * factor
+    weights = {column: weight for column, weight in weights.items() if weight}
+    if not weights:
+        raise UserError(f"{name}: constraint {text!r} names no variable")
+    for column in weights:
+        v = variables[column]
+        if v.leveled and not v.numeric_levels:
+            raise UserError(f"{name}: constraint {text!r} is of numbers, and {v.name} has levels; use a forbidden combination")
+    turn = -1 if relation == ">=" else 1
+    turned = tuple((column, turn * weight) for column, weight in weights.items())
+    return Linear(turned, relation == "=", -turn * constant, text.replace("`", ""))
+
+
+def _terms(side: str, text: str, variables: Sequence[Variable], name: str) -> list[tuple[Fraction, int | None]]:
+    """(factor, column) of each term of a sum; column None of numbers alone."""
+    term = re.compile(rf"\s*([+-])?\s*({_NUMBER})?\s*\*?\s*(`[^`]+`|[^\W\d]\w*)?\s*")
+    at, out = 0, []
+    while at < len(side.rstrip()):
+        found = term.match(side, at)
+        if found is None or (found[2] is None and found[3] is None) or (out and found[1] is None):
+            where = side[at:].strip()
+            raise UserError(f"{name}: constraint {text!r} cannot be read at {where!r}; a sum such as a + 2 b is needed")
+        factor = (Fraction(1) if found[2] is None else _exact(found[2], name)) * (-1 if found[1] == "-" else 1)
+        out.append((factor, None if found[3] is None else _column(found[3], variables, name)))
+        at = found.end()
+    if not out:
+        raise UserError(f"{name}: constraint {text!r} has an empty side")
+    return out
+
+
+def conditions(text: str) -> list[str]:
+    """Of a forbidden combination; & within a name in backticks separates none."""
+    cuts = [i for i, sign in enumerate(_bare(text)) if sign == "&"]
+    return [text[start + 1 : end] for start, end in pairwise([-1, *cuts, len(text)])]
+
+
+def read_clause(part: str, variables: Sequence[Variable], name: str, text: str) -> Clause:
+    """`temp > 80` as a condition."""
+    left, relation, right = _sides(part, name, f"each condition of the forbidden combination {text!r}")
+    column = _column(left, variables, name)
+    v = variables[column]
+    if v.leveled and relation not in ("=", "!=") and not v.numeric_levels:
+        raise UserError(f"{name}: forbidden combination {text!r}: {v.name} has levels, which are compared by = and != alone")
+    if not v.leveled:
+        return Clause(column, relation, _fraction(right, v, name))
+    same = relation in ("=", "!=")
+    bound = Fraction(_level(right, v, name)) if same else _fraction(right, v, name)
+    values = [Fraction(i) if same else Fraction(str(level)) for i, level in enumerate(v.levels)]
+    return Clause(column, relation, bound, tuple(i for i, value in enumerate(values) if COMPARED[relation](value, bound)))
+
+
+def read_fixed(text: str, variables: Sequence[Variable], name: str) -> tuple[int, float]:
+    """`temp=60` as a column and what a design holds there."""
+    left, relation, right = _sides(text, name, 'a fixed value such as "temp=60"')
+    if relation != "=":
+        raise UserError(f"{name}: a fixed value is NAME=VALUE, got {text!r}")
+    column = _column(left, variables, name)
+    v = variables[column]
+    value = float(_level(right, v, name) if v.leveled else _fraction(right, v, name))
+    if not v.leveled and not v.low <= value <= v.high:
+        raise UserError(f"{name}: {v.name} is fixed at {value:g}, outside its bounds [{v.low:g}, {v.high:g}]")
+    if v.kind == "integer" and value != round(value):
+        raise UserError(f"{name}: {v.name} holds whole numbers and is fixed at {value:g}")
+    return column, value
+
+
+def _level(text: str, v: Variable, name: str) -> int:
+    """The index of a level that was given as a text."""
+    given = text.strip().strip("`'\"")
+    for i, level in enumerate(v.levels):
+        if str(level).lower() == given.lower() if isinstance(level, bool) else str(level) == given:
+            return i
+    raise UserError(f"{name}: {unknown(f'level of {v.name}', given, list(map(str, v.levels)))}")
+
+
+def _fraction(text: str, v: Variable, name: str) -> Fraction:
+    try:
+        return _exact(text.strip(), name)
+    except (ValueError, ZeroDivisionError) as error:
+        if isinstance(error, UserError):
+            raise
+        raise UserError(f"{name}: {v.name} is compared with {text.strip()!r}, a number is needed") from None
+
+
+def places(number: Fraction) -> int:
+    """Decimals of a number with finitely many of them."""
+    count = 0
+    while number.denominator != 1:
+        number, count = number * 10, count + 1
+    return count
+
+
+def _exact(text: str, name: str) -> Fraction:
+    """A number as it is written; raises ValueError where there is none.
+
+    As a fraction, 1e999999999 would have a billion digits; what no float holds is no bound of a design either.
+    """
+    exponent = re.search(r"[eE]([+-]?\d+)\s*$", text)
+    if len(text) > _LONGEST or (exponent is not None and abs(int(exponent[1])) > _EXPONENT):
+        most = f"up to {_LONGEST} characters and exponents from -{_EXPONENT} to {_EXPONENT}"
+        raise UserError(f"{name}: the number {text[:40]!r} is too long or too large; numbers have {most}")
+    found = Fraction(text)
+    if abs(found) > _LARGEST:
+        raise UserError(f"{name}: the number {text[:40]!r} is too large; numbers are at most {_LARGEST:.0e} from zero")
+    return found
