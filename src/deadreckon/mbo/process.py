@@ -47,7 +47,7 @@ class Features:
         count = len(view.numeric)
         parts = [view.encode(x)[:, :count].astype(np.float64)]
         for columns, n in view.groups:
-            parts.append((x[:, columns].astype(int)[..., None] == np.arange(n)).reshape(len(x), -1) / 2**0.5)
+            parts.append((x[:, columns].astype(int)[..., None] == np.arange(n)).reshape(len(x), len(columns) * n) / 2**0.5)
         return np.concatenate(parts, 1)
 
 
