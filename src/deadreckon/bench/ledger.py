@@ -11,7 +11,6 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
-from glob import glob
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
@@ -99,8 +98,8 @@ class Ledger(Store):
         return pa.Table.from_pylist([dict(zip(CURVE.names, point)) for point in points], schema=CURVE)
 
     def _files(self) -> tuple[str, ...]:
-        root = self.cells.absolute()  # whose own name is no pattern
-        return tuple(sorted(os.path.join(root, name) for name in glob("*/*/*.json", root_dir=root)))
+        kinds = _inside(str(self.cells.absolute()))
+        return tuple(sorted(file for kind in kinds for on in _inside(kind) for file in _inside(on) if file.endswith(".json")))
 
 
 def store_of(suites: Sequence[Suite], path: Path) -> Store:
@@ -118,6 +117,15 @@ def store_of(suites: Sequence[Suite], path: Path) -> Store:
         raise UserError(f"suites of one queue must have one ledger, got {', '.join(sorted(map(str, ledgers)))}")
     ledger = ledgers.pop()
     return Store(path) if ledger is None else Ledger(path, ledger)
+
+
+def _inside(folder: str) -> list[str]:
+    """What lies in a folder and is not hidden, as files are while they are written; nothing of what is no folder."""
+    try:
+        with os.scandir(folder) as found:
+            return [entry.path for entry in found if not entry.name.startswith(".")]
+    except (FileNotFoundError, NotADirectoryError):
+        return []
 
 
 @cache
