@@ -1216,7 +1216,27 @@ MUTANTS = (
         "half an hour past midnight is past noon", ("data/formats/test_dialects.py",),
     ),
     Mutant(
-        "dates-frames", "data/text_dates.py",
+        "tried-on-nothing", "policies/file.py", "play(np.ones((rows, *shape), kind))", "play(np.zeros((rows, *shape), kind))",
+        "policies with legal actions are refused as damaged",
+        ("policies/test_file.py::test_policies_that_obey_legal_actions_are_played",),
+    ),
+    Mutant(
+        "dates-month", "policies/table_times.py",
+        'day, month = (first, second) if order == "day-first" else (second, first)', "day, month = second, first",
+        "the month is read first in all dates of rows", ("policies/test_table_times.py::test_texts_are_read_as_in_logs",),
+    ),
+    Mutant(
+        "flags-words", "policies/table_rows.py", "_TRUTHS.get(cell.strip().lower(), cell)", "_TRUTHS.get(cell, cell)",
+        "words of truth values are taken in lower case alone",
+        ("policies/test_table_encoder.py::test_flags_as_people_and_libraries_write_them",),
+    ),
+    Mutant(
+        "one-action", "runs/together.py", 'or [0, 1]) < 2:', 'or [0, 1]) < 1:',
+        "a second action is invented for logs of a single one",
+        ("runs/test_train.py::test_a_log_of_one_action_has_nothing_to_choose_between",),
+    ),
+    Mutant(
+        "dates-frames", "data/text_columns.py",
         "if all_match(_texts(values[:SAMPLE]), _WRITTEN)", "if False",
         "dates as texts in data frames order episodes alphabetically", ("data/test_misreadings.py",),
     ),

@@ -117,3 +117,8 @@ def reading(path: Path | str, kind: str) -> Iterator[None]:
         if type(error).__name__ != "PanicException":  # of a library in Rust, which is no Exception
             raise
         raise UserError(f"{path}: cannot be read as {kind}, it is damaged ({as_one_line(error)})") from error
+
+
+def extra(name: str) -> str:
+    """How to install one of the package's extras; not from an index, on which the package is not."""
+    return f"install the extra {name} (in a clone of the repository: pip install '.[{name}]')"

@@ -86,7 +86,7 @@ def test_ranges_are_read_and_checked():
 
 def test_optuna_is_an_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "optuna", None)
-    with pytest.raises(UserError, match=r"pip install 'deadreckon\[tune\]'"):
+    with pytest.raises(UserError, match=r"install the extra tune"):
         OptunaSampler("td3_bc", {"alpha": [1.0]})
 
 

@@ -9,6 +9,7 @@ from pyarrow import parquet
 
 import deadreckon as dr
 from deadreckon.cli.main import main
+from deadreckon.data.describe import describe_table
 from deadreckon.files import write_json
 from deadreckon.runs.train import train
 from tests.recorded import decision
@@ -79,6 +80,28 @@ def test_what_is_written_beside_the_actions(run, tmp_path):
     done = run.predictor(1).predict(new.replace({"ja": True, "nein": False, "on": True, "off": False}), greedy=False, seed=5,
                                     outside="flag")  # fmt: skip
     assert found["offer"].tolist() == done.actions.tolist()
+    days = new.assign(plan="free", day=[f"{1 + i % 28:02d}.06.2024" for i in range(ROWS)])
+    assert predicted(run, days, tmp_path, "--keep", "day")[0] == 0
+    assert pd.read_csv(tmp_path / "actions.csv")["day"].tolist() == days["day"].tolist()
+
+
+def test_tables_in_another_dialect_than_the_schemas_log(tmp_path, capsys):
+    table().to_csv(tmp_path / "log.csv", index=False)
+    schema = describe_table(tmp_path / "log.csv", action="offer", reward="paid")[0]
+    schema.save(tmp_path / "log.toml")
+    agent = dr.agents.BC(hidden=(8,), batch_size=8)
+    made = train(agent, dr.read(tmp_path / "log.toml"), out=tmp_path / "run", steps=3, task=False)
+    how = {"sep": ";", "decimal": ","}
+    assert predicted(made, table().assign(age=30.5).drop(columns="paid"), tmp_path, **how)[0] == 2  # one comma in every line
+    told = capsys.readouterr().err
+    assert "it is read with the separator ',', as the schema's log was, and seems to have ';'; say --separator ';' and" in told
+    assert predicted(made, table(), tmp_path, **how)[0] == 2
+    assert "(read with the separator ',' of the schema's log; --separator names another)" in capsys.readouterr().err
+    assert predicted(made, table(), tmp_path, "--separator", ";", "--decimal", "comma", **how)[0] == 0
+    # The file of a schema stands for the table that it names.
+    first = pd.read_csv(tmp_path / "actions.csv")
+    assert main(["predict", str(made.path), str(tmp_path / "log.toml"), "--out", str(tmp_path / "again.csv")]) == 0
+    assert pd.read_csv(tmp_path / "again.csv").equals(first)
 
 
 def test_what_is_refused_and_leaves_no_file(run, tmp_path, capsys):
@@ -125,7 +148,7 @@ def test_policies_that_a_folder_stands_for(run, tmp_path, capsys):
     assert main(words) == 2
     assert "is a folder without a run, a cross-fit or estimates" in capsys.readouterr().err
     assert main(["predict", str(tmp_path / "new.csv"), *words[2:]]) == 2
-    assert "cannot be read as a policy file" in capsys.readouterr().err
+    assert "is another file than a policy's" in capsys.readouterr().err
 
 
 @pytest.mark.slow

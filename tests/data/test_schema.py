@@ -1,9 +1,11 @@
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
 from deadreckon.cli.main import main
+from deadreckon.data.dataset import Dataset
 from deadreckon.data.describe import describe_table
 from deadreckon.data.formats.io import convert, read
 from deadreckon.data.schema import Column, Schema
@@ -108,7 +110,7 @@ def test_a_schema_that_does_not_fit_is_told(table, tmp_path):
     with pytest.raises(UserError, match="leave reward out, or change the schema"):
         read(table, schema=schema, reward="saved")
     more = Schema((*schema.columns, Column("tmp", "observation")))
-    with pytest.raises(UserError, match="unknown column 'tmp': did you mean temp"):
+    with pytest.raises(UserError, match="no column tmp, to which the schema gives the role observation: did you mean temp"):
         read(table, schema=more)
     fewer = Schema(tuple(column for column in schema.columns if column.name != "note"))
     assert any("does not have these columns, which are left out: note" in line for line in read(table, schema=fewer).warnings)
@@ -117,6 +119,21 @@ def test_a_schema_that_does_not_fit_is_told(table, tmp_path):
         read(table, schema=without)
     with pytest.raises(UserError, match="no file .*nowhere.toml; `deadreckon data describe TABLE"):
         read(table, schema=tmp_path / "nowhere.toml")
+
+
+def test_flags_of_a_schema_may_be_words_in_data_frames(tmp_path):
+    rng = np.random.default_rng(0)
+    frame = pd.DataFrame({"on": rng.choice(["yes", "no"], 30), "x": rng.normal(size=30), "action": [0, 1] * 15, "reward": 0.0})
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    log = read(tmp_path / "log.csv")
+    found = Dataset.from_frame(frame, schema=log.provenance.extra["schema"])
+    np.testing.assert_array_equal(found.observations, log.observations)
+    frame.to_parquet(tmp_path / "log.parquet")
+    again = read(tmp_path / "log.parquet", schema=log.provenance.extra["schema"])
+    np.testing.assert_array_equal(again.observations, log.observations)
+    frame.loc[4, "on"] = "maybe"
+    with pytest.raises(UserError, match="frame: column on holds .*, numbers are needed; row"):
+        Dataset.from_frame(frame, schema=log.provenance.extra["schema"])
 
 
 @pytest.mark.parametrize("path", ["/etc/passwd", "../secrets.csv"])

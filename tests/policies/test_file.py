@@ -7,7 +7,7 @@ import pytest
 
 from deadreckon.errors import UserError
 from deadreckon.policies import portable, store
-from deadreckon.policies.file import read_policy
+from deadreckon.policies.file import numpy_player, read_policy
 
 NET = {"kind": "MLP", "weights": ["@policy.w"], "biases": ["@policy.b"], "activation": "relu", "normalise": False, "mask": 0}
 CHOICE = {"kind": "Categorical", "net": NET}
@@ -46,6 +46,12 @@ def written(tmp_path):
         return tmp_path / "x.npz"
 
     return write
+
+
+def test_policies_that_obey_legal_actions_are_played(written):
+    path = written({"kind": "Categorical", "net": NET | {"mask": 2}})
+    player = numpy_player(path, *read_policy(path))
+    assert player(np.array([[5.0, 0.0, 1.0], [5.0, 1.0, 0.0]])).tolist() == [1, 0]
 
 
 @pytest.mark.parametrize(

@@ -72,13 +72,25 @@ def test_levels_are_found_by_their_names_and_not_by_their_order(encoder, log):
     np.testing.assert_array_equal(encoder.encode(part).observations, log.observations[5:9])
 
 
+@pytest.mark.parametrize(
+    "words",
+    [("yes", "no"), ("True", "FALSE"), (" Ja", "nein "), ("1", "0"), (np.True_, np.False_), (np.int64(1), np.float32(0))],
+)
+def test_flags_as_people_and_libraries_write_them(encoder, log, words):
+    given = table()
+    given["on"] = pd.Series([words[0] if on else words[1] for on in given["on"]], dtype=object)
+    np.testing.assert_array_equal(encoder.encode(given).observations, log.observations)
+    np.testing.assert_array_equal(encoder.encode(given.iloc[3].to_dict()).observations[0], log.observations[3])
+
+
 WRONG = {
     "an unknown level": ({"mode": "aut"}, "column mode has 'aut' in row 1, which is none of its levels: did you mean auto"),
     "a text": ({"temp": "warm"}, "column temp has 'warm' in row 1, a number is needed"),
     "a date": ({"temp": pd.Timestamp("2024-01-01")}, "column temp has .* in row 1, a number is needed"),
     "a new missing number": ({"count": None}, "column count is empty in row 1, and the log misses no value there"),
     "a new missing level": ({"mode": None}, "column mode is empty in row 1, and the log misses no value there"),
-    "no flag": ({"on": 2}, "column on has 2.0 in row 1, a flag is 0 or 1"),
+    "no flag": ({"on": 2}, "column on has 2.0 in row 1, a flag is true or false, 1 or 0, yes or no"),
+    "no word of a flag": ({"on": "unknown"}, "column on has 'unknown' in row 1, a flag is true or false, 1 or 0, yes or no"),
     "infinite": ({"count": float("inf")}, "column count has inf in row 1, a finite number is needed"),
     "beyond float32": ({"count": 1e300}, "column count has 1e.300 in row 1, which float32 cannot hold"),
     "a list": ({"mode": ["auto"]}, r"column mode has \['auto'\] in row 1, which is none of its levels"),

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -103,7 +104,7 @@ def test_the_card_has_the_decision_and_the_estimates(place):
                     choice={"evidence": ["IS agrees"], "objections": [["few rows"]]})  # fmt: skip
     write_json(place / "told" / "estimates.json", told)
     card = (export(place / "run", "numpy", place / "judged", estimates=place / "told") / "card.md").read_text()
-    for text in ("**DEPLOY** run seed 0", "| DR | 0.50 [0.40, 0.60] | +0.10 ", "- few rows", "sample from the output"):
+    for text in ("**DEPLOY** run seed 0", "| DR | 0.50 [0.40, 0.60] | +0.10 ", "- few rows", "`greedy=False` samples"):
         assert text in card, text
 
 
@@ -145,7 +146,7 @@ def test_what_it_needs_is_said(place, numpys, capsys):
     assert "exists already" in capsys.readouterr().err
 
 
-def test_a_stablehlo_program_is_read_back_and_takes_any_number_of_rows(place):
+def test_a_stablehlo_program_is_read_back_and_takes_any_number_of_rows(place, tmp_path):
     from jax import export as jax_export
 
     folder = export(place / "run", "stablehlo", place / "hlo")
@@ -155,6 +156,13 @@ def test_a_stablehlo_program_is_read_back_and_takes_any_number_of_rows(place):
     actions, chances = program.call(jnp.asarray(encoder.encode(rows).observations))
     predicted = dr.load_run(place / "run").predict(rows, probabilities=True)
     assert encoder.named(np.asarray(actions)).tolist() == predicted.actions.tolist()
+    card = (folder / "card.md").read_text()
+    [code] = re.findall(r"```python\n(.*?)```", card, re.S)
+    rows.to_csv(tmp_path / "rows.csv", index=False)
+    code = code.replace('{"column": [value, ...], ...}', f"__import__('pandas').read_csv({str(tmp_path / 'rows.csv')!r})")
+    code = code.replace("encoder.named(action)", "print(encoder.named(action).tolist())")
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout.replace("'", '"')) == predicted.actions.tolist()
     np.testing.assert_allclose(np.asarray(chances)[:, 1], predicted.probabilities["mail"], atol=1e-5)
 
 
@@ -181,6 +189,10 @@ def test_an_onnx_graph_takes_the_columns_themselves(place):
     np.testing.assert_allclose(found["probabilities"][:, 2], wanted.probabilities["wait"], atol=1e-5)
     # A level that the log does not have, and a number beyond it, are marked and act as no level and as they are.
     columns["kind"][0], columns["age"][1], columns["lab"][2], columns["age"][3] = "strange", 1e4, None, None
+    given = onnx_inputs(encoder, columns)
+    for strange in (7.0, -1.0, np.inf):  # of a flag, which Python refuses
+        given["vip"] = np.array([0.0, 1.0, strange] * 20, np.float32)
+        assert session.run(["outside_the_log"], given)[0][[5, 8, 11]].all()
     flagged = dr.load_run(place / "run").predict(columns, outside="flag")
     found = dict(zip([each.name for each in session.get_outputs()], session.run(None, onnx_inputs(encoder, columns))))
     assert found["outside_the_log"].tolist()[:4] == [True, True, False, True] == flagged.outside.tolist()[:4]
@@ -226,6 +238,10 @@ def test_all_kinds_of_policies_go_into_all_formats(others, tmp_path, format):
         assert ("`member`, 0 .. 1" in card) == (which == "mixture")
         assert ("2 observations with the actions between" in card) == (which == "history")
         assert ("legal has to be given" in card) == (which == "legal")
+    if format == "onnx":
+        session = pytest.importorskip("onnxruntime").InferenceSession(str(tmp_path / "legal" / "policy.onnx"))
+        given = {"x": np.zeros(3, np.float32), "legal": np.array([[1, 0], [0, 0], [2, 1]], np.float32)}
+        assert session.run(["outside_the_log"], given)[0].tolist() == [False, True, True]
 
 
 @pytest.mark.slow

@@ -148,7 +148,7 @@ def test_errors_of_the_client_are_one_line(server):
 
 def test_the_client_is_an_extra(log, monkeypatch):
     monkeypatch.setitem(sys.modules, "huggingface_hub", None)
-    with pytest.raises(dr.UserError, match=r"pip install 'deadreckon\[hub\]'"):
+    with pytest.raises(dr.UserError, match=r"install the extra hub"):
         dr.push_to_hub(log, "me/mine")
 
 

@@ -65,6 +65,40 @@ def test_nothing_is_found_where_nothing_has_changed(place):
     assert [each.what.name for each in found.columns] == ["age", "kind", "action"]
 
 
+def test_a_data_frame_is_read_as_the_log_was(place):
+    for name in ("same.csv", "older.csv"):
+        frame = pd.read_csv(place / name)
+        frame.loc[3, "age"] = np.nan  # which the policy's log never misses
+        frame.to_csv(place / f"gaps-{name}", index=False)
+        found = monitor(place / "run", frame)
+        assert found.findings == monitor(place / "run", place / f"gaps-{name}").findings
+        assert any(each.about == "outside" for each in found.findings)
+    told = dr.explain(place / "run", pd.read_csv(place / "log.csv"))
+    assert told.columns == dr.explain(place / "run").columns
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [(None, "monitor needs the new log: a Dataset, a file or a data frame"), (3, "a log is a Dataset, a file or .*, got int"),
+     ({"age": [1.0]}, "frame: no column kind, to which the schema gives the role observation: known: age")],
+)  # fmt: skip
+def test_what_is_no_log(place, given, words):
+    with pytest.raises(UserError, match=words):
+        monitor(place / "run", given)
+
+
+def test_a_policy_is_named_by_its_run(place):
+    with pytest.raises(UserError, match="a policy is named by its run, its folder or its file, got EnvPolicy"):
+        monitor(dr.load_run(place / "run").policy, place / "same.csv")
+
+
+def test_the_log_of_a_cross_fit_is_known_by_its_runs(place, tmp_path):
+    cross = dr.cross_fit(BC, dr.read(place / "log.csv"), out=tmp_path / "cross", folds=2, steps=2, task=False)
+    found = monitor(cross.path, place / "same.csv")
+    assert found.reference == "log"
+    assert [each.what.name for each in found.columns] == ["age", "kind", "action"]
+
+
 def test_a_column_that_has_changed_is_named_and_no_other(place):
     found = of_reference(place, "older.csv")
     alarms = {(each.about, each.name) for each in found.findings if each.alarm}

@@ -10,6 +10,7 @@ import pandas as pd
 import pytest
 
 import deadreckon as dr
+from deadreckon.cli.main import main
 from deadreckon.data.history import stacked
 from deadreckon.errors import UserError
 from deadreckon.policies import portable, store
@@ -189,7 +190,7 @@ def test_what_does_not_fit_is_told_by_name(runs):
 def test_a_policy_file_alone_is_enough(runs, tmp_path):
     """Without the package, beside copies of the files that need numpy alone."""
     log, run = runs["offers"]
-    for name in ("portable", "table_rows", "table_columns", "table_encoder", "table_predict"):
+    for name in ("portable", "table_rows", "table_columns", "table_encoder", "table_predict", "table_times"):
         (tmp_path / f"{name}.py").write_text(Path(portable.__file__).with_name(f"{name}.py").read_text())
     new = offers(1)
     (tmp_path / "rows.json").write_text(new.to_json(orient="records"))
@@ -228,6 +229,9 @@ def test_legal_actions_are_obeyed(tmp_path):
         found = act({"x": 1.0, "may": ["call", "visit"]}, probabilities=True)
         assert found.probabilities["wait"] == 0.0
         assert act({"x": 1.0}, legal=[0, 0, 1]) == log.provenance.extra["action_levels"][2]
+    pd.DataFrame({"x": [0.0, 1.0], "may": ["call", "visit"]}).to_csv(tmp_path / "new.csv", index=False)
+    assert main(["predict", str(run.path), str(tmp_path / "new.csv"), "--out", str(tmp_path / "out.csv")]) == 0
+    assert pd.read_csv(tmp_path / "out.csv")["action"].tolist() == ["call", "visit"]
 
 
 @pytest.fixture(scope="module", params=["patients", "chiller"])

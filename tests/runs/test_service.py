@@ -94,7 +94,7 @@ WRONG = {
     "many rows": ([GOOD] * 101, "", 413, "101 rows are too many for a request; at most 100 are taken"),
     "an option": (GOOD, "probability=1", 422, "unknown option 'probability': did you mean probabilities?"),
     "an option's value": (GOOD, "greedy=maybe", 422, "greedy must be true or false, got 'maybe'"),
-    "a seed": (GOOD, "seed=-1", 422, "seed must be a whole number, 0 or more, got '-1'"),
+    "a seed": (GOOD, "seed=-1", 422, "seed must be a whole number from 0 to 999999999999999, got '-1'"),
     "outside": (GOOD, "outside=keep", 422, "outside must be raise or flag, got 'keep'"),
 }  # fmt: skip
 

@@ -81,7 +81,7 @@ def test_a_score_of_zero_is_what_uniform_actions_earn():
 
 def test_without_the_package_one_line_says_how_to_get_it(monkeypatch):
     monkeypatch.setattr(control.importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(UserError, match=r"fish-swim needs dm_control.*pip install 'deadreckon\[control\]', with Python 3.11"):
+    with pytest.raises(UserError, match=r"fish-swim needs dm_control.*install the extra control.*, with Python 3.11"):
         tasks.task("fish-swim").simulate([0])
 
 

@@ -340,7 +340,7 @@ def test_bad_actions():
 
 def test_without_sumo_one_line_says_what_to_install(monkeypatch):
     monkeypatch.setattr(sumo_process.importlib.util, "find_spec", lambda name: None)
-    told = r"^flow-merge needs SUMO, which is not installed: pip install 'deadreckon\[flow\]'$"
+    told = r"^flow-merge needs SUMO, which is not installed: install the extra flow"
     with pytest.raises(UserError, match=told):
         MERGE.simulate([0])
     with pytest.raises(UserError, match=told):

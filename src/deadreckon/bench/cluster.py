@@ -11,7 +11,7 @@ from typing import Any, BinaryIO
 from deadreckon.bench.executor import Event, Work, attempt
 from deadreckon.bench.jobs import Program
 from deadreckon.bench.work import perform
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, extra
 
 POLL = 0.2  # seconds between two looks at what tasks tell
 
@@ -37,7 +37,7 @@ class Cluster:
         try:
             import ray
         except ImportError as error:
-            raise UserError("--executor ray needs Ray; install it with pip install 'deadreckon[ray]'") from error
+            raise UserError(f"--executor ray needs Ray; {extra('ray')}") from error
         if cpus < 1 or gpus < 0:
             raise UserError(f"a job takes 1 or more cpus and 0 or more gpus, got {cpus} and {gpus:g}")
         self._ray: Any = ray  # most of its functions are made by decorators that types do not follow

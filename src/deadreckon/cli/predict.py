@@ -32,7 +32,7 @@ class Predict:
     """how to treat rows with unknown levels or values out of range: refuse the table (raise), or mark them (flag) in a column
     outside_the_log, together with those beyond the ranges of the log"""
     keep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="COLUMN [COLUMN ...]")] = ()
-    """columns of the table to copy beside the actions, such as an id"""
+    """columns of the table to copy as they are beside the actions, such as an id"""
     policy_seed: int | None = None  # seed of the run whose policy is used; None: the first that has not failed
     file: Annotated[Reading, tyro.conf.arg(name="")] = field(default_factory=Reading)  # how the table's file is read
 
@@ -50,7 +50,7 @@ def predict(args: Sequence[str]) -> None:
         raise UserError(f"--out {out} is the table itself; choose another name")
 
     from deadreckon.data.formats.any_table import read_rows
-    from deadreckon.data.schema import Schema
+    from deadreckon.data.schema import Schema, table_of
     from deadreckon.runs.player import chosen, predictor
 
     found = chosen(options.policy, options.policy_seed)
@@ -61,7 +61,8 @@ def predict(args: Sequence[str]) -> None:
             "version: train it again from a table, or give arrays or pictures to its policy in Python"
         )
     ways = {key: value for key, value in vars(options.file).items() if value is not None}
-    table, told = read_rows(options.table, Schema.from_json(policy.encoder.schema, str(found.file)), **ways)
+    schema = Schema.from_json(policy.encoder.schema, str(found.file))
+    table, told = read_rows(table_of(options.table), schema, undated=options.keep, **ways)
     if found.sampled and not options.sampled:
         told = ["the decision was about sampled actions, and these are the deterministic (greedy) ones: add --sampled", *told]
     for line in told:

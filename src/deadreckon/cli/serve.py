@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from deadreckon.cli.parse import parse
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, extra
 
 
 @dataclass
@@ -40,7 +40,7 @@ def serve(args: Sequence[str]) -> None:
 
         from deadreckon.runs.service import Limits, Service, app
     except ImportError as error:
-        raise UserError(f"serve needs {error.name}: pip install 'deadreckon[serve]'") from error
+        raise UserError(f"serve needs {error.name}: {extra('serve')}") from error
     from deadreckon.runs.player import chosen, predictor
 
     found = chosen(options.policy, options.policy_seed)

@@ -17,7 +17,7 @@ from deadreckon.data.frame import FrameColumns, table_columns
 from deadreckon.data.leaks import leaks
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.schema import Column, Schema
-from deadreckon.data.text_dates import with_dates
+from deadreckon.data.text_columns import with_dates
 from deadreckon.errors import UserError
 
 

@@ -14,14 +14,13 @@ from deadreckon.data.draft import draft
 from deadreckon.data.encode import Encoder
 from deadreckon.data.formats.dialect import Dialect
 from deadreckon.data.held import HELD, held
-from deadreckon.data.kinds import check_column
 from deadreckon.data.legal_columns import listed_levels, masks, with_levels
 from deadreckon.data.row_order import about_order
 from deadreckon.data.schema import Column, Schema, as_schema
 from deadreckon.data.scratch import BLOCK, Scratch
 from deadreckon.data.spec import Box, Discrete
-from deadreckon.data.text_dates import with_dates
-from deadreckon.errors import UserError
+from deadreckon.data.text_columns import with_dates, with_flags
+from deadreckon.errors import UserError, unknown
 
 ALONE = "each row is read as an episode of one step; where rows follow each other, name --episode, --time or --terminal"
 
@@ -116,6 +115,7 @@ def table_columns(
     else:
         found = as_schema(schema)
         warnings = _checked(table, found, name)
+        table = with_flags(table, [column.name for column in found.columns if column.kind == "flag"])
     read = _log_columns(table, found, warnings, name, scratch or Scratch())
     return read if function is None else read._replace(columns={**read.columns, "legal": function})
 
@@ -123,8 +123,9 @@ def table_columns(
 def _checked(table: pa.Table, schema: Schema, name: str) -> list[str]:
     """Refuses a schema that does not fit the table; tells which columns it does not have."""
     for column in schema.columns:
-        if column.role != "ignore":
-            check_column(table, column.name, name)
+        if column.role != "ignore" and column.name not in table.column_names:
+            close = str(unknown("column", column.name, table.column_names)).partition(": ")[2]
+            raise UserError(f"{name}: no column {column.name}, to which the schema gives the role {column.role}: {close}")
     for role in ("action", "reward", "observation"):
         if not schema.having(role):
             raise UserError(f"{name}: the schema gives no column the role {role}, and a log needs one")

@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, extra
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
 from deadreckon.mbo.surrogate import climb
 from deadreckon.training.hyperparameters import Count, NonNegative, static
@@ -111,7 +111,7 @@ class GPBO(Designer):
             from sklearn.exceptions import ConvergenceWarning
             from sklearn.gaussian_process import GaussianProcessRegressor, kernels
         except ImportError:
-            raise UserError("gp-bo fits with scikit-learn: pip install 'deadreckon[design]'") from None
+            raise UserError(f"gp-bo fits with scikit-learn: {extra('design')}") from None
         data, view = setting.data, setting.data.coordinates
         order = data.best(len(data))
         if len(order) > self.max_rows:

@@ -128,9 +128,9 @@ def numpy_player(path: Path | str, tree: dict[str, Any], arrays: dict[str, np.nd
 
 
 def _try(play: Callable[[np.ndarray], np.ndarray], shape: Iterable[int], kind: Any) -> None:
-    """Acts on different numbers of observations, since a layer may fit one number of them alone."""
+    """Acts on different numbers of observations, since a layer may fit one number alone; on ones, so that all is legal."""
     for rows in ROWS:
-        if (actions := len(play(np.zeros((rows, *shape), kind)))) != rows:
+        if (actions := len(play(np.ones((rows, *shape), kind)))) != rows:
             raise ValueError(f"{rows} observations give {actions} actions")
 
 

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, extra
 from deadreckon.policies.pure import MEMBER, Pure
 from deadreckon.policies.table_encoder import TableEncoder
 from deadreckon.policies.table_predict import OUTSIDE
@@ -35,7 +35,7 @@ def libraries() -> tuple[Any, Any, Any]:
         import onnxruntime  # pyright: ignore[reportMissingImports]
         from jax2onnx import to_onnx  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        text = f"the format onnx needs jax2onnx and onnxruntime ({error}): pip install 'deadreckon[export]'"
+        text = f"the format onnx needs jax2onnx and onnxruntime ({error}): {extra('export')}"
         raise UserError(text) from error
     return to_onnx, onnx, onnxruntime
 
@@ -126,6 +126,7 @@ class _Encoding:
             shape = ["rows", encoder.count]
             self.inputs.append(self.onnx.helper.make_tensor_value_info(LEGAL, self.onnx.TensorProto.FLOAT, shape))
             parts.append(LEGAL)
+            outside.append(self._not_legal())
         self._node("Concat", parts, OBSERVATION, axis=1)
         if len(outside) == 1:
             self._node("Identity", outside, OUTSIDE)
@@ -174,7 +175,26 @@ class _Encoding:
                 outside.append(self._node(compare, [key, limit], f"{key}:{compare}:outside"))
         if of.complete[at] or not of.marked[at]:
             outside.append(absent)
+        if of.flags[at]:
+            known = self._either(key, key, absent)
+            outside.append(self._node("Not", [known], f"{key}:outside"))
         return parts, outside
+
+    def _either(self, values: str, name: str, known: str | None = None) -> str:
+        """Where numbers are 0 or 1, or what is `known` besides."""
+        equal = [self._node("Equal", [values, self._constant(f"{name}:{n}", np.float32(n))], f"{name}:is:{n}") for n in (0, 1)]
+        both = self._node("Or", equal, f"{name}:either")
+        return both if known is None else self._node("Or", [both, known], f"{name}:or:missing")
+
+    def _not_legal(self) -> str:
+        """Where no action is legal, or something else than 0 or 1 says so; Python refuses such rows."""
+        axis = self._constant(f"{LEGAL}:axis", np.array([1], np.int64))
+        half = self._constant(f"{LEGAL}:half", np.float32(0.5))
+        each = self._float(self._either(LEGAL, LEGAL))
+        most = self._node("ReduceMax", [LEGAL, axis], f"{LEGAL}:most", keepdims=0)
+        least = self._node("ReduceMin", [each, axis], f"{LEGAL}:least", keepdims=0)
+        wrong = [self._node("Less", [of, half], f"{of}:wrong") for of in (most, least)]
+        return self._node("Or", wrong, f"{LEGAL}:outside")
 
     def _category(self, of: Any) -> tuple[list[str], list[str]]:
         """The same of a column of levels."""

@@ -18,6 +18,7 @@ if __package__:
         coded,
         codes_by_level,
         first,
+        flags_of,
         is_missing,
         near,
         numbers_of,
@@ -31,6 +32,7 @@ else:  # copied beside `portable.py`
         coded,
         codes_by_level,
         first,
+        flags_of,
         is_missing,
         near,
         numbers_of,
@@ -74,7 +76,7 @@ class Numbers:
         """
         values = np.empty((count, len(self.names)))
         for index, key in enumerate(self.names):
-            values[:, index] = numbers_of(key, columns[key], name)
+            values[:, index] = (flags_of if self.flags[index] else numbers_of)(key, columns[key], name)
         absent = np.isnan(values)
 
         def refuse(wrong: np.ndarray, why: str) -> None:
@@ -87,7 +89,6 @@ class Numbers:
                 raise RowsError(f"{name}: column {key} {cell} in row {row}, {why.format(limits=limits)}")
 
         refuse(np.isinf(values), "a finite number is needed")
-        refuse(self.flags & ~absent & (values != 0) & (values != 1), "a flag is 0 or 1")
         beyond = (values < self.low) | (values > self.high)
         if not flag:
             refuse(absent & ~self.marked, "and the log misses no value there")
@@ -175,10 +176,9 @@ class Legal:
             if key not in columns:
                 raise RowsError(f"{name}: no column {key}, which says which actions are legal{near(key, columns)}")
             if (of := column.get("of")) is not None:
-                values = numbers_of(key, columns[key], name)
-                if (wrong := (values != 0) & (values != 1)).any():
-                    cell = shown(columns[key].tolist()[row := first(wrong)])
-                    raise RowsError(f"{name}: column {key} has {cell} in row {row}, 0 or 1 is needed")
+                values = flags_of(key, columns[key], name)
+                if np.isnan(values).any():
+                    raise RowsError(f"{name}: column {key} is empty in row {first(np.isnan(values))}, 0 or 1 is needed")
                 mask[:, self.places[text_of(of)]] = values
                 continue
             for row, cell in enumerate(columns[key].tolist()):

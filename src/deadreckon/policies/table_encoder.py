@@ -73,6 +73,7 @@ class TableEncoder:
         schema: JSON of the log's schema; None where it was no table, or nothing is known of it.
         observed: {name: column of the schema} of the columns that are observed, in their order; empty if there is no schema.
         actions: likewise of the action columns.
+        times: kind of the column that orders rows; None where there is none.
         levels: names of discrete actions in the order of their codes; None where they are their codes, or continuous.
         masked: whether observations end in numbers that say which actions are legal.
         shape: of one observation; None where it is not known.
@@ -86,6 +87,7 @@ class TableEncoder:
         self.actions = {key: column for key, column in columns.items() if column["role"] == "action"}
         legal = {key: column for key, column in columns.items() if column["role"] == "legal"}
         self.one = {column["role"]: key for key, column in columns.items() if column["role"] in ("episode", "time")}
+        self.times = next((column["kind"] for column in columns.values() if column["role"] == "time"), None)
         self.used = {*self.actions, *legal, *self.one.values()}
         self.discrete = space.get("kind") == "Discrete" or (len(self.actions) == 1 and _only(self.actions)["kind"] != "number")
         self.levels = _levels(extra.get("action_levels"), self.actions, space.get("n") or 0) if self.discrete else None

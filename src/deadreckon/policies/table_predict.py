@@ -12,9 +12,11 @@ import numpy as np
 if __package__:
     from deadreckon.policies.table_encoder import Encoded, TableEncoder, like
     from deadreckon.policies.table_rows import RowsError, first, is_missing, shown
+    from deadreckon.policies.table_times import times_of
 else:  # copied beside `portable.py`
     from table_encoder import Encoded, TableEncoder, like  # pyright: ignore[reportMissingImports]
     from table_rows import RowsError, first, is_missing, shown  # pyright: ignore[reportMissingImports]
+    from table_times import times_of  # pyright: ignore[reportMissingImports]
 
 OUTSIDE = "outside_the_log"  # the column of a table of predictions
 
@@ -208,7 +210,10 @@ class _Episodes(NamedTuple):
         if key is not None and key not in columns:
             raise RowsError(f"{where}: give the column {key} of the episode, and each episode's rows in order of time")
         names = columns[key].tolist() if key is not None else [0] * rows  # without such a column the log is one episode
-        moments = columns[time].tolist() if time is not None and time in columns else None
+        moments, order = None, (encoder.schema or {}).get("table", {}).get("dates")
+        if time is not None and time in columns:
+            dates = encoder.times not in ("number", "integer")
+            moments = times_of(time, columns[time], encoder.name, dates=dates, order=order)
         numbers: dict[Any, int] = {}
         number, position, last = np.zeros(rows, int), np.zeros(rows, int), {}
         for row, name in enumerate(names):
@@ -219,8 +224,9 @@ class _Episodes(NamedTuple):
             number[row] = numbers.setdefault(name, len(numbers))
             before = last.get(name)
             position[row] = 0 if before is None else position[before] + 1
-            if moments is not None and before is not None and _later(moments[before], moments[row]):
-                text = f"column {time} has {moments[row]} in row {row}, before the {moments[before]} of row {before}"
+            if moments is not None and before is not None and moments[before] > moments[row]:
+                given = columns[str(time)]
+                text = f"column {time} has {given[row]} in row {row}, before the {given[before]} of row {before}"
                 raise RowsError(f"{encoder.name}: {text} in the same episode; sort each episode's rows by {time}")
             last[name] = row
         logged = encoder.logged(columns)
@@ -231,14 +237,6 @@ class _Episodes(NamedTuple):
                 text = f"row {int(np.argmax(absent))} does not say what was done, and its episode goes on"
                 raise RowsError(f"{encoder.name}: {text}; give the action of every row but the last, or of none")
         return cls(number, position, logged)
-
-
-def _later(first: Any, second: Any) -> bool:
-    """Whether the first moment is later: of numbers and dates, or texts of either."""
-    try:
-        return float(first) > float(second)
-    except (TypeError, ValueError, OverflowError):
-        return type(first) is type(second) and first > second
 
 
 def acted(

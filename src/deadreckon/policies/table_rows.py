@@ -18,6 +18,11 @@ else:  # copied beside `portable.py`
 
 _PLAIN = {int, float, bool}
 _SHOWN = 8  # names in a message
+_FLAG = "a flag is true or false, 1 or 0, yes or no"
+# Texts of truth values, as `data.formats.cells` reads them in files.
+_TRUTHS = {word: True for word in ("yes", "ja", "oui", "si", "sí", "sì", "true", "y", "j", "t", "on")} | {
+    word: False for word in ("no", "nein", "non", "false", "n", "f", "off")
+}
 
 
 class RowsError(UserError):  # pyright: ignore[reportGeneralTypeIssues]
@@ -108,8 +113,8 @@ def _array(values: Any) -> np.ndarray:
     return out
 
 
-def numbers_of(column: str, values: np.ndarray, name: str) -> np.ndarray:
-    """(rows,) float64 of a column, NaN where a value is missing; texts that say numbers are these.
+def numbers_of(column: str, values: np.ndarray, name: str, needed: str = "a number is needed") -> np.ndarray:
+    """(rows,) float64 of a column, NaN where a value is missing; texts that say numbers are these; `needed` is for errors.
 
     Raises:
         RowsError: a value is no number.
@@ -130,15 +135,34 @@ def numbers_of(column: str, values: np.ndarray, name: str) -> np.ndarray:
                 raise TypeError
             out[row] = float(value) if isinstance(value, int | float | str | Decimal) else _as_float(value)
         except (TypeError, ValueError, OverflowError):
-            raise RowsError(f"{name}: column {column} has {shown(value)} in row {row}, a number is needed") from None
+            raise _no_value(column, value, row, name, needed) from None
     return out
 
 
 def _as_float(value: Any) -> float:
     """A number of a library's own, such as numpy's; dates are none."""
-    if not np.issubdtype(np.asarray(value).dtype, np.number):
+    if np.asarray(value).dtype.kind not in "biuf":
         raise TypeError
     return float(value)
+
+
+def flags_of(column: str, values: np.ndarray, name: str) -> np.ndarray:
+    """(rows,) float64 of a column of truth values, 0 or 1, NaN where a value is missing; texts such as yes and no are these.
+
+    Raises:
+        RowsError: a value is none.
+    """
+    if values.dtype.kind not in "fiub":
+        cells = values.tolist()
+        values = _array([_TRUTHS.get(cell.strip().lower(), cell) if isinstance(cell, str) else cell for cell in cells])
+    found = numbers_of(column, values, name, _FLAG)
+    if (wrong := ~np.isnan(found) & (found != 0) & (found != 1)).any():
+        raise _no_value(column, values.tolist()[row := first(wrong)], row, name, _FLAG)
+    return found
+
+
+def _no_value(column: str, value: Any, row: int, name: str, needed: str) -> RowsError:
+    return RowsError(f"{name}: column {column} has {shown(value)} in row {row}, {needed}")
 
 
 def _says_number(text: str) -> bool:

@@ -142,6 +142,7 @@ def _limits(one: Subject, log: Dataset, estimates: tuple[dict[str, Any], int] | 
     inner, lines = one.policy.inner, [f"The export takes deterministic (greedy) actions{how}."]
     if estimates is not None and not estimates[0]["estimand"]["greedy"] and not isinstance(inner, Deterministic):
         how = "sample from the output `probabilities`" if isinstance(inner, Categorical) else "the package samples them"
+        how = "`greedy=False` samples" if format == "numpy" else how
         lines.append(f"The estimates above are of sampled actions, and do not hold for greedy ones: {how}.")
     lines += [
         "It was learned from a log. If the world has changed since, nothing here holds; `deadreckon monitor` compares.",

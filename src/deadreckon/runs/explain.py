@@ -8,7 +8,6 @@ policy itself and not of the tree: its values are exchanged between fresh rows, 
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -19,7 +18,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.history import stacked
 from deadreckon.data.split import clusters, group_of
 from deadreckon.data.told import action_names, columns_of, observation_names, schema_of
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, extra
 from deadreckon.files import write_json
 from deadreckon.policies.deployed import history_of
 from deadreckon.policies.pure import MEMBER, Pure, pure
@@ -122,12 +121,12 @@ class Explained(Shown):
         return "\n".join([*lines, *(f"  {each.column:<{width}}  {text}" for each, text in shown)])
 
 
-def explain(run: Any, log: Dataset | Path | str | None = None, *, seed: int | None = None) -> Explained:
+def explain(run: Any, log: Any = None, *, seed: int | None = None) -> Explained:
     """Fits a small tree to what a policy does, and measures how well it imitates it; written to the run's folder.
 
     Args:
         run: the run, its folder, a cross-fit's folder or a policy file.
-        log: on whose rows it is asked; None: the log that the policy learned from.
+        log: on whose rows it is asked, a `Dataset`, a file or a data frame; None: the log that the policy learned from.
         seed: which of the run's policies; None: the first that has not failed.
 
     Raises:
@@ -212,7 +211,7 @@ def _fitted(x: np.ndarray, done: np.ndarray, depth: int, discrete: bool) -> Any:
     try:
         from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor
     except ImportError:
-        raise UserError("explain fits trees with scikit-learn: pip install 'deadreckon[explain]'") from None
+        raise UserError(f"explain fits trees with scikit-learn: {extra('explain')}") from None
     kind = DecisionTreeClassifier if discrete else DecisionTreeRegressor
     return kind(max_depth=depth, min_samples_leaf=max(5, len(x) // 100), random_state=0).fit(x, done)
 

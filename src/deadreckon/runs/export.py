@@ -10,17 +10,17 @@ from typing import Any, Literal, get_args
 import jax
 import jax.numpy as jnp
 
-from deadreckon.data.dataset import Dataset
-from deadreckon.errors import UserError, unknown
+from deadreckon.errors import UserError, extra, unknown
 from deadreckon.files import write_json
 from deadreckon.names import shown
 from deadreckon.policies import portable
+from deadreckon.policies.deployed import history_of
 from deadreckon.policies.pure import MEMBER, Pure, pure
 from deadreckon.policies.table_encoder import TableEncoder
 from deadreckon.runs.card import card
 from deadreckon.runs.export_mlflow import write_mlflow
 from deadreckon.runs.export_onnx import write_onnx
-from deadreckon.runs.exported import Rows, building, check, played, put_player, rows_of
+from deadreckon.runs.exported import ENCODER, Rows, building, check, played, put_modules, put_player, rows_of
 from deadreckon.runs.subject import Subject, estimates_of, subject
 
 Format = Literal["onnx", "stablehlo", "numpy", "mlflow"]
@@ -33,7 +33,7 @@ def export(
     format: Format,
     out: Path | str,
     *,
-    log: Dataset | Path | str | None = None,
+    log: Any = None,
     estimates: Path | str | None = None,
     seed: int | None = None,
 ) -> Path:
@@ -44,7 +44,8 @@ def export(
         format: "onnx" (with the encoding of the table where there is one), "stablehlo" (of `jax.export`: numbers alone, the
             encoding as JSON beside it), "numpy" (the policy file and what plays it) or "mlflow" (a pyfunc model).
         out: folder to write, which must not be there yet.
-        log: the log on whose rows the export is checked; None: the one that the policy learned from.
+        log: the log on whose rows the export is checked, a `Dataset`, a file or a data frame; None: the one that the policy
+            learned from.
         estimates: the folder of `deadreckon ope --out` or `recommend`, for the card; None looks in the run's folder and beside.
         seed: which of the run's policies; None: the first that has not failed.
 
@@ -81,17 +82,23 @@ def _stablehlo(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[s
     try:
         (folder / "policy.stablehlo").write_bytes(made.serialize())
     except ImportError as error:
-        raise UserError(f"the format stablehlo needs flatbuffers ({error}): pip install 'deadreckon[export]'") from error
+        raise UserError(f"the format stablehlo needs flatbuffers ({error}): {extra('export')}") from error
     write_json(folder / ENCODING, dict(one.told))
     again = exporting.deserialize(bytearray((folder / "policy.stablehlo").read_bytes()))
     values = (rows.observations, rows.member) if MEMBER in function.inputs else (rows.observations,)
     check("the StableHLO program", rows, again.call(*map(jnp.asarray, values))[0])
+    lines = ["from jax import export", "", 'policy = export.deserialize(bytearray(open("policy.stablehlo", "rb").read()))']
+    results = f"{', '.join(function.outputs)}{',' if len(function.outputs) == 1 else ''}"
+    call = f"{results} = policy.call({', '.join(function.inputs)})"
+    if not TableEncoder(one.told).observed or history_of(one.policy) > 1:
+        return ["`policy.stablehlo` takes observations as they are encoded:", "", "```python", *lines, call, "```"]
+    put_modules(folder, ENCODER)
     return [
-        "`policy.stablehlo` takes observations as they are encoded; `encoding.json` says how, to `table_encoder.TableEncoder`:",
-        "", "```python", "from jax import export", "",
-        'policy = export.deserialize(bytearray(open("policy.stablehlo", "rb").read()))',
-        f"{', '.join(function.outputs)}{',' if len(function.outputs) == 1 else ''} = policy.call({', '.join(function.inputs)})",
-        "```",
+        "`policy.stablehlo` takes observations. `table_encoder.py` and what it needs make them of rows, with numpy alone:",
+        "", "```python", "import json", *lines[:1], "from table_encoder import TableEncoder", *lines[1:],
+        'encoder = TableEncoder(json.load(open("encoding.json")))',
+        'observation = encoder.encode({"column": [value, ...], ...}).observations   # or a data frame',
+        call, "encoder.named(action)", "```",
     ]  # fmt: skip
 
 

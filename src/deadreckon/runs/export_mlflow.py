@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, extra
 from deadreckon.policies import portable
 from deadreckon.policies.decoded_rows import decoded
 from deadreckon.policies.mlflow_loader import Model
@@ -31,7 +31,7 @@ def write_mlflow(one: Subject, function: Pure, rows: Rows, folder: Path) -> list
         from mlflow.types import ColSpec, Schema  # pyright: ignore[reportMissingImports]
         from mlflow.types.schema import AnyType  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        text = f"the format mlflow needs mlflow-skinny and pandas ({error}): pip install 'deadreckon[mlflow]'"
+        text = f"the format mlflow needs mlflow-skinny and pandas ({error}): {extra('mlflow')}"
         raise UserError(text) from error
     encoder = TableEncoder(one.told)
     named = bool(encoder.observed) and not encoder.masked and function.history == 1

@@ -24,7 +24,10 @@ from deadreckon.temporaries import beside
 
 CLOSE = 1e-5  # of half an action's range
 ROWS = 1_000  # of the log, on which an export is checked
-PLAYER = ("portable.py", "portable_pictures.py", "table_columns.py", "table_encoder.py", "table_predict.py", "table_rows.py")
+PLAYER = ("portable.py", "portable_pictures.py", "table_columns.py", "table_encoder.py", "table_predict.py", "table_rows.py",
+          "table_times.py")  # fmt: skip
+
+ENCODER = ("table_columns.py", "table_encoder.py", "table_rows.py")
 
 
 class Rows(NamedTuple):
@@ -98,6 +101,11 @@ def put_player(one: Subject, folder: Path, names: Sequence[str] = PLAYER) -> Non
         shutil.copyfile(one.file, folder / "policy.npz")
     else:  # a cross-fit's policy of one seed of several
         store.save(folder / "policy.npz", one.policy, {"log": dict(one.told)})
+    put_modules(folder, names)
+
+
+def put_modules(folder: Path, names: Sequence[str]) -> None:
+    """Copies of modules that need numpy alone."""
     for name in names:
         text = resources.files("deadreckon.policies").joinpath(name).read_text(encoding="utf-8")
         (folder / name).write_text(text, encoding="utf-8")

@@ -17,7 +17,7 @@ from deadreckon._version import __version__
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.folder import HEADER, read_folder, write_folder
 from deadreckon.data.transfer import file_hashes
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, extra
 from deadreckon.files import home, read_json, write_json
 from deadreckon.foreign.door import refuse_links
 from deadreckon.names import file_part, in_markdown, safe_name, shown
@@ -193,7 +193,7 @@ class _Hub:
         try:
             import huggingface_hub  # pyright: ignore[reportMissingImports] - an extra
         except ImportError as error:
-            raise UserError("the Hub is reached by huggingface_hub: pip install 'deadreckon[hub]'") from error
+            raise UserError(f"the Hub is reached by huggingface_hub: {extra('hub')}") from error
         self.client = huggingface_hub.HfApi(library_name="deadreckon")
         self.repo, self.kind = repo, "dataset" if dataset else "model"
 

@@ -89,9 +89,9 @@ class Monitored(Shown):
 
 def monitor(
     run: Any,
-    log: Dataset | Path | str,
+    log: Any,
     *,
-    reference: Dataset | Path | str | None = None,
+    reference: Any = None,
     made_by: MadeBy | None = None,
     estimates: Path | str | None = None,
     return_range: tuple[float, float] | None = None,
@@ -103,8 +103,8 @@ def monitor(
 
     Args:
         run: the run, its folder, a cross-fit's folder or a policy file.
-        log: the new log, in the order of time; it is read as the policy's own log was.
-        reference: the log to compare with; None: the one that the policy learned from.
+        log: the new log, in the order of time: a `Dataset`, or a file or data frame, which is read as the policy's own log was.
+        reference: the log to compare with, likewise; None: the one that the policy learned from.
         made_by: who made the new log. "policy": the policy of the run, so that its actions are compared with what the policy
             does in the reference, and where episodes have several steps their first steps alone, because a new policy visits
             other states. "reference": whatever made the reference; then all rows and logged actions are compared. None:
@@ -118,6 +118,8 @@ def monitor(
     Raises:
         UserError: input that does not fit, in one line.
     """
+    if log is None:
+        raise UserError("monitor needs the new log: a Dataset, a file or a data frame")
     if not 0 < alpha < 1:
         raise UserError(f"alpha must be between 0 and 1, got {alpha:g}")
     if made_by not in (None, "policy", "reference"):

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, reading
 from deadreckon.policies.file import fitting, numpy_player, read_policy
 from deadreckon.policies.table_predict import Predictor
 from deadreckon.runs.decision_record import read_results
@@ -56,10 +56,17 @@ def chosen(path: Path | str, seed: int | None = None) -> Chosen:
         delivered = load_cross_fit(path).policy_path
         found = _of_run(Folder(delivered), None) if delivered.is_dir() else Chosen(delivered, "the policy of the cross-fit")
         return found._replace(owner=path)
-    if path.is_file():
+    if path.is_file() and _is_archive(path):
         return Chosen(path, path.name)
     what = "a folder without a run, a cross-fit or estimates" if path.is_dir() else "no file or folder"
+    what = "another file than a policy's" if path.is_file() else what
     raise UserError(f"{path} is {what}; give a run folder, such as runs/mine, or a policy file (.npz)")
+
+
+def _is_archive(path: Path) -> bool:
+    """Whether a file begins as those of policies do, which may be damaged further on."""
+    with reading(path, "a policy file"), open(path, "rb") as file:
+        return file.read(2) in (b"PK", b"")
 
 
 def _of_run(folder: Folder, seed: int | None) -> Chosen:

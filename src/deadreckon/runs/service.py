@@ -126,7 +126,7 @@ class Service:
                 options[key] = value
             elif key == "seed":
                 if not (value.isascii() and value.isdigit() and len(value) < 16):
-                    raise Refused(422, f"seed must be a whole number, 0 or more, got {value[:40]!r}")
+                    raise Refused(422, f"seed must be a whole number from 0 to 999999999999999, got {value[:40]!r}")
                 options[key] = int(value)
             elif value.lower() not in _WORDS:
                 raise Refused(422, f"{key} must be true or false, got {value[:40]!r}")

@@ -1,16 +1,18 @@
 """One policy in use: what acts, what it was made of, its log, and further logs read as that one was."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Container, Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from deadreckon.data import catalogue
+from deadreckon.data.arrow import to_arrow
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.any_table import read_rows
 from deadreckon.data.formats.io import read
 from deadreckon.data.held import HELD
-from deadreckon.data.schema import Schema
+from deadreckon.data.schema import Schema, table_of
 from deadreckon.errors import UserError
 from deadreckon.files import is_there, read_json
 from deadreckon.names import shown
@@ -24,6 +26,7 @@ from deadreckon.runs.reading import HORIZON, Read, check_encoding, read_like, sc
 from deadreckon.runs.run import Run, load
 
 GAPS = "missing "  # begins the names of extra columns that say where values are missing; the name of the column follows
+FIRST = "fold0"  # of a cross-fit's runs, all of which know the whole log
 OPTIONAL = ("propensity", "cost", "weight", "group", "keep")  # roles of columns that nobody compares
 
 
@@ -40,6 +43,7 @@ class Subject:
         read: how the log was read that it learned from.
         told: what the policy's file keeps of its log, by which `policies.table_encoder` encodes rows.
         config: `run.json`; None of policies without a run.
+        data: what `run.json` says of the log, or that of a cross-fit's first run; empty of a file alone.
         folder: of the run or cross-fit; None of a file alone.
         decision: folder of the decision that chose it; None where there is none.
     """
@@ -52,6 +56,7 @@ class Subject:
     read: Read
     told: Mapping[str, Any]
     config: Mapping[str, Any] | None = None
+    data: Mapping[str, Any] = field(default_factory=dict)
     folder: Path | None = None
     decision: Path | None = None
 
@@ -61,11 +66,11 @@ class Subject:
         found = (self.read.extra or {}).get("schema")
         return None if found is None else Schema.from_json(found, self.name)
 
-    def log(self, given: Dataset | Path | str | None = None, gaps: bool = False, *, option: str) -> Dataset:
+    def log(self, given: Any = None, gaps: bool = False, *, option: str) -> Dataset:
         """A log, read as the one that the policy learned from; that one itself where none is given.
 
         Args:
-            given: the log, or where it is.
+            given: the log, its file or data frame.
             option: by which a user gives one, for errors.
             gaps: whether values may be missing where the policy's log had all; see `_with_gaps`.
 
@@ -76,11 +81,12 @@ class Subject:
             check_encoding(self.name, self.read, given)
             return given
         if given is not None:
-            found = self._like(given, gaps)
+            if not isinstance(given, str | Path | Mapping) and not hasattr(given, "columns"):
+                raise UserError(f"a log is a Dataset, a file or a data frame, got {type(given).__name__}")
+            found = self._like(table_of(given) if isinstance(given, str | Path) else given, gaps)
             check_encoding(self.name, self.read, found)
             return found
-        known = (self.config or {}).get("data", {})
-        path = self.read.path
+        known, path = self.data, self.read.path
         if path is None and "name" not in known:
             raise UserError(f"{self.name} does not say where its log lies; name it with {option}")
         if "online" in (self.config or {}):
@@ -100,16 +106,25 @@ class Subject:
             raise UserError(f"the log that {self.name} learned from has changed ({where}); name a copy of it with {option}")
         return found
 
-    def _like(self, path: Path | str, gaps: bool = False) -> Dataset:
-        schema = schema_for(self.name, self.read, path) if gaps else None
+    def _like(self, given: Any, gaps: bool = False) -> Dataset:
+        horizon = (self.read.extra or {}).get(HORIZON)
+        if not isinstance(given, str | Path):
+            if self.schema is None or horizon is not None:
+                raise UserError(f"{self.name} did not learn from a table alone; give the log as a Dataset or a file")
+            table, make = to_arrow(given, "frame"), partial(Dataset.from_frame, name="frame")
+            there = set(table.column_names)
+            return self._with_gaps(partial(make, table), self.schema, there) if gaps else make(table, schema=self.schema)
+        schema = schema_for(self.name, self.read, given) if gaps else None
         if schema is None:
-            return read_like(self.name, self.read, path)
-        return self._with_gaps(path, schema, (self.read.extra or {}).get(HORIZON))
+            return read_like(self.name, self.read, given)
+        there = set(read_rows(given, schema)[0].column_names) if schema.having(*OPTIONAL) else set()
+        return self._with_gaps(partial(read, given, horizon=horizon), schema, there)
 
-    def _with_gaps(self, path: Path | str, schema: Schema, horizon: int | None) -> Dataset:
+    def _with_gaps(self, make: Callable[..., Dataset], schema: Schema, there: Container[str]) -> Dataset:
         """A log in which values are missing that none was in the policy's: they become the mean that was there, or no level.
 
-        The extra columns `missing NAME` say where.
+        The extra columns `missing NAME` say where. Columns that a log of a policy in use need not have, such as propensities,
+        are left out where they are not `there`.
         """
         extra = self.read.extra or {}
         held = extra.get(HELD) or {}
@@ -118,8 +133,9 @@ class Subject:
             replace(column, marked=True, fill=held.get(column.name, {}).get("mean") if column.fill is None else column.fill)
             for column in complete
         ]
-        schema = _without_absent(path, schema)
-        log = read(path, schema=schema.resolved(lenient), horizon=horizon)
+        kept = tuple(column for column in schema.columns if column.role not in OPTIONAL or column.name in there)
+        schema = replace(schema, columns=kept)
+        log = make(schema=schema.resolved(lenient))
         told = dict(log.provenance.extra)
         names = list(told["observation_names"])
         marks = {f"{column.name}_missing": f"{GAPS}{column.name}" for column in complete}
@@ -133,15 +149,6 @@ class Subject:
         )  # fmt: skip
 
 
-def _without_absent(path: Path | str, schema: Schema) -> Schema:
-    """The schema without columns that a log of a policy in use need not have, such as propensities, where it lacks them."""
-    if not schema.having(*OPTIONAL):
-        return schema
-    there = set(read_rows(path, schema)[0].column_names)
-    kept = tuple(column for column in schema.columns if column.role not in OPTIONAL or column.name in there)
-    return schema if len(kept) == len(schema.columns) else replace(schema, columns=kept)
-
-
 def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
     """The policy of a run, a decision, a cross-fit or a policy file; which it is, `player.chosen` says.
 
@@ -153,7 +160,10 @@ def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
     Raises:
         UserError: there is none.
     """
-    path = given.path if isinstance(given, Run) else Path(given)
+    path = given.path if isinstance(given, Run) else given
+    if not isinstance(path, str | Path):
+        raise UserError(f"a policy is named by its run, its folder or its file, got {type(given).__name__}")
+    path = Path(path)
     if seed is not None and (path / CROSS_FIT).exists():  # of several seeds, the mixture of one is in no file
         owner, decision = path, None
         one = next((each for each in gather(path) if each.seed == seed), None)
@@ -168,7 +178,10 @@ def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
     run = load(owner) if owner is not None and (owner / "run.json").exists() else None
     told = {} if one.file is None else store.meta(one.file).get("log", {})
     config = None if run is None else run.config
-    return Subject(one.name, one.acting, one.run, one.seed, one.file, one.read, told, config, owner, decision)
+    data = config or (load(owner / FIRST).config if owner is not None and (owner / FIRST / "run.json").exists() else {})
+    return Subject(
+        one.name, one.acting, one.run, one.seed, one.file, one.read, told, config, data.get("data", {}), owner, decision
+    )
 
 
 def estimates_of(one: Subject, given: Path | str | None = None) -> tuple[dict[str, Any], int] | None:
@@ -200,6 +213,6 @@ def estimates_of(one: Subject, given: Path | str | None = None) -> tuple[dict[st
             if each["run"] == one.run and each["seed"] == one.seed:
                 return told, i
     if given is not None:
-        how = f"`deadreckon ope --policies {one.run} --out FOLDER` writes them"
+        how = f"`deadreckon ope --data LOG --policies {one.folder or one.file or one.run} --out FOLDER` writes them"
         raise UserError(f"{given} has no estimates of {one.name}; {how}")
     return None

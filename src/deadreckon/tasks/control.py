@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from deadreckon.data.spec import Box
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, extra
 from deadreckon.imports import environment_variable
 from deadreckon.tasks.copies import MujocoCopies, bindings
 from deadreckon.tasks.task import Reference, Task
@@ -59,7 +59,7 @@ class Control(Task):
         """
         if importlib.util.find_spec("dm_control") is None:
             raise UserError(
-                f"{self.name} needs dm_control, which is not installed: pip install 'deadreckon[control]', with Python 3.11 or "
+                f"{self.name} needs dm_control, which is not installed: {extra('control')}, with Python 3.11 or "
                 "3.12 (for 3.13 there is no wheel of labmaze, which dm_control depends on)"
             )
         return _suite().load(*self.suite)

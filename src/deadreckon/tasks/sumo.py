@@ -13,7 +13,7 @@ from typing import IO, TYPE_CHECKING
 import numpy as np
 
 from deadreckon.data.spec import Box
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, extra
 from deadreckon.tasks.flow_world import read, write
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ def sumo_version(task: str) -> str:
         UserError: none is, and `task` needs it.
     """
     if importlib.util.find_spec("libsumo") is None:
-        raise UserError(f"{task} needs SUMO, which is not installed: pip install 'deadreckon[flow]'")
+        raise UserError(f"{task} needs SUMO, which is not installed: {extra('flow')}")
     return metadata.version("libsumo")
 
 

@@ -1,6 +1,6 @@
 """Any file of a table as a pyarrow table: CSV in its dialects, Parquet, spreadsheets, SQLite and DuckDB."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -8,7 +8,7 @@ from typing import Any
 import pyarrow as pa
 
 from deadreckon.data.formats.cells import NOTHING, PLAIN, Known, converted
-from deadreckon.data.formats.dialect import Dialect
+from deadreckon.data.formats.dialect import SEPARATORS, Dialect
 from deadreckon.data.formats.kind import DIALECT, READING, no_options, sniff
 from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
@@ -76,7 +76,7 @@ def table_of_kind(
         found, dialect, told = read_delimited(path, asked, known=known)
         return found, dialect, told + of_totals(found)
     if kind == "parquet":
-        from deadreckon.data.text_dates import with_dates
+        from deadreckon.data.text_columns import with_dates
 
         stored = read_parquet(path)
         found, order, told = with_dates(stored, asked.dates)
@@ -97,7 +97,7 @@ def table_of_kind(
     return found, None if order is None else Dialect(dates=order), told + lines + of_totals(found)
 
 
-def read_rows(path: Path | str, schema: Schema, **ways: Any) -> tuple[pa.Table, list[str]]:
+def read_rows(path: Path | str, schema: Schema, *, undated: Collection[str] = (), **ways: Any) -> tuple[pa.Table, list[str]]:
     """A file of further rows of a table, whose columns are read as its schema has them.
 
     A column of texts stays one though its cells may all look like numbers or truth values here, and so does one of flags though
@@ -106,6 +106,7 @@ def read_rows(path: Path | str, schema: Schema, **ways: Any) -> tuple[pa.Table, 
     Args:
         path: of the file, in any format of tables.
         schema: of the log, as it was resolved.
+        undated: columns whose texts of dates stay as they are.
         **ways: how the file is to be read; see `read_table`. What is not given is as the schema has it, and found else.
 
     Returns:
@@ -116,11 +117,24 @@ def read_rows(path: Path | str, schema: Schema, **ways: Any) -> tuple[pa.Table, 
     """
     used = schema.having("observation", "action", "legal")
     texts = {each.name for each in used if each.kind == "category" and (each.levels is None or any(map(_is_word, each.levels)))}
-    known = Known(frozenset(texts), frozenset(each.name for each in used if each.kind == "flag"))
+    flags = frozenset(each.name for each in used if each.kind == "flag")
+    known = Known(frozenset(texts), flags, undated=frozenset(undated))
     given = {key: value for key, value in ways.items() if value is not None}
     kind = sniff(path, given.get("separator", schema.options().get("separator")))
     own = {key: value for key, value in schema.options().items() if key in DIALECT and kind in READING[key]}
-    table, _, told = table_of_kind(path, kind, {**own, **given}, known)
+    assumed = "separator" in own and "separator" not in given
+    try:
+        table, _, told = table_of_kind(path, kind, {**own, **given}, known)
+    except UserError as error:
+        if not assumed:
+            raise
+        how = f"read with the separator {own['separator']!r} of the schema's log; --separator names another"
+        raise UserError(f"{error} ({how})") from error
+    if assumed and not any(each.name in table.column_names for each in used):
+        head = " ".join(table.column_names)
+        if other := next((mark for mark in SEPARATORS if mark in head and mark != own["separator"]), None):
+            text = f"it is read with the separator {own['separator']!r}, as the schema's log was, and seems to have {other!r}"
+            raise UserError(f"{path}: {text}; say --separator {other!r} and, if its decimals have a comma, --decimal comma")
     return table, told
 
 

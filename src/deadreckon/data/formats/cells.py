@@ -33,11 +33,13 @@ class Known(NamedTuple):
         flags: of columns of truth values.
         words: of columns of levels, which are not empty where they hold a word of `MISSING` alone; None: those that are named
             like an action.
+        undated: of columns whose texts of dates stay texts.
     """
 
     texts: frozenset[str] = frozenset()
     flags: frozenset[str] = frozenset()
     words: frozenset[str] | None = None
+    undated: frozenset[str] = frozenset()
 
 
 NOTHING = Known()
@@ -73,7 +75,7 @@ def converted(
         present = without(trimmed, MISSING)
         if present.null_count == len(present):
             continue
-        if (found := _flags(present, name in known.flags)) is not None:
+        if (found := flags_of(present, name in known.flags)) is not None:
             done[name], words = keep(found[0]), found[1]
             flags += [f"{name} ({words})"] if words and name not in known.flags else []
         elif (number := _numbers(without(trimmed, (*MISSING, DASH)), dialect)) is not None:
@@ -82,7 +84,7 @@ def converted(
             grouped += [name] if marked else []
             dashes = done[name].null_count - present.null_count
             told += [f"column {name}: '{DASH}' is a missing number in {_rows(dashes)}"] if dashes else []
-        else:
+        elif name not in known.undated:
             texts[name] = keep(present)
     if flags:
         told.append(f"read as true and false: {', '.join(flags)}")
@@ -117,7 +119,7 @@ def without(values: Any, words: tuple[str, ...]) -> Any:
     return _compute.if_else(gone, pa.scalar(None, values.type), values)
 
 
-def _flags(texts: Any, known: bool) -> tuple[Any, str] | None:
+def flags_of(texts: Any, known: bool) -> tuple[Any, str] | None:
     """(rows,) truth values and the pair that stands for them, nothing for true and false, if the texts are all of one pair.
 
     One text alone is enough where it is a whole word, or where it is `known` that these are flags.

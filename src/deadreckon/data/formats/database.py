@@ -17,7 +17,7 @@ from urllib.parse import quote
 import pyarrow as pa
 
 from deadreckon.data.formats.values import column_of
-from deadreckon.errors import UserError, as_one_line, reading, unknown
+from deadreckon.errors import UserError, as_one_line, extra, reading, unknown
 from deadreckon.foreign.door import file_size
 from deadreckon.foreign.limits import RATE, SECONDS, UNPACKED, beyond, max_unpacked
 
@@ -120,7 +120,7 @@ def _duckdb(path: Path | str, query: str | None, table: str | None, seconds: flo
     try:
         import duckdb
     except ImportError as error:
-        raise UserError(f"{path}: DuckDB's files are read with duckdb: pip install 'deadreckon[tables]'") from error
+        raise UserError(f"{path}: DuckDB's files are read with duckdb: {extra('tables')}") from error
     try:
         config = _CLOSED | {"memory_limit": f"{int(max(most, _DUCKDB))}B"}
         with contextlib.closing(duckdb.connect(str(path), read_only=True, config=config)) as base:

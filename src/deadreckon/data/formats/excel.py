@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from deadreckon.data.formats.values import column_of
-from deadreckon.errors import UserError, reading, unknown
+from deadreckon.errors import UserError, extra, reading, unknown
 from deadreckon.foreign.child import read_apart
 from deadreckon.foreign.door import file_size
 from deadreckon.foreign.limits import check_unpacked, max_unpacked
@@ -35,7 +35,7 @@ def read_excel(path: Path | str, sheet: str | int | None = None) -> tuple[pa.Tab
     try:
         import python_calamine  # noqa: F401 - whether it is there
     except ImportError as error:
-        raise UserError(f"{path}: spreadsheets are read with python-calamine: pip install 'deadreckon[tables]'") from error
+        raise UserError(f"{path}: spreadsheets are read with python-calamine: {extra('tables')}") from error
     found = read_apart("excel", path, "a spreadsheet", size=file_size(path), file=str(path), sheet=sheet)
     return pa.ipc.open_stream(pa.py_buffer(found["table"])).read_all(), found["told"]
 

@@ -14,7 +14,7 @@ from deadreckon.data.formats.build import refuse_mmap
 from deadreckon.data.formats.kind import DIALECT, READING, TABLES, no_options, sniff
 from deadreckon.data.formats.minari_ids import PREFIX
 from deadreckon.data.formats.open_bandit import open_bandit
-from deadreckon.data.schema import Schema, as_schema
+from deadreckon.data.schema import Schema, as_schema, is_schema
 from deadreckon.errors import UserError, cannot_write
 from deadreckon.files import alone
 from deadreckon.progress import Progress, unwatched
@@ -60,7 +60,7 @@ def read(
 def _looked_at(path: Path | str, mapping: Mapping[str, Any]) -> tuple[Path | str, str, dict[str, Any]]:
     """The file that is meant, its format, and the mapping with what a schema says of the file."""
     mapping = {key: value for key, value in mapping.items() if value is not None}
-    if _is_schema(path):
+    if is_schema(path):
         if "schema" in mapping:
             raise UserError(f"{path} is a schema itself; give the table, and --schema {path}")
         mapping["schema"] = schema = Schema.load(path)
@@ -84,11 +84,6 @@ def _read(
     options = _options(path, kind, mmap, horizon, mapping)
     log = _reader(kind)(path, strict=strict, name=name, **options)
     return replace(log, warnings=(*told, *log.warnings))
-
-
-def _is_schema(path: Path | str) -> bool:
-    """Whether a file is a schema, which stands for the table beside it that it names."""
-    return str(path).endswith(".toml") and Path(path).is_file()
 
 
 def _options(path: Path | str, kind: str, mmap: bool, horizon: int | None, mapping: dict[str, Any]) -> dict[str, Any]:

@@ -29,7 +29,7 @@ from deadreckon.data.formats.totals import of_totals
 from deadreckon.data.formats.words import levels_in
 from deadreckon.data.schema import as_schema
 from deadreckon.data.scratch import Scratch
-from deadreckon.data.text_dates import with_dates
+from deadreckon.data.text_columns import with_dates
 from deadreckon.errors import UserError, cannot_write, reading
 from deadreckon.files import alone, read_json, write_json
 from deadreckon.foreign.arrow import check_arrow

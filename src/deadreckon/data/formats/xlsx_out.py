@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from deadreckon.data.formats.csv_out import cell
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, extra
 from deadreckon.names import shown
 
 LONGEST = 32_767  # letters of a cell
@@ -24,7 +24,7 @@ def check_writer() -> None:
     try:
         import xlsxwriter  # noqa: F401
     except ImportError:
-        raise UserError("spreadsheets are written with XlsxWriter: pip install 'deadreckon[tables]'") from None
+        raise UserError(f"spreadsheets are written with XlsxWriter: {extra('tables')}") from None
 
 
 def write_sheets(sheets: Mapping[str, Mapping[str, Sequence[Any]]], path: Path | str) -> None:

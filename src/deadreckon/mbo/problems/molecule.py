@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from pyarrow import csv
 
-from deadreckon.errors import UserError, reading
+from deadreckon.errors import UserError, extra, reading
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden
 from deadreckon.mbo.problems.trees import forest
@@ -27,7 +27,7 @@ def fingerprints(smiles: list[str]) -> np.ndarray:
         from rdkit import Chem, RDLogger
         from rdkit.Chem import rdFingerprintGenerator
     except ImportError:
-        raise UserError("molecule reads molecules with RDKit: pip install 'deadreckon[design]'") from None
+        raise UserError(f"molecule reads molecules with RDKit: {extra('design')}") from None
     RDLogger.DisableLog("rdApp.*")  # type: ignore[attr-defined]
     maker = rdFingerprintGenerator.GetMorganGenerator(radius=RADIUS, fpSize=BITS)
     out = np.zeros((len(smiles), BITS), np.uint8)

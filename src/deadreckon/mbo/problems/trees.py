@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, extra
 from deadreckon.mbo.problems.oracle import Arrays, kept, split
 from deadreckon.ope.metrics import rank_correlation
 
@@ -104,7 +104,7 @@ def _train(name: str, features: np.ndarray, y: np.ndarray, fit: Callable[..., An
     try:
         model, grown, predicted = fit(features[rest], y[rest])
     except ImportError:
-        raise UserError(f"{name} trains its oracle with scikit-learn: pip install 'deadreckon[design]'") from None
+        raise UserError(f"{name} trains its oracle with scikit-learn: {extra('design')}") from None
     roots = np.cumsum([0, *(tree.node_count for tree in grown[:-1])])
     right, feature, threshold = [], [], []
     for root, tree in zip(roots, grown):

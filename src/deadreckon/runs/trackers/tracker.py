@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from deadreckon.errors import UserError, unknown
+from deadreckon.errors import UserError, extra, unknown
 from deadreckon.imports import imported
 
 # name on the command line: (module beside this one, class)
@@ -94,7 +94,7 @@ def needed(module: str) -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise UserError(f"tracking needs {module}, which is not installed: pip install 'deadreckon[track]'") from error
+        raise UserError(f"tracking needs {module}, which is not installed: {extra('track')}") from error
 
 
 def files_of(seed: int, files: Sequence[Path]) -> list[Path]:

@@ -1,11 +1,12 @@
-"""Texts of dates as timestamps in tables whose columns have types (data frames, Parquet), read as they are in text files."""
+"""Texts of dates and flags in tables whose columns have types (data frames, Parquet), read as they are in text files."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import pyarrow as pa
 
 from deadreckon.data.arrow import SAMPLE, all_match, compute, decoded, is_text
-from deadreckon.data.formats.cells import MISSING, without
+from deadreckon.data.formats.cells import MISSING, flags_of, without
 from deadreckon.data.formats.dates import dates_of
 
 # The forms whose texts are not in the order of time; those of ISO 8601 are, and are read where they are used.
@@ -31,6 +32,16 @@ def with_dates(table: pa.Table, asked: str | None = None) -> tuple[pa.Table, str
     for name, moments in done.items():
         table = table.set_column(table.column_names.index(name), name, moments)
     return table, order, told
+
+
+def with_flags(table: pa.Table, names: Iterable[str]) -> pa.Table:
+    """The table, where the columns of these names that hold texts such as yes and no hold truth values."""
+    for name in names:
+        if name not in table.column_names or not is_text(table.column(name).type):
+            continue
+        if (found := flags_of(_texts(table.column(name)), known=True)) is not None:
+            table = table.set_column(table.column_names.index(name), name, found[0])
+    return table
 
 
 def _texts(values: pa.ChunkedArray) -> Any:

@@ -1,0 +1,114 @@
+"""The times of a table's rows as numbers in their order: numbers as they are, dates as seconds.
+
+With `table_rows` it needs numpy alone, and can be copied with it beside `portable.py`. Texts of dates are read as
+`data.formats.dates` reads those of a log, whose schema says whether the day or the month comes first.
+"""
+
+import datetime
+import re
+from typing import Any
+
+import numpy as np
+
+if __package__:
+    from deadreckon.policies.table_rows import RowsError, is_missing, numbers_of, shown
+else:  # copied beside `portable.py`
+    from table_rows import RowsError, is_missing, numbers_of, shown  # pyright: ignore[reportMissingImports]
+
+_LAST = re.compile(r"(\d{1,2})([./-])(\d{1,2})[./-](\d{4})(?!\d)")  # the year is last, so the day or the month comes first
+_FIRST = re.compile(r"(\d{4})[./-](\d{1,2})[./-](\d{1,2})(?!\d)")
+_CLOCK = re.compile(
+    r"(?:(?:,? +|T)(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,6}))?)?(?: ?([AaPp])\.?[Mm]\.?)?)?(Z|[+-]\d{2}:?\d{2})?", re.ASCII
+)
+_ORDERS = ("day-first", "month-first")
+
+
+def times_of(column: str, values: np.ndarray, name: str, *, dates: bool, order: str | None = None) -> np.ndarray:
+    """(rows,) float64 that grow with time: numbers as they are, or seconds since 1970 of dates without a zone or in UTC.
+
+    Args:
+        column: its name, for errors.
+        values: (rows,) numbers, dates or texts of either.
+        name: of the rows, for errors.
+        dates: whether the log holds dates there; else numbers.
+        order: `day-first` or `month-first`, as the log's dates were read; None: what the texts themselves tell, or else the
+            day first where points stand between the parts, and the month where other signs do.
+
+    Raises:
+        RowsError: a value is missing, or is no number or date.
+    """
+    if values.dtype.kind == "M":
+        missing = np.isnat(values)
+    else:
+        missing = np.asarray([is_missing(v) or (isinstance(v, str) and not v.strip()) for v in values.tolist()], bool)
+    if missing.any():
+        raise RowsError(f"{name}: column {column} is empty in row {int(np.argmax(missing))}; it orders the rows of an episode")
+    if not dates:
+        return numbers_of(column, values, name)
+    if values.dtype.kind == "M":
+        return values.astype("datetime64[us]").astype(np.int64) / 1e6
+    cells = values.tolist()
+    taken = order if order in _ORDERS else _order(cells)
+    out = np.empty(len(cells))
+    for row, cell in enumerate(cells):
+        try:
+            out[row] = _seconds(cell, taken)
+        except (TypeError, ValueError, OverflowError):
+            how = "" if taken is None else f" with the {taken.removesuffix('-first')} first"
+            raise RowsError(f"{name}: column {column} has {shown(cell)} in row {row}, a date{how} is needed") from None
+    return out
+
+
+def _order(cells: list[Any]) -> str | None:
+    """Whether the day or the month comes first in texts; None where the year does in all."""
+    found = [match for cell in cells if isinstance(cell, str) and (match := _LAST.match(cell.strip()))]
+    if not found:
+        return None
+    for part, order in zip((1, 3), _ORDERS):
+        if any(int(match[part]) > 12 for match in found):
+            return order
+    return "day-first" if found[0][2] == "." else "month-first"
+
+
+def _seconds(cell: Any, order: str | None) -> float:
+    """Of one date; raises TypeError or ValueError where it is none."""
+    if isinstance(cell, np.datetime64):
+        cell = cell.astype("datetime64[us]").item()
+    if isinstance(cell, str):
+        moment = _read(cell.strip(), order)
+    elif isinstance(cell, datetime.datetime):
+        moment = cell
+    elif isinstance(cell, datetime.date):
+        moment = datetime.datetime(cell.year, cell.month, cell.day)
+    else:
+        raise TypeError
+    if moment.tzinfo is None:
+        moment = moment.replace(tzinfo=datetime.UTC)
+    return moment.timestamp()
+
+
+def _read(text: str, order: str | None) -> datetime.datetime:
+    if match := _FIRST.match(text):
+        year, month, day = match.groups()
+    elif match := _LAST.match(text):
+        first, _, second, year = match.groups()
+        day, month = (first, second) if order == "day-first" else (second, first)
+    else:
+        raise ValueError
+    if (clock := _CLOCK.fullmatch(text, match.end())) is None:
+        raise ValueError
+    hour, minute, second, fraction, half, zone = clock.groups()
+    hours = int(hour or 0)
+    if half:
+        if hours > 12:
+            raise ValueError
+        hours = hours % 12 + 12 * (half in "pP")
+    micro = int((fraction or "0").ljust(6, "0"))
+    moment = datetime.datetime(int(year), int(month), int(day), hours, int(minute or 0), int(second or 0), micro)
+    if zone is None:
+        return moment
+    if zone == "Z":
+        return moment.replace(tzinfo=datetime.UTC)
+    sign, digits = zone[0], zone[1:].replace(":", "")
+    away = datetime.timedelta(hours=int(digits[:2]), minutes=int(digits[2:]))
+    return moment.replace(tzinfo=datetime.timezone(-away if sign == "-" else away))
