@@ -1233,7 +1233,7 @@ MUTANTS = (
     Mutant(
         "one-action", "runs/together.py", 'or [0, 1]) < 2:', 'or [0, 1]) < 1:',
         "a second action is invented for logs of a single one",
-        ("runs/test_train.py::test_a_log_of_one_action_has_nothing_to_choose_between",),
+        ("runs/test_predict.py::test_a_log_of_one_action_has_nothing_to_choose_between",),
     ),
     Mutant(
         "dates-frames", "data/text_columns.py",

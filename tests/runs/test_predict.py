@@ -300,3 +300,10 @@ def test_the_mixture_of_a_cross_fit_is_a_file_like_others(tmp_path):
         found = policy.predict(offers(1), seed=seed)
         np.testing.assert_array_equal(play.predict(offers(1), seed=seed), found)
         assert (found == members).any(0).all()
+
+
+def test_a_log_of_one_action_has_nothing_to_choose_between(tmp_path):
+    table = {"x": np.arange(20.0), "action": ["mail"] * 20, "reward": np.arange(20.0)}
+    with pytest.raises(UserError, match="frame: its only action is mail, so there is nothing to choose between"):
+        dr.train("bc", dr.Dataset.from_frame(table), out=tmp_path / "run", steps=2, task=False)
+    assert not (tmp_path / "run").exists()

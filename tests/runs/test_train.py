@@ -208,13 +208,6 @@ def test_what_does_not_fit_is_told_before_anything_is_written(log, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_log_of_one_action_has_nothing_to_choose_between(tmp_path):
-    table = {"x": np.arange(20.0), "action": ["mail"] * 20, "reward": np.arange(20.0)}
-    with pytest.raises(dr.UserError, match="frame: its only action is mail, so there is nothing to choose between"):
-        dr.train("bc", dr.Dataset.from_frame(table), out=tmp_path / "run", steps=2, task=False)
-    assert not (tmp_path / "run").exists()
-
-
 @pytest.mark.parametrize(
     ("name", "folder"),
     [
