@@ -340,6 +340,21 @@ def test_what_an_environment_raises_is_told_with_its_name():
         simulator.step(np.array([1]))
 
 
+@pytest.mark.parametrize(
+    ("seen", "reward", "told"),
+    [(np.nan, 0.0, r"step\(1\) gave an observation that is not finite: nan"), (0.0, np.inf, r"step\(1\) gave the reward inf, a finite")],
+)
+def test_what_is_not_finite_is_told_where_it_begins(seen, reward, told):
+    class Drifting(toys.Unseeded):
+        def step(self, action):
+            return np.full(1, seen, np.float32), reward, False, False, {}
+
+    simulator = dr.task(Drifting, horizon=5).simulate([0])
+    simulator.reset()
+    with pytest.raises(UserError, match=rf"Drifting.*: the environment's {told}"):
+        simulator.step(np.array([1]))
+
+
 def test_a_folder_must_not_name_code_that_runs():
     with pytest.raises(UserError, match="not one of deadreckon's: name it with --task, or import antigravity first"):
         registry.of_run("antigravity:fly")

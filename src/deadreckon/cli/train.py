@@ -183,7 +183,7 @@ def summary(run) -> str:
             distance, outside = (np.asarray(evaluations[key])[last].mean() for key in ("mmd_to_data", "outside_range"))
             lines.append(
                 f"MMD to the log {distance:.3f}: the distance of the policy's actions from those logged in the same states, "
-                f"0 for a copy; {outside:.1%} of its actions are outside the log's range"
+                f"0 for a copy; {outside:.1%} of its actions, sampled, are outside the log's range"
             )
         if "return" in evaluations:
             from deadreckon.stats.crossed import mean_interval

@@ -4,6 +4,7 @@ They are not stepped by Gymnasium's vector environments: these begin the next ep
 copy's episode is over, where here it rests until its `reset`. The steps are the same bit for bit (a test compares them).
 """
 
+import math
 import weakref
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -55,17 +56,30 @@ class GymnasiumCopies:
         if self._envs[copy] is None:
             self._envs[copy] = self.task.make()
         seed = episode_seed(int(self._starts.seeds[copy]), int(self._starts.drawn[copy]) - 1)
+        call = f"reset(seed={seed})"
         try:
-            return self.task.spaces.observe(self._envs[copy].reset(seed=seed)[0])
+            seen = self.task.spaces.observe(self._envs[copy].reset(seed=seed)[0])
         except Exception as error:  # whatever the environment raises is its author's to mend
-            raise _broken(self.task.name, f"reset(seed={seed})", error) from error
+            raise _broken(self.task.name, call, error) from error
+        return self._finite(call, seen)
 
     def _advance(self, copy: int, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool]:
         try:
             seen, reward, terminated, truncated, _ = self._envs[copy].step(self.task.spaces.act(action))
-            return self.task.spaces.observe(seen), float(reward), bool(terminated), bool(truncated)
+            seen, reward = self.task.spaces.observe(seen), float(reward)
+            done = bool(terminated), bool(truncated)
         except Exception as error:  # whatever the environment raises is its author's to mend
             raise _broken(self.task.name, f"step({action.tolist()})", error) from error
+        return self._finite(f"step({action.tolist()})", seen, reward), reward, *done
+
+    def _finite(self, call: str, seen: np.ndarray, reward: float = 0.0) -> np.ndarray:
+        """The observation, refused where it or the reward is not finite."""
+        if not math.isfinite(reward):
+            raise UserError(f"{self.task.name}: the environment's {call} gave the reward {reward}, a finite number is needed")
+        if seen.dtype.kind == "f" and not np.isfinite(seen).all():
+            numbers = " ".join(f"{each:g}" for each in seen.ravel()[:8])
+            raise UserError(f"{self.task.name}: the environment's {call} gave an observation that is not finite: {numbers}")
+        return seen
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Applies (copies, size) continuous actions or (copies,) numbers of discrete ones; see `Simulator.step`.
