@@ -342,8 +342,9 @@ def test_what_an_environment_raises_is_told_with_its_name():
 
 @pytest.mark.parametrize(
     ("seen", "reward", "told"),
-    [(np.nan, 0.0, r"step\(1\) gave an observation that is not finite: nan"), (0.0, np.inf, r"step\(1\) gave the reward inf, a finite")],
-)
+    [(np.nan, 0.0, r"step\(1\) gave an observation that is not finite: nan"),
+     (0.0, np.inf, r"step\(1\) gave the reward inf, a finite number is needed")],
+)  # fmt: skip
 def test_what_is_not_finite_is_told_where_it_begins(seen, reward, told):
     class Drifting(toys.Unseeded):
         def step(self, action):
