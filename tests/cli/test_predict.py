@@ -80,9 +80,12 @@ def test_what_is_written_beside_the_actions(run, tmp_path):
     done = run.predictor(1).predict(new.replace({"ja": True, "nein": False, "on": True, "off": False}), greedy=False, seed=5,
                                     outside="flag")  # fmt: skip
     assert found["offer"].tolist() == done.actions.tolist()
-    days = new.assign(plan="free", day=[f"{1 + i % 28:02d}.06.2024" for i in range(ROWS)])
-    assert predicted(run, days, tmp_path, "--keep", "day")[0] == 0
-    assert pd.read_csv(tmp_path / "actions.csv")["day"].tolist() == days["day"].tolist()
+    kept = {"day": [f"{1 + i % 28:02d}.06.2024" for i in range(ROWS)], "code": [f"{i:03d}" for i in range(ROWS)],
+            "rate": [f"{i}.50" for i in range(ROWS)], "ok": ["yes", "no"] * (ROWS // 2)}  # fmt: skip
+    for out in ("kept.csv", "kept.parquet"):
+        assert predicted(run, new.assign(plan="free", **kept), tmp_path, "--keep", *kept, out=out)[0] == 0
+        found = pd.read_csv(tmp_path / out, dtype=str) if out.endswith("csv") else pd.read_parquet(tmp_path / out)
+        assert {key: found[key].tolist() for key in kept} == kept
 
 
 def test_tables_in_another_dialect_than_the_schemas_log(tmp_path, capsys):
@@ -102,6 +105,10 @@ def test_tables_in_another_dialect_than_the_schemas_log(tmp_path, capsys):
     first = pd.read_csv(tmp_path / "actions.csv")
     assert main(["predict", str(made.path), str(tmp_path / "log.toml"), "--out", str(tmp_path / "again.csv")]) == 0
     assert pd.read_csv(tmp_path / "again.csv").equals(first)
+    before = (tmp_path / "log.csv").read_bytes()
+    assert main(["predict", str(made.path), str(tmp_path / "log.toml"), "--out", str(tmp_path / "log.csv")]) == 2
+    assert "is the table itself; choose another name" in capsys.readouterr().err
+    assert (tmp_path / "log.csv").read_bytes() == before
 
 
 def test_what_is_refused_and_leaves_no_file(run, tmp_path, capsys):

@@ -81,14 +81,47 @@ def mixture(**rules) -> Designs:
 @pytest.mark.parametrize(
     "rules",
     [{"mixtures": ["pqr"], "fixed": ["p=0.333333"]}, {"mixtures": ["pqr"], "fixed": ["p=0.3333333"]},
-     {"constraints": ["p + q = 0.123456"]}, {"constraints": ["2.5 p + q = 1.234567"]}],
+     {"constraints": ["p + q = 0.123456"]}, {"constraints": ["2.5 p + q = 1.234567"]},
+     {"constraints": ["p + q = 0.8", "q + r = 0.7"], "fixed": ["p=0.333333"]}],
 )  # fmt: skip
 def test_what_must_be_equal_has_as_many_decimals_as_it_takes(rules):
     data = mixture(**rules)
     found, good = data.repair.exact(data.x)
     assert good.all()
     assert data.repair.good(found).all()
-    assert len(np.unique(found[:, 1])) > 5  # not one way out for all
+    assert len(np.unique(found[:, 1])) > 5 or "q + r = 0.7" in rules.get("constraints", ())  # not one way out for all
+
+
+def test_levels_and_steps_of_many_decimals_are_met_too():
+    rng = np.random.default_rng(0)
+    frame = {"dose": rng.choice([0.123456, 0.654321], 30), "a": rng.uniform(size=30), "b": rng.uniform(size=30)}
+    rules = {"kinds": {"dose": "ordinal"}, "bounds": {"a": (0.0, 1.0), "b": (0.0, 1.0)}, "constraints": ["dose + a + b = 1"]}
+    for fixed in ((), ("dose=0.123456",)):
+        data = Designs.from_frame(frame | {"y": rng.normal(size=30)}, "y", fixed=fixed, **rules)
+        assert data.repair.exact(data.x)[1].all()
+    stepped = {"bounds": {"a": (0.0, 1.0), "b": (0.0, 2.0)}, "steps": {"a": 0.333333}, "constraints": ["a + b = 1.1"]}
+    data = Designs.from_frame({"a": [0.0, 0.333333] * 10, "b": rng.uniform(size=20), "y": rng.normal(size=20)}, "y", **stepped)
+    assert data.repair.exact(data.x)[1].all()
+
+
+@pytest.mark.parametrize(
+    ("rules", "told"),
+    [({"constraints": ["a + b >= 3"]}, False), ({"constraints": ["a - 0.333333 b = 0"], "bounds": {"b": (0.001, 0.9)}}, True),
+     ({"constraints": ["a + b = 0.123456789"]}, True)],
+)  # fmt: skip
+def test_the_hint_on_digits_is_told_where_they_are_to_blame(rules, told):
+    rng = np.random.default_rng(0)
+    frame = {"a": rng.uniform(0.01, 0.8, 20), "b": rng.uniform(0.01, 0.8, 20), "y": rng.normal(size=20)}
+    with pytest.raises(UserError, match="no design within the bounds") as error:
+        Designs.from_frame(frame, "y", **rules)
+    assert ("seven digits" in str(error.value)) == told
+
+
+def test_bounds_beyond_32_bits_and_values_fixed_at_a_bound():
+    frame = {"t": np.linspace(0.0, 123456.789, 20), "u": np.arange(20.0), "y": np.arange(20.0)}
+    assert Designs.from_frame(frame, "y", bounds={"t": (-1e39, 1e39)}).variables[0].high < 1e39
+    data = Designs.from_frame(frame, "y", bounds={"t": (0.0, 123456.789)}, fixed=["t=123456.789"])
+    np.testing.assert_allclose(data.repair.exact(data.x)[0][:, 0], 123456.789)
 
 
 def test_a_ratio_of_more_decimals_than_32_bits_hold_is_refused_with_the_way_to_write_it():

@@ -83,6 +83,16 @@ def test_flags_as_people_and_libraries_write_them(encoder, log, words):
     np.testing.assert_array_equal(encoder.encode(given.iloc[3].to_dict()).observations[0], log.observations[3])
 
 
+def test_words_for_what_is_missing_are_missing_flags():
+    frame = table().astype({"on": object})
+    frame.loc[3, "on"] = None
+    log = Dataset.from_frame(frame, action="offer", reward="reward", kinds={"zone": "category"})
+    coder = TableEncoder(json.loads(json.dumps(noted(log))))
+    for word in ("NA", "", "null", None, np.nan):
+        frame.loc[3, "on"] = word
+        np.testing.assert_array_equal(coder.encode(frame).observations, log.observations)
+
+
 WRONG = {
     "an unknown level": ({"mode": "aut"}, "column mode has 'aut' in row 1, which is none of its levels: did you mean auto"),
     "a text": ({"temp": "warm"}, "column temp has 'warm' in row 1, a number is needed"),

@@ -1,5 +1,6 @@
 """From a table to named actions in new rows of it: one step, several steps with missing values and dates, several actions."""
 
+import datetime as dt
 import json
 import subprocess
 import sys
@@ -275,6 +276,37 @@ def test_policies_on_histories_go_on_from_what_they_did(history):
         assert len(act(alone.iloc[:0])) == (0 if name == "patients" else 2)
 
 
+@pytest.mark.parametrize(
+    "written", ["%d/%m/%Y", "%m/%d/%Y", "%d.%m.%Y %H:%M", "%Y-%m-%dT%H", "delta", "time", None]
+)
+def test_times_of_histories_are_read_as_those_of_the_log(tmp_path, written):
+    days = pd.date_range("2024-05-06", periods=60, freq="D")  # most of them can be read in two ways, and some in one alone
+    moments = {"delta": days - days[0], "time": [dt.time(i // 60, i % 60) for i in range(60)], None: days}.get(written)
+    frame = pd.DataFrame({"who": np.arange(60) // 10, "at": days.strftime(written) if moments is None else moments})
+    frame = frame.assign(x=np.arange(60.0), action=["a", "b"] * 30, reward=0.0)
+    log = dr.Dataset.from_frame(frame, episode="who", time="at")
+    run = train(dr.agents.BC(**NETS), log, out=tmp_path / "run", history=2, **SHORT)
+    for act in (run.predict, player(run).predict):
+        assert len(act(frame)) == 60
+        assert len(act(frame.iloc[:5])) == 5  # whose days are all below 12
+        with pytest.raises(ValueError, match="column at has .* in row 1, before the .* of row 0 in the same episode"):
+            act(frame.iloc[[4, 3]])
+    if written is not None and "%" in written:
+        frame.iloc[:5].to_csv(tmp_path / "new.csv", index=False)
+        command = ["predict", str(run.path), str(tmp_path / "new.csv"), "--out", str(tmp_path / "out.csv"), "--keep", "at"]
+        assert main(command) == 0
+        assert pd.read_csv(tmp_path / "out.csv")["at"].tolist() == frame["at"].tolist()[:5]
+
+
+def test_flags_that_were_the_action_may_be_words(tmp_path):
+    frame = pd.DataFrame({"who": np.arange(40) // 10, "x": np.arange(40.0), "go": [True, False] * 20, "reward": 0.0})
+    log = dr.Dataset.from_frame(frame, action="go", reward="reward", episode="who")
+    run = train(dr.agents.BC(**NETS), log, out=tmp_path / "run", history=2, **SHORT)
+    want = run.predict(frame).tolist()
+    for words in (["yes", "no"], [1, 0], ["True", "False"]):
+        assert run.predict(frame.assign(go=words * 20)).tolist() == want
+
+
 def test_policies_on_histories_refuse_rows_without_order(history):
     frame, log, run, name = history
     with pytest.raises(UserError, match="acts on the last 3 steps of an episode: give the column (patient|day) of the episode"):
@@ -306,4 +338,7 @@ def test_a_log_of_one_action_has_nothing_to_choose_between(tmp_path):
     table = {"x": np.arange(20.0), "action": ["mail"] * 20, "reward": np.arange(20.0)}
     with pytest.raises(UserError, match="frame: its only action is mail, so there is nothing to choose between"):
         dr.train("bc", dr.Dataset.from_frame(table), out=tmp_path / "run", steps=2, task=False)
+    numbers = dr.Dataset.from_frame(table | {"action": [0] * 20})
+    with pytest.raises(UserError, match="frame: its only action is 0, so"):
+        dr.train("bc", numbers, out=tmp_path / "run", steps=2, task=False)
     assert not (tmp_path / "run").exists()

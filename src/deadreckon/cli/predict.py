@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -46,11 +46,13 @@ def predict(args: Sequence[str]) -> None:
     check_seed(options.seed)
     if out.suffix.lower() not in _ENDINGS:
         raise UserError(f"--out {out}: actions are written as .csv or .parquet")
-    if out.exists() and Path(options.table).exists() and out.samefile(options.table):
+    from deadreckon.data.schema import Schema, table_of
+
+    source = table_of(options.table)
+    if out.exists() and any(Path(path).exists() and out.samefile(path) for path in (options.table, source)):
         raise UserError(f"--out {out} is the table itself; choose another name")
 
     from deadreckon.data.formats.any_table import read_rows
-    from deadreckon.data.schema import Schema, table_of
     from deadreckon.runs.player import chosen, predictor
 
     found = chosen(options.policy, options.policy_seed)
@@ -62,7 +64,7 @@ def predict(args: Sequence[str]) -> None:
         )
     ways = {key: value for key, value in vars(options.file).items() if value is not None}
     schema = Schema.from_json(policy.encoder.schema, str(found.file))
-    table, told = read_rows(table_of(options.table), schema, undated=options.keep, **ways)
+    table, told = read_rows(source, schema, **ways)
     if found.sampled and not options.sampled:
         told = ["the decision was about sampled actions, and these are the deterministic (greedy) ones: add --sampled", *told]
     for line in told:
@@ -76,12 +78,20 @@ def predict(args: Sequence[str]) -> None:
     columns = policy.columns(done)
     if twice := [column for column in options.keep if column in columns]:
         raise UserError(f"--keep {twice[0]}: the actions are written under this name; leave it out")
-    _write(out, {**{column: table[column] for column in options.keep}, **columns})
+    texts = read_rows(source, schema, plain=options.keep, **ways)[0] if options.keep else table
+    _write(out, {**{column: _kept(table[column], texts[column]) for column in options.keep}, **columns})
     rows, outside = table.num_rows, columns.get("outside_the_log")
     note = "" if outside is None else f", {int(outside.sum()):,} of them outside the log"
     print(f"{found.words}: actions in {rows:,} rows{note}, in {out}")
     if units := policy.encoder.units:
         print(f"units: {', '.join(f'{column} in {unit}' for column, unit in units.items())}")
+
+
+def _kept(read: Any, text: Any) -> Any:
+    """A column as its file has it: what was read where that is written alike, else the texts, such as 007, 1.50 and dates."""
+    import pyarrow as pa
+
+    return read if read.type == text.type or read.cast(pa.string()).equals(text.cast(pa.string())) else text
 
 
 def _write(out: Path, columns: dict) -> None:

@@ -1,6 +1,7 @@
 """Tables of one's own: columns are named, encoded and sorted into episodes, as `Dataset.from_arrays` takes them."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -93,16 +94,19 @@ def frame_columns(
     """
     schema = None if schema is None else as_schema(schema)
     dates = Dialect.asked(dates=dates).dates or (schema.table.get("dates") if schema else None)
-    table, _, told = with_dates(to_arrow(frame, name), dates)
-    read = table_columns(table, schema, name, **asked)
+    table, order, told = with_dates(to_arrow(frame, name), dates)
+    read = table_columns(table, schema, name, order=order, **asked)
     return read._replace(warnings=[*told, *read.warnings])
 
 
 def table_columns(
     table: pa.Table, schema: Schema | Mapping[str, Any] | Path | str | None, name: str, scratch: Scratch | None = None,
-    **asked: Any,
+    *, order: str | None = None, **asked: Any,
 ) -> FrameColumns:  # fmt: skip
-    """As `frame_columns`, of a table whose texts of dates are read already; `scratch`, or memory, is where columns are kept."""
+    """As `frame_columns`, of a table whose texts of dates are read already, in an order that is noted for further rows.
+
+    `scratch`, or memory, is where columns are kept.
+    """
     if table.num_rows == 0:
         raise UserError(f"{name}: the table has no rows")
     function = asked.pop("legal") if callable(asked.get("legal")) else None
@@ -116,6 +120,8 @@ def table_columns(
         found = as_schema(schema)
         warnings = _checked(table, found, name)
         table = with_flags(table, [column.name for column in found.columns if column.kind == "flag"])
+    if order is not None:
+        found = replace(found, table={**found.table, "dates": order})
     read = _log_columns(table, found, warnings, name, scratch or Scratch())
     return read if function is None else read._replace(columns={**read.columns, "legal": function})
 
@@ -124,7 +130,7 @@ def _checked(table: pa.Table, schema: Schema, name: str) -> list[str]:
     """Refuses a schema that does not fit the table; tells which columns it does not have."""
     for column in schema.columns:
         if column.role != "ignore" and column.name not in table.column_names:
-            close = str(unknown("column", column.name, table.column_names)).partition(": ")[2]
+            close = str(unknown("column", column.name, table.column_names)).removeprefix(f"unknown column {column.name!r}: ")
             raise UserError(f"{name}: no column {column.name}, to which the schema gives the role {column.role}: {close}")
     for role in ("action", "reward", "observation"):
         if not schema.having(role):

@@ -173,7 +173,8 @@ def read_fixed(text: str, variables: Sequence[Variable], name: str) -> tuple[int
     column = _column(left, variables, name)
     v = variables[column]
     value = float(_level(right, v, name) if v.leveled else _fraction(right, v, name))
-    if not v.leveled and not v.low <= value <= v.high:
+    slack = 2.0 * float(np.spacing(np.float32(abs(value))))  # bounds are the nearest within that 32 bits hold
+    if not v.leveled and not v.low - slack <= value <= v.high + slack:
         raise UserError(f"{name}: {v.name} is fixed at {value:g}, outside its bounds [{v.low:g}, {v.high:g}]")
     if v.kind == "integer" and value != round(value):
         raise UserError(f"{name}: {v.name} holds whole numbers and is fixed at {value:g}")

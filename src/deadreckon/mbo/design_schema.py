@@ -201,9 +201,8 @@ class DesignSchema:
         for name, column in self.columns.items():
             lines.append(f"[columns.{toml_value(name)}]")
             lines += [f"# {shown(' '.join(column.about.split()))}"] if column.about else []
-            told = {f.name: getattr(column, f.name) for f in fields(column) if f.name != "about"}
-            told = {f.name: told[f.name] for f in fields(column) if f.name in told and told[f.name] != f.default}
-            lines += [f"{key} = {toml_value(value)}" for key, value in told.items()]
+            told = [(f.name, getattr(column, f.name), f.default) for f in fields(column) if f.name != "about"]
+            lines += [f"{key} = {toml_value(value)}" for key, value, usual in told if value != usual]
             lines.append("")
         return "\n".join(lines)
 

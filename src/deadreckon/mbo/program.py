@@ -72,7 +72,7 @@ class Program:
                     row[self.at[i]] = float(weight * self._unit(i))
             # In units of the finest grid, beside which the solver's tolerance of 1e-6 is nothing.
             grids = [abs(float(weight * self._unit(i))) for i, weight in each.weights if i not in fixed and steps[i]]
-            fine = min([1.0, *grids])
+            fine = min([1.0, *(grid for grid in grids if grid > 1e-12)])
             bound = float(each.bound) / fine
             row = {column: value / fine for column, value in row.items()}
             self.rows.append((row, bound if each.equal else -math.inf, bound))

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.mbo.constraints import places
+from deadreckon.mbo.constraints import Forbidden, Linear, places
 from deadreckon.mbo.program import Program, ends
 from deadreckon.mbo.rules import Rules, written
 
@@ -33,7 +33,7 @@ class Repair:
 
     def __init__(self, data: "Designs"):
         self.data, self.rules, self.variables = data, data.rules, data.variables
-        touched = self.rules.touched
+        touched, self.decimals = self.rules.touched, self.rules.decimals(data.variables)
         self.steps = [self._step(i) if v.step or i in touched else None for i, v in enumerate(self.variables)]
         spread = data.x.astype(np.float64).std(0)
         self.scale = np.where(spread > 0, spread, np.maximum(1e-3 * np.abs(data.x).max(0), 1e-3))
@@ -48,7 +48,7 @@ class Repair:
             return Fraction(1) if v.kind == "integer" else None
         low, high = (b if math.isfinite(b) else float(s) for b, s in ((v.low, seen.min()), (v.high, seen.max())))
         largest = max(abs(low), abs(high), 1e-30)
-        digits = min(math.floor(math.log10(max(high - low, 1e-7 * largest))) - FINE, -self.rules.decimals(i))
+        digits = min(math.floor(math.log10(max(high - low, 1e-7 * largest))) - FINE, -self.decimals[i])
         apart = np.spacing(np.nextafter(np.float32(largest), np.float32(0)))  # of the largest numbers of 32 bits
         return Fraction(10) ** max(digits, math.ceil(math.log10(apart)))
 
@@ -149,6 +149,12 @@ class Repair:
     def _program(self) -> Program:
         return Program(self.variables, self.rules, self.steps, self.scale, self.data.name)
 
+    def _too_fine(self, each: Linear) -> bool:
+        """Whether an equality needs more decimals than the grids of its variables have, or weights on top of theirs."""
+        steps = [(self.decimals[c], step) for c, _ in each.weights if (step := self.steps[c]) is not None]
+        fine = any(Fraction(1, 10**count) < step for count, step in steps)
+        return fine or any(places(weight) >= FINE for _, weight in each.weights)
+
     def check_possible(self) -> None:
         """Refuses rules that no design satisfies.
 
@@ -172,8 +178,9 @@ class Repair:
         for kind in ("linear", "forbidden"):
             for each in getattr(rules, kind):
                 if without(replace(rules, **{kind: tuple(e for e in getattr(rules, kind) if e is not each)})):
-                    blamed.append(("forbidding " if kind == "forbidden" else "") + each.text)
-        told = f"; without {' or without '.join(map(repr, blamed))} there would be some" if blamed else ""
-        if any(each.equal and max(places(weight) for _, weight in each.weights) >= FINE for each in rules.linear):
-            told += "; numbers have the seven digits that 32 bits hold: write a ratio in whole numbers, such as 3 a - b = 0"
+                    blamed.append(each)
+        names = [f"forbidding {each.text}" if isinstance(each, Forbidden) else each.text for each in blamed]
+        told = f"; without {' or without '.join(map(repr, names))} there would be some" if blamed else ""
+        if any(isinstance(each, Linear) and each.equal and self._too_fine(each) for each in blamed or rules.linear):
+            told += "; numbers have seven digits (32 bits): round them, and write ratios in whole numbers, such as 3 a - b = 0"
         raise UserError(f"{name}: no design within the bounds satisfies all constraints{told}")

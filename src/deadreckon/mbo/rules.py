@@ -42,15 +42,34 @@ class Rules:
         linear = {column for each in self.linear for column, _ in each.weights}
         return linear | {clause.column for each in self.forbidden for clause in each.clauses}
 
-    def decimals(self, column: int) -> int:
-        """Decimals that the other numbers of the equalities with a column have: its weights', fixed parts' and bounds'."""
-        fixed = {c: Fraction(str(np.float32(value))) for c, value in self.fixed}
-        found = [0]
+    def decimals(self, variables: Sequence[Variable]) -> list[int]:
+        """Decimals with which each variable can meet the equalities that it is in.
+
+        These are those of their bounds less fixed parts, of weights, of steps and of levels; and of other equalities that they
+        share a variable with.
+        """
+        values = {
+            c: Fraction(str(variables[c].levels[int(value)] if variables[c].leveled else np.float32(value)))
+            for c, value in self.fixed if variables[c].numeric_levels or not variables[c].leveled
+        }  # fmt: skip
+        out, sums = [0] * len(variables), []
         for each in self.linear:
-            if each.equal and column in (weights := dict(each.weights)):
-                left = each.bound - sum(weight * fixed.get(c, 0) for c, weight in weights.items())
-                found += [places(left), *map(places, weights.values())]
-        return max(found)
+            if not each.equal:
+                continue
+            left = each.bound - sum(weight * values.get(c, 0) for c, weight in each.weights)
+            found = [places(left)]
+            free = [(c, weight) for c, weight in each.weights if c not in values]
+            for c, weight in free:
+                v = variables[c]
+                units = list(v.levels) if v.leveled else [v.step or 1]
+                found += [places(weight), *(places(weight * Fraction(str(unit))) for unit in units)]
+            sums.append((max(found), [c for c, _ in free]))
+        for _ in sums:  # as often as what one needs may pass on to the next
+            for most, columns in sums:
+                most = max([most, *(out[c] for c in columns)])
+                for c in columns:
+                    out[c] = most
+        return out
 
     @classmethod
     def of(

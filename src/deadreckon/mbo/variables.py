@@ -152,7 +152,8 @@ def _number(
 
 def _within(bound: float, inwards: int) -> float:
     """The nearest number to a bound that 32 bits hold and that, as it is written, does not lie beyond it."""
-    found = np.float32(bound)
+    largest = np.finfo(np.float32).max
+    found = np.float32(bound if math.isinf(bound) else min(max(bound, -largest), largest))
     if math.isfinite(bound) and inwards * (Fraction(str(found)) - Fraction(str(bound))) < 0:
         found = np.nextafter(found, np.float32(inwards * math.inf))
     return float(str(found))

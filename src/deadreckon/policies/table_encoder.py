@@ -22,6 +22,7 @@ if __package__:
         codes_by_level,
         columns_of,
         first,
+        flags_of,
         is_missing,
         kind,
         listed,
@@ -37,6 +38,7 @@ else:  # copied beside `portable.py`
         codes_by_level,
         columns_of,
         first,
+        flags_of,
         is_missing,
         kind,
         listed,
@@ -227,6 +229,9 @@ class TableEncoder:
             raise RowsError(f"{self.name}: no column {missing[0]}, which is an action as {there[0]} is")
         if not self.discrete:
             return np.stack([numbers_of(key, columns[key], self.name) for key in self.actions], 1)
+        if self.actions[there[0]]["kind"] == "flag":
+            flags = flags_of(there[0], columns[there[0]], self.name)
+            return np.where(np.isnan(flags), -1, flags).astype(int)
         codes = codes_by_level(self.names)
         found = [-1 if is_missing(value) else code_of(codes, value) for value in columns[there[0]].tolist()]
         if None in found:

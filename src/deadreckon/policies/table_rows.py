@@ -19,6 +19,7 @@ else:  # copied beside `portable.py`
 _PLAIN = {int, float, bool}
 _SHOWN = 8  # names in a message
 _FLAG = "a flag is true or false, 1 or 0, yes or no"
+_MISSING = ("", "NA", "N/A", "n/a", "NaN", "nan", "NULL", "Null", "null", "None", "none", "#N/A", "#NV", "#NA")
 # Texts of truth values, as `data.formats.cells` reads them in files.
 _TRUTHS = {word: True for word in ("yes", "ja", "oui", "si", "sí", "sì", "true", "y", "j", "t", "on")} | {
     word: False for word in ("no", "nein", "non", "false", "n", "f", "off")
@@ -154,11 +155,15 @@ def flags_of(column: str, values: np.ndarray, name: str) -> np.ndarray:
     """
     if values.dtype.kind not in "fiub":
         cells = values.tolist()
-        values = _array([_TRUTHS.get(cell.strip().lower(), cell) if isinstance(cell, str) else cell for cell in cells])
+        values = _array([_truth(cell.strip()) if isinstance(cell, str) else cell for cell in cells])
     found = numbers_of(column, values, name, _FLAG)
     if (wrong := ~np.isnan(found) & (found != 0) & (found != 1)).any():
         raise _no_value(column, values.tolist()[row := first(wrong)], row, name, _FLAG)
     return found
+
+
+def _truth(text: str) -> Any:
+    return None if text in _MISSING else _TRUTHS.get(text.lower(), text)
 
 
 def _no_value(column: str, value: Any, row: int, name: str, needed: str) -> RowsError:

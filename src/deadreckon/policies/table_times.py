@@ -18,7 +18,8 @@ else:  # copied beside `portable.py`
 _LAST = re.compile(r"(\d{1,2})([./-])(\d{1,2})[./-](\d{4})(?!\d)")  # the year is last, so the day or the month comes first
 _FIRST = re.compile(r"(\d{4})[./-](\d{1,2})[./-](\d{1,2})(?!\d)")
 _CLOCK = re.compile(
-    r"(?:(?:,? +|T)(\d{1,2}):(\d{2})(?::(\d{2})(?:[.,](\d{1,6}))?)?(?: ?([AaPp])\.?[Mm]\.?)?)?(Z|[+-]\d{2}:?\d{2})?", re.ASCII
+    r"(?:(?:,? +|T)(\d{1,2})(?::(\d{2})(?::(\d{2})(?:[.,](\d{1,9}))?)?)?(?: ?([AaPp])\.?[Mm]\.?)?)?(Z|[+-]\d{2}(?::?\d{2})?)?",
+    re.ASCII,
 )
 _ORDERS = ("day-first", "month-first")
 
@@ -37,7 +38,7 @@ def times_of(column: str, values: np.ndarray, name: str, *, dates: bool, order: 
     Raises:
         RowsError: a value is missing, or is no number or date.
     """
-    if values.dtype.kind == "M":
+    if values.dtype.kind in "mM":
         missing = np.isnat(values)
     else:
         missing = np.asarray([is_missing(v) or (isinstance(v, str) and not v.strip()) for v in values.tolist()], bool)
@@ -45,8 +46,8 @@ def times_of(column: str, values: np.ndarray, name: str, *, dates: bool, order: 
         raise RowsError(f"{name}: column {column} is empty in row {int(np.argmax(missing))}; it orders the rows of an episode")
     if not dates:
         return numbers_of(column, values, name)
-    if values.dtype.kind == "M":
-        return values.astype("datetime64[us]").astype(np.int64) / 1e6
+    if values.dtype.kind in "mM":  # durations order rows too
+        return values.astype(f"{values.dtype.kind}8[us]").astype(np.int64) / 1e6
     cells = values.tolist()
     taken = order if order in _ORDERS else _order(cells)
     out = np.empty(len(cells))
@@ -71,9 +72,13 @@ def _order(cells: list[Any]) -> str | None:
 
 
 def _seconds(cell: Any, order: str | None) -> float:
-    """Of one date; raises TypeError or ValueError where it is none."""
-    if isinstance(cell, np.datetime64):
-        cell = cell.astype("datetime64[us]").item()
+    """Of one date, duration or time of day; raises TypeError or ValueError where it is none."""
+    if isinstance(cell, np.datetime64 | np.timedelta64):
+        cell = cell.astype(f"{cell.dtype.kind}8[us]").item()
+    if isinstance(cell, datetime.timedelta):
+        return cell.total_seconds()
+    if isinstance(cell, datetime.time):
+        return cell.hour * 3600 + cell.minute * 60 + cell.second + cell.microsecond / 1e6
     if isinstance(cell, str):
         moment = _read(cell.strip(), order)
     elif isinstance(cell, datetime.datetime):
@@ -103,12 +108,12 @@ def _read(text: str, order: str | None) -> datetime.datetime:
         if hours > 12:
             raise ValueError
         hours = hours % 12 + 12 * (half in "pP")
-    micro = int((fraction or "0").ljust(6, "0"))
+    micro = int((fraction or "0").ljust(6, "0")[:6])
     moment = datetime.datetime(int(year), int(month), int(day), hours, int(minute or 0), int(second or 0), micro)
     if zone is None:
         return moment
     if zone == "Z":
         return moment.replace(tzinfo=datetime.UTC)
     sign, digits = zone[0], zone[1:].replace(":", "")
-    away = datetime.timedelta(hours=int(digits[:2]), minutes=int(digits[2:]))
+    away = datetime.timedelta(hours=int(digits[:2]), minutes=int(digits[2:] or 0))
     return moment.replace(tzinfo=datetime.timezone(-away if sign == "-" else away))

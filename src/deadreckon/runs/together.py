@@ -77,7 +77,8 @@ def train_lanes(
     learned: list[_Learned] = []
     for key, runs in grouped.items():
         log, agents = logs[key], list(runs.values())
-        if len(levels := log.provenance.extra.get("action_levels") or [0, 1]) < 2:  # which the log's space has two of
+        levels = log.provenance.extra.get("action_levels") or ([0, 1] if not log.spec.discrete or log.actions.any() else [0])
+        if len(levels) < 2 and "schema" in log.provenance.extra:  # a table's, whose space has two actions all the same
             raise UserError(f"{log.name}: its only action is {levels[0]}, so there is nothing to choose between")
         judge = judge_of(log, task)
         log = log.with_action_space(log.action_space if judge is None else judge.action_space, settings.strict)

@@ -54,7 +54,7 @@ REFUSED = {
     ),
     "UTF-16 that breaks": ("a,b\n1,2\n".encode("utf-16") * 1 + b"\0", {}, "not utf-16|not a text in"),
     "another encoding than asked for": (
-        "a,b\n1,\xe4\n".encode("latin-1"), {"encoding": "utf-8"}, "line 2 is not utf-8; name another --encoding",
+        "a,b\n1,\xe4\n".encode("latin-1"), {"encoding": "utf-8"}, "line 2 is not utf-8; name its encoding",
     ),
     "another separator than asked for": (
         "a,b\n1,2\n", {"separator": ";"}, "no ';' separates columns in its line of names 'a,b'",

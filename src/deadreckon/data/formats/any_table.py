@@ -97,7 +97,7 @@ def table_of_kind(
     return found, None if order is None else Dialect(dates=order), told + lines + of_totals(found)
 
 
-def read_rows(path: Path | str, schema: Schema, *, undated: Collection[str] = (), **ways: Any) -> tuple[pa.Table, list[str]]:
+def read_rows(path: Path | str, schema: Schema, *, plain: Collection[str] = (), **ways: Any) -> tuple[pa.Table, list[str]]:
     """A file of further rows of a table, whose columns are read as its schema has them.
 
     A column of texts stays one though its cells may all look like numbers or truth values here, and so does one of flags though
@@ -106,7 +106,7 @@ def read_rows(path: Path | str, schema: Schema, *, undated: Collection[str] = ()
     Args:
         path: of the file, in any format of tables.
         schema: of the log, as it was resolved.
-        undated: columns whose texts of dates stay as they are.
+        plain: columns whose texts stay as they are.
         **ways: how the file is to be read; see `read_table`. What is not given is as the schema has it, and found else.
 
     Returns:
@@ -118,7 +118,7 @@ def read_rows(path: Path | str, schema: Schema, *, undated: Collection[str] = ()
     used = schema.having("observation", "action", "legal")
     texts = {each.name for each in used if each.kind == "category" and (each.levels is None or any(map(_is_word, each.levels)))}
     flags = frozenset(each.name for each in used if each.kind == "flag")
-    known = Known(frozenset(texts), flags, undated=frozenset(undated))
+    known = Known(frozenset(texts) | {*plain}, flags - {*plain})
     given = {key: value for key, value in ways.items() if value is not None}
     kind = sniff(path, given.get("separator", schema.options().get("separator")))
     own = {key: value for key, value in schema.options().items() if key in DIALECT and kind in READING[key]}
@@ -126,7 +126,7 @@ def read_rows(path: Path | str, schema: Schema, *, undated: Collection[str] = ()
     try:
         table, _, told = table_of_kind(path, kind, {**own, **given}, known)
     except UserError as error:
-        if not assumed:
+        if not assumed or "separat" not in str(error):
             raise
         how = f"read with the separator {own['separator']!r} of the schema's log; --separator names another"
         raise UserError(f"{error} ({how})") from error

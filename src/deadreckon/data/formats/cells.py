@@ -33,13 +33,11 @@ class Known(NamedTuple):
         flags: of columns of truth values.
         words: of columns of levels, which are not empty where they hold a word of `MISSING` alone; None: those that are named
             like an action.
-        undated: of columns whose texts of dates stay texts.
     """
 
     texts: frozenset[str] = frozenset()
     flags: frozenset[str] = frozenset()
     words: frozenset[str] | None = None
-    undated: frozenset[str] = frozenset()
 
 
 NOTHING = Known()
@@ -84,7 +82,7 @@ def converted(
             grouped += [name] if marked else []
             dashes = done[name].null_count - present.null_count
             told += [f"column {name}: '{DASH}' is a missing number in {_rows(dashes)}"] if dashes else []
-        elif name not in known.undated:
+        else:
             texts[name] = keep(present)
     if flags:
         told.append(f"read as true and false: {', '.join(flags)}")

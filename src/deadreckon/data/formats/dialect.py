@@ -211,7 +211,8 @@ def _decoded(path: Path | str, head: bytes, whole: bool, encoding: str) -> str:
         return codecs.getincrementaldecoder(encoding)().decode(head, final=whole)
     except UnicodeError as error:
         line = head[: getattr(error, "start", 0)].count(b"\n") + 1
-        raise UserError(f"{path}: line {line} is not {encoding}; name another --encoding, such as latin-1") from error
+        how = "name its encoding (--encoding), such as latin-1 or utf-16"
+        raise UserError(f"{path}: line {line} is not {encoding}; {how}") from error
 
 
 def _single_quotes(text: str) -> bool:

@@ -79,8 +79,9 @@ def told_shapes(path: Path | str, header: Header) -> Shapes:
 
 
 def from_anybody(
-    path: Path | str, table: pa.Table, mapping: dict[str, Any], horizon: int | None, scratch: Scratch | None = None
-) -> FrameColumns:
+    path: Path | str, table: pa.Table, mapping: dict[str, Any], horizon: int | None, scratch: Scratch | None = None,
+    order: str | None = None,
+) -> FrameColumns:  # fmt: skip
     """The columns of a table that is not ours, what to note of them and what to warn of.
 
     Args:
@@ -90,6 +91,7 @@ def from_anybody(
             names or others that tell.
         horizon: steps after which episodes of columns with our names are cut off, or None.
         scratch: where columns are kept; None: in memory.
+        order: of the texts of dates that were read; None: there were none, or of one form only.
 
     Raises:
         UserError: one line with file, column and row.
@@ -102,7 +104,7 @@ def from_anybody(
         return FrameColumns(_named_ours(path, table, horizon, scratch), {}, [])
     if horizon is not None:
         raise UserError(f"{path}: where columns are named, --timeout names the one that marks time limits; no horizon")
-    return table_columns(table, given.pop("schema", None), str(path), scratch, **given)
+    return table_columns(table, given.pop("schema", None), str(path), scratch, order=order, **given)
 
 
 def _named_ours(path: Path | str, table: pa.Table, horizon: int | None, scratch: Scratch | None) -> dict[str, np.ndarray]:

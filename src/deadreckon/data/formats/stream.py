@@ -134,17 +134,19 @@ def convert_table(
     with alone(work, what=str(target)), resumable(work):
         try:
             if kind == "csv":
-                mapping, table, told = _of_text(source, work, mapping, progress)
+                mapping, table, order, told = _of_text(source, work, mapping, progress)
             else:
                 schema = None if mapping.get("schema") is None else as_schema(mapping["schema"])
                 dates = Dialect.asked(dates=mapping.pop("dates", None)).dates or (schema.table.get("dates") if schema else None)
                 table, told = _spooled(source, kind, work, progress)
-                table, _, lines = with_dates(table, dates)
+                table, order, lines = with_dates(table, dates)
                 told += lines
             columns = work / "columns"
             shutil.rmtree(columns, ignore_errors=True)  # of a call that was killed
             columns.mkdir()
-            found, extra, warnings, space = from_anybody(source, table, mapping, horizon, Scratch(columns))
+            found, extra, warnings, space = from_anybody(
+                source, table, mapping, horizon, Scratch(columns), order
+            )
             log = build(
                 source, found, source=kind, extra=extra, warnings=[*told, *warnings], strict=strict, name=name, horizon=horizon,
                 action_space=space,
@@ -162,8 +164,8 @@ def convert_table(
 
 def _of_text(
     source: Path | str, work: Path, mapping: dict[str, Any], progress: Progress
-) -> tuple[dict[str, Any], pa.Table, list[str]]:
-    """Which column is what, the table that a text file holds, memory-mapped from files below `work`, and what to tell."""
+) -> tuple[dict[str, Any], pa.Table, str | None, list[str]]:
+    """Which column is what, a text file's table, memory-mapped below `work`, the order of its dates, and what to tell."""
     if "schema" in mapping:
         mapping["schema"] = as_schema(mapping["schema"])
         mapping = mapping["schema"].options() | mapping
@@ -172,8 +174,8 @@ def _of_text(
     cells = work / "cells"
     shutil.rmtree(cells, ignore_errors=True)  # of a call that was killed
     cells.mkdir(parents=True)
-    table, _, told = read_delimited(source, Dialect.asked(**ways), Spool(cells, progress), levels_in(mapping))
-    return mapping, table, [*known, *told, *of_totals(table)]
+    table, dialect, told = read_delimited(source, Dialect.asked(**ways), Spool(cells, progress), levels_in(mapping))
+    return mapping, table, dialect.dates, [*known, *told, *of_totals(table)]
 
 
 def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> tuple[pa.Table, list[str]]:

@@ -47,10 +47,11 @@ def read_tabular(
     """
     ways = {key: mapping.pop(key) for key in READING if key in mapping}
     kind = kind or sniff(path, ways.get("separator"))
-    table, _, told = table_of_kind(path, kind, ways, levels_in(mapping))
+    table, dialect, told = table_of_kind(path, kind, ways, levels_in(mapping))
     text = (table.schema.metadata or {}).get(_HEADER) if kind == "parquet" else None
     if text is None or any(value is not None for value in mapping.values()):
-        columns, extra, warnings, space = from_anybody(path, table, mapping, horizon)
+        order = None if dialect is None else dialect.dates
+        columns, extra, warnings, space = from_anybody(path, table, mapping, horizon, order=order)
         header = None
     else:
         header = Header.parse(path, text)
