@@ -793,7 +793,7 @@ MUTANTS = (
         ("mbo/test_rules.py::test_levels_that_are_numbers_are_compared_as_numbers_in_whatever_order_they_stand",),
     ),
     Mutant(
-        "decimals-unasked", "mbo/repair.py", "- FINE, -self.rules.decimals(i))", "- FINE, 0)",
+        "decimals-unasked", "mbo/repair.py", "- FINE, -self.decimals[i])", "- FINE, 0)",
         "sums with fixed parts of many decimals are called impossible",
         ("mbo/test_rules.py::test_what_must_be_equal_has_as_many_decimals_as_it_takes",),
     ),
@@ -849,7 +849,8 @@ MUTANTS = (
         ("mbo/test_effects.py::test_columns_beside_proposals_are_in_the_targets_sign",),
     ),
     Mutant(
-        "pooled-row-numbers", "mbo/replicates.py", "table_rows=data.numbered(first)", "table_rows=None",
+        "pooled-row-numbers", "mbo/replicates.py",
+        "std_error=error, table_rows=data.numbered(first)", "std_error=error, table_rows=None",
         "rows of pooled designs are not called as the table has them",
         ("mbo/test_effects.py::test_columns_beside_proposals_are_in_the_targets_sign",),
     ),
@@ -1226,12 +1227,12 @@ MUTANTS = (
         "the month is read first in all dates of rows", ("policies/test_table_times.py::test_texts_are_read_as_in_logs",),
     ),
     Mutant(
-        "flags-words", "policies/table_rows.py", "_TRUTHS.get(cell.strip().lower(), cell)", "_TRUTHS.get(cell, cell)",
+        "flags-words", "policies/table_rows.py", "_TRUTHS.get(text.lower(), text)", "_TRUTHS.get(text, text)",
         "words of truth values are taken in lower case alone",
         ("policies/test_table_encoder.py::test_flags_as_people_and_libraries_write_them",),
     ),
     Mutant(
-        "one-action", "runs/together.py", 'or [0, 1]) < 2:', 'or [0, 1]) < 1:',
+        "one-action", "runs/together.py", 'if len(levels) < 2 and', 'if len(levels) < 1 and',
         "a second action is invented for logs of a single one",
         ("runs/test_predict.py::test_a_log_of_one_action_has_nothing_to_choose_between",),
     ),

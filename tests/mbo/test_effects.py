@@ -221,7 +221,7 @@ def test_the_one_to_try_is_that_of_the_best_lower_end_near_the_data():
 def test_columns_beside_proposals_are_in_the_targets_sign():
     """Costs that are to be small, with replicates: rows are counted as the table has them."""
     a = np.repeat(np.arange(12.0), 2)
-    frame = {"a": a, "distance": np.zeros(24), "cost": 10 - a}
+    frame = {"a": a, "distance": np.zeros(24), "cost": 10 - a + np.tile([-0.1, 0.1], 12)}
     with pytest.warns(UserWarning, match="pooled"):
         data = Designs.from_frame(frame, "cost", minimise=True)
     made = Proposals("m", np.array([[5.1, 0.0], [11.0, 0.0]]), np.array([-4.0, 1.0]), np.array([1.0, 2.0]), 0)
