@@ -12,9 +12,10 @@ import pyarrow as pa
 import pytest
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats import cells
 from deadreckon.policies import table_encoder
 from deadreckon.policies.table_encoder import TableEncoder
-from deadreckon.policies.table_rows import RowsError
+from deadreckon.policies.table_rows import RowsError, flags_of
 from deadreckon.runs.reading import noted
 
 ROWS = 60
@@ -91,6 +92,14 @@ def test_words_for_what_is_missing_are_missing_flags():
     for word in ("NA", "", "null", None, np.nan):
         frame.loc[3, "on"] = word
         np.testing.assert_array_equal(coder.encode(frame).observations, log.observations)
+
+
+def test_the_words_of_flags_are_those_of_files():
+    """The modules that need numpy alone have their own list of them, which must not become another one."""
+    for yes, no in cells._PAIRS:
+        assert flags_of("on", np.array([yes, no, yes.upper()], object), "rows").tolist() == [1.0, 0.0, 1.0]
+    missing = np.array(cells.MISSING, object)
+    assert np.isnan(flags_of("on", missing, "rows")).all()
 
 
 WRONG = {
