@@ -1699,6 +1699,22 @@ MUTANTS = (
         'return [next(iter(known.values()), "")', "actions have the unit of the first column", ("runs/test_explain.py",),
     ),
     Mutant(
+        "flag-codes", "policies/table_encoder.py", "codes.get(flag) for flag", "int(flag) for flag",
+        "actions of flags have the codes of false and true, whatever the levels are", ("runs/test_predict.py",),
+    ),
+    Mutant(
+        "dates-of-two-orders", "data/formats/dates.py", "orders.pop() if len(orders) == 1 else None", "orders.pop() if orders else None",
+        "one order of dates is kept of columns that have two", ("runs/test_reading.py",),
+    ),
+    Mutant(
+        "schema-file-options", "runs/reading.py", "schema.options() if options is None else options", "schema.options()",
+        "the file of a schema does not say how its table is read", ("runs/test_reading.py",),
+    ),
+    Mutant(
+        "kept-texts", "cli/predict.py", "_kept(table[column], text)", "_kept(table[column], table[column])",
+        "columns that are copied are written as they were read", ("cli/test_predict.py",),
+    ),
+    Mutant(
         "start-reads-by-names", "runs/started.py", 'read_like(known.get("name", str(source)), read, source)',
         'read_like(known.get("name", str(source)), Read(), source)', "a table is read again without its schema",
         ("runs/test_fine_tuned.py::test_the_log_is_read_again_as_it_was",),

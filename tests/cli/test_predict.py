@@ -1,6 +1,7 @@
 """`deadreckon predict`: tables in, named actions out, whatever a file's cells look like."""
 
 import csv
+import sqlite3
 
 import numpy as np
 import pandas as pd
@@ -166,3 +167,27 @@ def test_a_policy_without_a_schema(tmp_path, capsys):
         csv.writer(file).writerows([["x"], [1.0]])
     assert main(["predict", str(run.path), str(tmp_path / "new.csv"), "--out", str(tmp_path / "a.csv")]) == 2
     assert "keeps no schema of its log, because it learned from arrays, pictures, online, or under" in capsys.readouterr().err
+
+
+def test_kept_columns_are_of_the_rows_that_were_predicted(run, tmp_path):
+    """A database may give its rows in another order each time it is asked."""
+    rows = pd.concat([table(seed) for seed in range(5)], ignore_index=True)
+    with sqlite3.connect(tmp_path / "new.db") as base:
+        code = np.arange(len(rows))
+        rows.assign(id=[f"{i:04d}" for i in code], code=code, age=code % 60 + 18).to_sql("t", base, index=False)
+    words = ["--query", "select * from t order by random()", "--keep", "id", "code", "age", "--out", str(tmp_path / "out.csv")]
+    assert main(["predict", str(run[0].path), str(tmp_path / "new.db"), "--outside", "flag", *words]) == 0
+    found = pd.read_csv(tmp_path / "out.csv", dtype={"id": str})
+    assert sorted(found["code"]) == list(range(len(rows)))
+    assert found["id"].tolist() == [f"{code:04d}" for code in found["code"]]
+    assert found["age"].tolist() == [code % 60 + 18 for code in found["code"]]
+
+
+def test_a_name_with_a_comma_is_not_taken_for_a_wrong_separator(run, tmp_path, capsys):
+    table().rename(columns={"age": "weight, kg"}).to_csv(tmp_path / "log.csv", index=False, sep=";")
+    made = train(dr.agents.BC(hidden=(8,), batch_size=8), dr.read(tmp_path / "log.csv", action="offer", reward="paid"),
+                 out=tmp_path / "run", steps=3, task=False)  # fmt: skip
+    assert predicted(made, pd.DataFrame({"foo": [1], "height, cm": [2]}), tmp_path, sep=";")[0] == 2
+    told = capsys.readouterr().err
+    assert "no column weight, kg" in told
+    assert "seems to have" not in told

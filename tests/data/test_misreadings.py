@@ -161,6 +161,9 @@ CASES = {
     "comments that are wanted": (
         {"note": [f"{i % 60}!" for i in range(N)]}, {"kinds": {"note": "category"}}, None, None, None,
     ),
+    "words that are asked for as flags": (
+        {"on": ["yes", "no", "no"] * (N // 3)}, {"kinds": {"on": "flag"}}, ["x", "on"], None, None,
+    ),
     "flags": ({"on": np.arange(N) % 2 == 0}, {}, ["x", "on"], None, None),
     "numbers as texts": (
         {"y": [str(i / 2) for i in range(N)]}, {}, ["x", "y"], None, "column y holds numbers as texts, and is read as numbers",

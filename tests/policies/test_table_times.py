@@ -51,23 +51,38 @@ def test_dates_of_all_kinds_are_the_same_moment():
     assert times([3, "4.5"], dates=False).tolist() == [3.0, 4.5]
 
 
+def test_times_of_day_durations_and_numbers_order_rows_as_texts_too():
+    want = [28_800.0, 30_615.5]
+    pieces = [datetime.time(8), datetime.time(8, 30, 15, 500_000)]
+    for values in (pieces, ["08:00", "8:30:15.5"], ["0 days 08:00:00", "0 days 08:30:15.500000"]):
+        assert times(values).tolist() == want
+    spans = pd.Series(pd.to_timedelta([-30, 86_401.5], unit="s"))
+    for values in (spans.to_numpy(), list(spans), [str(each) for each in spans], spans.astype(str).tolist()):
+        assert times(values).tolist() == [-30.0, 86_401.5]
+    assert times([1704067200000, 1704067201000.5]).tolist() == [1704067200000, 1704067201000.5]  # as JSON writes dates
+
+
+def test_missing_times_are_nan():
+    for values in (["2024-01-01", None], ["2024-01-01", " "], [5, float("nan")], [pd.Timestamp(0), pd.NaT],
+                   np.array(["2024", "NaT"], "datetime64[D]")):  # fmt: skip
+        assert np.isnan(times(values)).tolist() == [False, True]
+    assert np.isnan(times([5, " ", None], dates=False)).tolist() == [False, True, True]
+
+
 @pytest.mark.parametrize(
     ("values", "how", "words"),
     [
-        (["07/30/2024"], {"order": "day-first"}, "column at has '07/30/2024' in row 0, a date with the day first is needed"),
-        (["2024-01-01", None], {}, "column at is empty in row 1; it orders the rows of an episode"),
-        (["2024-01-01", " "], {}, "column at is empty in row 1"),
-        ([float("nan")], {"dates": False}, "column at is empty in row 0"),
-        ([pd.NaT], {}, "column at is empty in row 0"),
-        (np.array(["2024", "NaT"], "datetime64[D]"), {}, "column at is empty in row 1"),
-        ([5], {}, "column at has 5 in row 0, a date is needed"),
-        ([{}], {}, "column at has {} in row 0, a date is needed"),
-        (["2024-02-30"], {}, "column at has '2024-02-30' in row 0, a date is needed"),
-        (["1.1.2024 25:00"], {}, "a date with the day first is needed"),
-        (["01.01.2024x"], {}, "with the day first is needed"),
+        (["07/30/2024"], {"order": "day-first"}, "has '07/30/2024' in row 0, a date with the day first or a time is needed"),
+        ([{}], {}, "column at has {} in row 0, a date or a time is needed"),
+        ([True], {}, "column at has True in row 0, a date or a time is needed"),
+        (["2024-02-30"], {}, "column at has '2024-02-30' in row 0, a date or a time is needed"),
+        (["1.1.2024 25:00"], {}, "a date with the day first or a time is needed"),
+        (["01.01.2024x"], {}, "with the day first or a time is needed"),
         (["x"], {"dates": False}, "column at has 'x' in row 0, a number is needed"),
-        (["2024-01-01T00:00+99:99"], {}, "a date is needed"),
-        (["0000-01-01"], {}, "a date is needed"),
+        (["2024-01-01T00:00+99:99"], {}, "a date or a time is needed"),
+        (["0000-01-01"], {}, "a date or a time is needed"),
+        (["2024-01-01", None, "08:00"], {}, "column at has '08:00' in row 2, a time, after a date; give all alike"),
+        ([1704067200000, "2024-01-01"], {}, "column at has '2024-01-01' in row 1, a date, after a number; give all alike"),
     ],
 )
 def test_what_is_no_time_is_refused(values, how, words):

@@ -253,3 +253,22 @@ def test_an_mlflow_model_is_no_pickle_and_names_actions(place):
     assert found["action"].tolist() == dr.load_run(place / "run").predict(rows).tolist()
     assert not [path for path in folder.rglob("*") if path.suffix in (".pkl", ".pickle")]
     assert "torch" not in (folder / "requirements.txt").read_text()
+
+
+def test_the_code_on_a_stablehlo_card_runs_as_it_stands(tmp_path):
+    """Also of a mixture, whose member is drawn, and where a function says which actions are legal."""
+    frame = pd.DataFrame({"x": np.arange(-20.0, 20.0), "action": ["a", "b"] * 20, "reward": 0.0})
+    agent, short = dr.agents.BC(hidden=(4,), batch_size=8), {"steps": 2, "task": False}
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    dr.cross_fit(agent, dr.read(tmp_path / "log.csv"), out=tmp_path / "mixture", folds=2, **short)
+    log = dr.Dataset.from_frame(frame, legal=lambda x: np.ones((len(x), 2), bool))
+    dr.train(agent, log, out=tmp_path / "legal", **short)
+    for name, given, mask in (("mixture", None, ""), ("legal", log, ", legal=[[True, False], [True, False]]")):
+        out = tmp_path / f"{name}-exported"
+        export(tmp_path / name, "stablehlo", out, log=given)
+        (code,) = re.findall(r"```python\n(.*?)```", (out / "card.md").read_text(), re.DOTALL)
+        assert ("legal=" in code) == (name == "legal")
+        assert ("member" in code) == (name == "mixture")
+        code = code.replace(", legal=[[True, ...], ...]", mask).replace('{"column": [value, ...], ...}', '{"x": [0.0, 1.0]}')
+        done = subprocess.run([sys.executable, "-c", code], cwd=out, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr

@@ -15,9 +15,11 @@ from deadreckon.cli.main import main
 from deadreckon.data.history import stacked
 from deadreckon.errors import UserError
 from deadreckon.policies import portable, store
+from deadreckon.policies.table_encoder import TableEncoder
 from deadreckon.policies.table_rows import RowsError
 from deadreckon.runs.crossfit import cross_fit
 from deadreckon.runs.folder import Folder
+from deadreckon.runs.reading import noted
 from deadreckon.runs.train import train
 
 SHORT = {"steps": 3, "task": False, "seeds": 1}
@@ -276,9 +278,7 @@ def test_policies_on_histories_go_on_from_what_they_did(history):
         assert len(act(alone.iloc[:0])) == (0 if name == "patients" else 2)
 
 
-@pytest.mark.parametrize(
-    "written", ["%d/%m/%Y", "%m/%d/%Y", "%d.%m.%Y %H:%M", "%Y-%m-%dT%H", "delta", "time", None]
-)
+@pytest.mark.parametrize("written", ["%d/%m/%Y", "%m/%d/%Y", "%d.%m.%Y %H:%M", "%Y-%m-%dT%H", "delta", "time", None])
 def test_times_of_histories_are_read_as_those_of_the_log(tmp_path, written):
     days = pd.date_range("2024-05-06", periods=60, freq="D")  # most of them can be read in two ways, and some in one alone
     moments = {"delta": days - days[0], "time": [dt.time(i // 60, i % 60) for i in range(60)], None: days}.get(written)
@@ -305,6 +305,36 @@ def test_flags_that_were_the_action_may_be_words(tmp_path):
     want = run.predict(frame).tolist()
     for words in (["yes", "no"], [1, 0], ["True", "False"]):
         assert run.predict(frame.assign(go=words * 20)).tolist() == want
+
+
+@pytest.mark.parametrize("levels", [[True, False], [False, True], [1, 0], ["no", "yes"], ["yes", "no"]])
+def test_flags_that_were_the_action_have_the_codes_of_their_levels(tmp_path, levels):
+    words = ["yes", "no"] if "yes" in levels else [1, 0] if levels == [1, 0] else [True, False]
+    frame = pd.DataFrame({"who": np.arange(12) // 3, "x": np.arange(12.0), "go": words * 6, "reward": 0.0})
+    roles = {"who": {"role": "episode"}, "x": {"role": "observation"}, "reward": {"role": "reward"}}
+    schema = {"columns": roles | {"go": {"role": "action", "kind": "flag", "levels": levels}}}
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    frame.to_parquet(tmp_path / "log.parquet")
+    files = [tmp_path / "log.csv", tmp_path / "log.parquet"]
+    for log in (dr.Dataset.from_frame(frame, schema=schema), *(dr.read(file, schema=schema) for file in files)):
+        assert log.actions.tolist() == [levels.index(word) for word in words] * 6
+        encoder = TableEncoder(noted(log))
+        assert encoder.logged({"go": frame["go"].to_numpy()}).tolist() == log.actions.tolist()
+        assert encoder.named(log.actions).tolist() == words * 6
+
+
+def test_a_time_may_be_missing_where_it_orders_nothing(tmp_path):
+    frame = pd.DataFrame({"who": np.arange(12) // 3, "at": pd.date_range("2024-05-06", periods=12), "x": np.arange(12.0)})
+    frame = frame.assign(action=["a", "b"] * 6, reward=0.0)
+    run = train(dr.agents.BC(**NETS), dr.Dataset.from_frame(frame, episode="who", time="at"), out=tmp_path, history=2, **SHORT)
+    rows = [
+        {"who": 0, "at": None, "x": 1.0},
+        {"who": 1, "at": "2024-05-06", "x": 1.0},
+        {"who": 1, "at": "2024-05-07", "x": 2.0},
+    ]
+    assert len(run.predict(rows)) == 3
+    with pytest.raises(UserError, match="column at is empty in row 0; it orders the rows of an episode"):
+        run.predict([rows[0], rows[1] | {"who": 0}])
 
 
 def test_policies_on_histories_refuse_rows_without_order(history):

@@ -1,8 +1,10 @@
 """A log that was read otherwise than for training is not taken for one that taught nothing."""
 
 import dataclasses
+import sqlite3
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import deadreckon as dr
@@ -12,6 +14,7 @@ from deadreckon.errors import UserError
 from deadreckon.policies import store
 from deadreckon.runs.crossfit import cross_fit
 from deadreckon.runs.gather import check_encodings, fresh, gather
+from deadreckon.runs.subject import subject
 from deadreckon.runs.train import train
 
 BC = dr.agents.BC(hidden=(4,), batch_size=8)
@@ -133,3 +136,69 @@ def test_files_of_before_say_nothing_of_their_log(part, tmp_path):
     store.save(tmp_path / "old.npz", run.policy, taught=run.taught)
     assert store.held(tmp_path / "old.npz") is None
     assert len(fresh(gather([tmp_path / "old.npz"]), log, False).held) == 14
+
+
+def test_the_file_of_a_schema_says_how_its_own_table_is_read(tmp_path):
+    """Where a query, a dialect or a sheet is another one than the log's, that of the given schema holds."""
+    rng = np.random.default_rng(0)
+    frame = pd.DataFrame({"x": rng.uniform(1000, 9000, 30).round(), "action": ["a", "b", "b"] * 10, "reward": 0.0})
+    log = dr.Dataset.from_frame(frame)
+    run = train(BC, log, out=tmp_path / "run", **SHORT)
+    written = frame.assign(x=[f"{int(v) // 1000}.{int(v) % 1000:03d}" for v in frame.x], reward=0)
+    written.to_csv(tmp_path / "marked.csv", index=False, sep=";")
+    dialect = 'separator = ";"\ndecimal = ","\nthousands = "."'
+    with sqlite3.connect(tmp_path / "log.db") as base:
+        twice = pd.concat([frame.assign(site=1), frame.assign(site=2, x=-1.0)])
+        twice.to_sql("t", base, index=False)
+    query = 'query = "select x, action, reward from t where site = 1"'
+    columns = (
+        '[columns]\nx = {role = "observation"}\naction = {role = "action", kind = "category"}\nreward = {role = "reward"}\n'
+    )
+    want = run.predict(frame).tolist()
+    for file, how in (("marked.csv", dialect), ("log.db", query)):
+        (tmp_path / "new.toml").write_text(f'[table]\npath = "{file}"\n{how}\n{columns}')
+        found = subject(run).log(tmp_path / "new.toml", option="--log")
+        assert np.array_equal(found.observations, log.observations)
+        assert main(["predict", str(run.path), str(tmp_path / "new.toml"), "--out", str(tmp_path / "out.csv")]) == 0
+        assert pd.read_csv(tmp_path / "out.csv")["action"].tolist() == want
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet", "xlsx"])
+def test_the_order_of_dates_is_that_of_the_log_whatever_kind_of_file_or_frame_follows(tmp_path, ending):
+    first = pd.DataFrame({"who": 0, "at": [f"{day}/12/2024" for day in range(10, 20)], "x": np.arange(10.0)})
+    first = first.assign(action=["a", "b"] * 5, reward=0.0)
+    later = first.iloc[:4].assign(at=["12/01/2025", "01/02/2025", "02/03/2025", "01/04/2025"])  # 12 January, 1 February, ...
+    for log in (dr.Dataset.from_frame(first, episode="who", time="at"), None):
+        if log is None:
+            first.to_csv(tmp_path / "log.csv", index=False)
+            log = dr.read(tmp_path / "log.csv", episode="who", time="at")
+        run = train(BC, log, out=tmp_path / log.name, **SHORT)
+        write = {"csv": later.to_csv, "parquet": later.to_parquet, "xlsx": later.to_excel}[ending]
+        write(tmp_path / f"later.{ending}", index=False)
+        for given in (later, tmp_path / f"later.{ending}"):
+            assert subject(run).log(given, option="--log").observations[:, 0].tolist() == [0, 1, 2, 3]
+
+
+def test_columns_of_dates_in_two_orders_are_read_again_as_they_were(tmp_path):
+    """An order that an ignored column has is none of the others'."""
+    frame = pd.DataFrame({"who": 0, "x": np.arange(9.0), "action": ["a", "b", "b"] * 3, "reward": 0.0})
+    for born, day in (("13.04.1980", 10), ("03.04.1980", 1)):  # the second tells by its points alone, the days by nothing
+        frame = frame.assign(born=born, when=[f"04/{day + row:02d}/2024" for row in range(9)])
+        frame.to_csv(tmp_path / "log.csv", index=False)
+        log = dr.read(tmp_path / "log.csv", episode="who", time="when", ignore=("born",))
+        assert "dates" not in log.provenance.extra["schema"].get("table", {})
+        run = train(BC, log, out=tmp_path / f"run{born}", history=2, **SHORT)
+        assert np.array_equal(subject(run).log(option="--log").observations, log.observations)
+        assert len(run.predict(frame)) == 9
+
+
+def test_a_log_without_the_legal_actions_that_a_function_said_is_refused_in_one_line(tmp_path):
+    frame = pd.DataFrame({"x": np.arange(20.0), "action": ["a", "b"] * 10, "reward": 0.0})
+    log = dr.Dataset.from_frame(frame, legal=lambda x: np.ones((len(x), 2), bool))
+    run = train(BC, log, out=tmp_path / "run", **SHORT)
+    one = subject(run)
+    assert one.log(log, option="--log") is log
+    words = r"takes observations of shape \(3,\), those of frame have \(1,\); its log had legal actions that a function said"
+    for given in (frame, dr.Dataset.from_frame(frame)):
+        with pytest.raises(UserError, match=words):
+            one.log(given, option="--log")

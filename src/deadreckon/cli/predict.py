@@ -46,9 +46,10 @@ def predict(args: Sequence[str]) -> None:
     check_seed(options.seed)
     if out.suffix.lower() not in _ENDINGS:
         raise UserError(f"--out {out}: actions are written as .csv or .parquet")
-    from deadreckon.data.schema import Schema, table_of
+    from deadreckon.data.schema import Schema
+    from deadreckon.data.schema_file import table_of
 
-    source = table_of(options.table)
+    source, own = table_of(options.table)
     if out.exists() and any(Path(path).exists() and out.samefile(path) for path in (options.table, source)):
         raise UserError(f"--out {out} is the table itself; choose another name")
 
@@ -63,8 +64,9 @@ def predict(args: Sequence[str]) -> None:
             "version: train it again from a table, or give arrays or pictures to its policy in Python"
         )
     ways = {key: value for key, value in vars(options.file).items() if value is not None}
-    schema = Schema.from_json(policy.encoder.schema, str(found.file))
-    table, told = read_rows(source, schema, **ways)
+    schema = Schema.from_json(policy.encoder.schema, str(found.file)).read_as(own)
+    kept: dict[str, Any] = dict.fromkeys(options.keep)  # which reading fills in
+    table, told = read_rows(source, schema, plain=kept, **(own or {}) | ways)
     if found.sampled and not options.sampled:
         told = ["the decision was about sampled actions, and these are the deterministic (greedy) ones: add --sampled", *told]
     for line in told:
@@ -78,8 +80,7 @@ def predict(args: Sequence[str]) -> None:
     columns = policy.columns(done)
     if twice := [column for column in options.keep if column in columns]:
         raise UserError(f"--keep {twice[0]}: the actions are written under this name; leave it out")
-    texts = read_rows(source, schema, plain=options.keep, **ways)[0] if options.keep else table
-    _write(out, {**{column: _kept(table[column], texts[column]) for column in options.keep}, **columns})
+    _write(out, {**{column: _kept(table[column], text) for column, text in kept.items()}, **columns})
     rows, outside = table.num_rows, columns.get("outside_the_log")
     note = "" if outside is None else f", {int(outside.sum()):,} of them outside the log"
     print(f"{found.words}: actions in {rows:,} rows{note}, in {out}")

@@ -24,6 +24,7 @@ from deadreckon.data.arrow import (
     some_numbers,
     sorted_indices,
 )
+from deadreckon.data.formats.cells import truths
 from deadreckon.data.likeness import refuse_mistaken
 from deadreckon.data.schema import Column
 from deadreckon.data.scratch import BLOCK, Scratch
@@ -166,7 +167,8 @@ class Encoder:
             refuse_mistaken(self.name, column.name, values)
             codes, levels = category_codes(self.name, column.name, values)
             return codes, replace(column, levels=tuple(levels))
-        codes, other = codes_of(self.name, column.name, values, column.levels)
+        levels = column.levels if column.kind != "flag" else truths(column.levels, pa.types.is_integer(values.type))
+        codes, other = codes_of(self.name, column.name, values, levels)
         if other:
             shown = ", ".join(map(repr, other[:_SHOWN])) + (", ..." if len(other) > _SHOWN else "")
             text = f"{self.name}: column {column.name} has values that are none of its levels: {shown}"

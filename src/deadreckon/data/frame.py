@@ -15,8 +15,9 @@ from deadreckon.data.draft import draft
 from deadreckon.data.encode import Encoder
 from deadreckon.data.formats.dialect import Dialect
 from deadreckon.data.held import HELD, held
+from deadreckon.data.kinds import asked_kinds
 from deadreckon.data.legal_columns import listed_levels, masks, with_levels
-from deadreckon.data.row_order import about_order
+from deadreckon.data.row_order import about_order, missing_steps
 from deadreckon.data.schema import Column, Schema, as_schema
 from deadreckon.data.scratch import BLOCK, Scratch
 from deadreckon.data.spec import Box, Discrete
@@ -112,7 +113,9 @@ def table_columns(
     function = asked.pop("legal") if callable(asked.get("legal")) else None
     asked = {key: value for key, value in asked.items() if value is not None and value != ()}
     if schema is None:
-        found, warnings = draft(table, Asked(**asked), name)
+        wanted = Asked(**asked)
+        table = with_flags(table, [column for column, kind in asked_kinds(wanted.kinds, table, name).items() if kind == "flag"])
+        found, warnings = draft(table, wanted, name)
     elif asked:
         given_too = ", ".join(sorted(asked))
         raise UserError(f"{name}: the schema says what each column is; leave {given_too} out, or change the schema")
@@ -193,7 +196,7 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
             warnings.append(f"{ties} rows have the {time.name} of the row before them; they stay in the table's order")
         if time.kind != "date" and not pa.types.is_temporal(table.column(time.name).type):
             stops = ends | columns["terminals"] | columns["timeouts"]
-            warnings += _missing_steps(time.name, moments, stops, ends if episode is not None else None)
+            warnings += missing_steps(time.name, moments, stops, ends if episode is not None else None)
     early = int((columns["terminals"] & ~ends).sum()) if episode is not None else 0
     if early:
         warnings.append(f"{early} terminal rows are not the last of their episode, which is cut there")
@@ -278,29 +281,3 @@ def _sorted(first: np.ndarray, codes: np.ndarray, moments: np.ndarray) -> bool:
         if not ((begins[1:] > begins[:-1]) | ((begins[1:] == begins[:-1]) & later)).all():
             return False
     return True
-
-
-def _missing_steps(time: str, moments: np.ndarray, stops: np.ndarray, ends: np.ndarray | None) -> list[str]:
-    """What to say of rows that seem to be missing, where `time` counts steps: whole numbers that mostly grow by one.
-
-    Args:
-        time: the column.
-        moments: (rows,) of it, sorted.
-        stops: (rows,) bool, after which a gap is none.
-        ends: (rows,) bool, the last rows of episodes that a column tells apart; None where no column does.
-    """
-    steps = np.diff(moments)[~stops[:-1]]
-    if not len(steps) or (moments != np.floor(moments)).any() or 2 * int((steps == 1).sum()) <= len(steps):
-        return []
-    told = []
-    if gaps := int((steps > 1).sum()):
-        told.append(f"{gaps} of {len(steps)} steps skip values of {time}; their rows are taken as following one another")
-    if ends is not None:
-        starts = moments[np.append(0, np.flatnonzero(ends)[:-1] + 1)]
-        values, counts = np.unique(starts, return_counts=True)
-        usual = values[np.argmax(counts)]
-        # Where time runs on through all episodes, no start is usual, and none is late.
-        if 2 * counts.max() > len(starts) and (late := int((starts > usual).sum())):
-            text = f"{late} of {len(starts)} episodes start after {time} {usual:g}, where most do"
-            told.append(f"{text}; their first rows are taken as starts")
-    return told

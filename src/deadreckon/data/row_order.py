@@ -73,3 +73,29 @@ def _falling(table: pa.Table, columns: list[str], codes: np.ndarray) -> list[str
             text = f"column {name} falls in {falls:,} of {len(steps):,} steps within episodes and never rises"
             told.append(f"{text}: rows are taken in the table's order, which may be the reverse (--time {name})")
     return told
+
+
+def missing_steps(time: str, moments: np.ndarray, stops: np.ndarray, ends: np.ndarray | None) -> list[str]:
+    """What to say of rows that seem to be missing, where `time` counts steps: whole numbers that mostly grow by one.
+
+    Args:
+        time: the column.
+        moments: (rows,) of it, sorted.
+        stops: (rows,) bool, after which a gap is none.
+        ends: (rows,) bool, the last rows of episodes that a column tells apart; None where no column does.
+    """
+    steps = np.diff(moments)[~stops[:-1]]
+    if not len(steps) or (moments != np.floor(moments)).any() or 2 * int((steps == 1).sum()) <= len(steps):
+        return []
+    told = []
+    if gaps := int((steps > 1).sum()):
+        told.append(f"{gaps} of {len(steps)} steps skip values of {time}; their rows are taken as following one another")
+    if ends is not None:
+        starts = moments[np.append(0, np.flatnonzero(ends)[:-1] + 1)]
+        values, counts = np.unique(starts, return_counts=True)
+        usual = values[np.argmax(counts)]
+        # Where time runs on through all episodes, no start is usual, and none is late.
+        if 2 * counts.max() > len(starts) and (late := int((starts > usual).sum())):
+            text = f"{late} of {len(starts)} episodes start after {time} {usual:g}, where most do"
+            told.append(f"{text}; their first rows are taken as starts")
+    return told

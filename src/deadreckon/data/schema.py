@@ -195,6 +195,13 @@ class Schema:
         """How the table's file is read: what stands in [table] beside its path."""
         return {key: value for key, value in self.table.items() if key != "path"}
 
+    def read_as(self, options: Mapping[str, Any] | None) -> "Schema":
+        """The same columns in a table that is read in another way; dates are in the same order unless it says one."""
+        if options is None:
+            return self
+        dates = {key: value for key, value in self.table.items() if key == "dates"}
+        return replace(self, table=dates | dict(options))
+
     def resolved(self, columns: Iterable[Column]) -> "Schema":
         """The same schema in which these columns replace those of their names."""
         new = {column.name: column for column in columns}
@@ -286,17 +293,3 @@ def toml_value(value: Any) -> str:
     # JSON escapes the control characters of ASCII alone; TOML takes the same escapes of all others, but of no half characters.
     text = json.dumps(value, ensure_ascii=False)
     return "".join(f"\\u{ord(c):04x}" if is_control(c) and not "\ud800" <= c <= "\udfff" else c for c in text)
-
-
-def table_of(path: Path | str) -> Path | str:
-    """The table that is meant by a path: where it is the file of a schema, the one beside it that it names; else itself.
-
-    Raises:
-        UserError: see `Schema.file_beside`.
-    """
-    return Schema.load(path).file_beside(path) if is_schema(path) else path
-
-
-def is_schema(path: Path | str) -> bool:
-    """Whether a file is a schema, which stands for the table beside it that it names."""
-    return str(path).endswith(".toml") and Path(path).is_file()

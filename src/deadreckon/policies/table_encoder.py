@@ -231,9 +231,12 @@ class TableEncoder:
             return np.stack([numbers_of(key, columns[key], self.name) for key in self.actions], 1)
         if self.actions[there[0]]["kind"] == "flag":
             flags = flags_of(there[0], columns[there[0]], self.name)
-            return np.where(np.isnan(flags), -1, flags).astype(int)
-        codes = codes_by_level(self.names)
-        found = [-1 if is_missing(value) else code_of(codes, value) for value in columns[there[0]].tolist()]
+            named = flags_of(there[0], np.asarray(self.names, object), self.name)
+            codes = {flag: code for code, flag in reversed([*enumerate(named)])}  # a name that fills up may repeat a level
+            found = [-1 if np.isnan(flag) else codes.get(flag) for flag in flags]
+        else:
+            codes = codes_by_level(self.names)
+            found = [-1 if is_missing(value) else code_of(codes, value) for value in columns[there[0]].tolist()]
         if None in found:
             row = found.index(None)
             raise no_level(self.name, there[0], columns[there[0]].tolist()[row], row, self.names)

@@ -228,6 +228,10 @@ class _Episodes(NamedTuple):
                 given = columns[str(time)]
                 text = f"column {time} has {given[row]} in row {row}, before the {given[before]} of row {before}"
                 raise RowsError(f"{encoder.name}: {text} in the same episode; sort each episode's rows by {time}")
+            if moments is not None and before is not None and np.isnan(moments[[before, row]]).any():
+                empty = before if np.isnan(moments[before]) else row
+                text = f"column {time} is empty in row {empty}; it orders the rows of an episode"
+                raise RowsError(f"{encoder.name}: {text}")
             last[name] = row
         logged = encoder.logged(columns)
         if logged is not None:

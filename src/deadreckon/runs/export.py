@@ -89,16 +89,23 @@ def _stablehlo(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[s
     check("the StableHLO program", rows, again.call(*map(jnp.asarray, values))[0])
     lines = ["from jax import export", "", 'policy = export.deserialize(bytearray(open("policy.stablehlo", "rb").read()))']
     results = f"{', '.join(function.outputs)}{',' if len(function.outputs) == 1 else ''}"
-    call = f"{results} = policy.call({', '.join(function.inputs)})"
-    if not TableEncoder(one.told).observed or history_of(one.policy) > 1:
-        return ["`policy.stablehlo` takes observations as they are encoded:", "", "```python", *lines, call, "```"]
+    call = [f"{results} = policy.call({', '.join(function.inputs)})"]
+    if MEMBER in function.inputs:
+        lines.insert(0, "import numpy as np")
+        drawn = f'{MEMBER} = np.random.default_rng().integers({function.members}, size=len(observation), dtype="int32")'
+        call.insert(0, f"{drawn}   # of the mixture, the same in all rows of an episode")
+    encoder = TableEncoder(one.told)
+    if not encoder.observed or history_of(one.policy) > 1:
+        return ["`policy.stablehlo` takes observations as they are encoded:", "", "```python", *lines, *call, "```"]
     put_modules(folder, ENCODER)
+    # Where no column of the table says which actions are legal, a function of its log's did.
+    legal = ", legal=[[True, ...], ...]" if encoder.masked and not encoder.allowed.columns else ""
     return [
         "`policy.stablehlo` takes observations. `table_encoder.py` and what it needs make them of rows, with numpy alone:",
-        "", "```python", "import json", *lines[:1], "from table_encoder import TableEncoder", *lines[1:],
+        "", "```python", "import json", *lines[:-2], "from table_encoder import TableEncoder", *lines[-2:],
         'encoder = TableEncoder(json.load(open("encoding.json")))',
-        'observation = encoder.encode({"column": [value, ...], ...}).observations   # or a data frame',
-        call, "encoder.named(action)", "```",
+        f'observation = encoder.encode({{"column": [value, ...], ...}}{legal}).observations   # or a data frame',
+        *call, "encoder.named(action)", "```",
     ]  # fmt: skip
 
 

@@ -6,7 +6,6 @@ and whose rows are divided into the same episodes; anything else is refused here
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,6 +17,7 @@ from deadreckon.data.formats.io import read as read_file
 from deadreckon.data.formats.kind import TABLES, sniff
 from deadreckon.data.held import HELD
 from deadreckon.data.schema import Schema
+from deadreckon.data.schema_file import table_of
 from deadreckon.data.spec import action_space_to_json
 from deadreckon.errors import UserError
 
@@ -65,21 +65,30 @@ def noted(log: Dataset) -> dict[str, Any]:
     return json.loads(json.dumps({"extra": extra, **spaces}, default=str))
 
 
-def schema_for(name: str, read: Read, path: Path | str) -> Schema | None:
-    """The schema by which a file of a table is read as the log of a policy or run was; None of other files, and if unknown.
+def schema_for(name: str, read: Read, path: Path | str) -> tuple[Schema | None, Path | str]:
+    """The schema by which a file of a table is read as the log of a policy or run was, and the file.
 
     Args:
         name: of the policy or run.
         read: how its log was read.
-        path: the file, which may be another one.
+        path: the file, which may be another one; that of a schema, which says how the table beside it is read, means this.
+
+    Returns:
+        The schema, None of other files and if unknown; and the file, in the first case that of the table.
+
+    Raises:
+        UserError: a schema's file that names no table beside it.
     """
     known = (read.extra or {}).get("schema")
-    if known is None or not Path(path).is_file() or sniff(path) not in TABLES:
-        return None
+    if known is None:
+        return None, path
+    table, options = table_of(path)
     schema = Schema.from_json(known, name)
-    # A file of another kind than the first may have another dialect, and has another name.
-    alike = read.path is not None and Path(path).suffix == Path(read.path).suffix
-    return replace(schema, table=schema.options() if alike else {})
+    if options is None and (read.path is None or Path(table).suffix != Path(read.path).suffix):
+        options = {}  # a file of another kind than the first may have another dialect, and has another name
+    schema = schema.read_as(schema.options() if options is None else options)
+    kind = Path(table).is_file() and sniff(table, schema.table.get("separator"))
+    return (schema, table) if kind in TABLES else (None, path)
 
 
 def read_like(name: str, read: Read, path: Path | str) -> Dataset:
@@ -88,7 +97,7 @@ def read_like(name: str, read: Read, path: Path | str) -> Dataset:
     Raises:
         UserError: it cannot be read so.
     """
-    schema, horizon = schema_for(name, read, path), (read.extra or {}).get(HORIZON)
+    (schema, path), horizon = schema_for(name, read, path), (read.extra or {}).get(HORIZON)
     return catalogue.load(path, horizon=horizon) if schema is None else read_file(path, schema=schema, horizon=horizon)
 
 

@@ -12,7 +12,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.any_table import read_rows
 from deadreckon.data.formats.io import read
 from deadreckon.data.held import HELD
-from deadreckon.data.schema import Schema, table_of
+from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
 from deadreckon.files import is_there, read_json
 from deadreckon.names import shown
@@ -78,14 +78,11 @@ class Subject:
             UserError: it cannot be read so, or the policy's own log is not where it was or has changed.
         """
         if isinstance(given, Dataset):
-            check_encoding(self.name, self.read, given)
-            return given
+            return self._checked(given)
         if given is not None:
             if not isinstance(given, str | Path | Mapping) and not hasattr(given, "columns"):
                 raise UserError(f"a log is a Dataset, a file or a data frame, got {type(given).__name__}")
-            found = self._like(table_of(given) if isinstance(given, str | Path) else given, gaps)
-            check_encoding(self.name, self.read, found)
-            return found
+            return self._checked(self._like(given, gaps))
         known, path = self.data, self.read.path
         if path is None and "name" not in known:
             raise UserError(f"{self.name} does not say where its log lies; name it with {option}")
@@ -106,6 +103,17 @@ class Subject:
             raise UserError(f"the log that {self.name} learned from has changed ({where}); name a copy of it with {option}")
         return found
 
+    def _checked(self, log: Dataset) -> Dataset:
+        """The log, if its columns are the numbers that the policy takes."""
+        check_encoding(self.name, self.read, log)
+        size, here = self.told.get("observation_shape"), log.observations.shape[1:]
+        if size is not None and tuple(size) != here:
+            text = f"{self.name} takes observations of shape {tuple(size)}, those of {log.name} have {here}"
+            if (self.told.get("action_space") or {}).get("masked") and not getattr(log.action_space, "masked", False):
+                text += "; its log had legal actions that a function said: give a Dataset made with legal=FUNCTION"
+            raise UserError(text)
+        return log
+
     def _like(self, given: Any, gaps: bool = False) -> Dataset:
         horizon = (self.read.extra or {}).get(HORIZON)
         if not isinstance(given, str | Path):
@@ -114,11 +122,11 @@ class Subject:
             table, make = to_arrow(given, "frame"), partial(Dataset.from_frame, name="frame")
             there = set(table.column_names)
             return self._with_gaps(partial(make, table), self.schema, there) if gaps else make(table, schema=self.schema)
-        schema = schema_for(self.name, self.read, given) if gaps else None
-        if schema is None:
+        schema, path = schema_for(self.name, self.read, given)
+        if schema is None or not gaps:
             return read_like(self.name, self.read, given)
-        there = set(read_rows(given, schema)[0].column_names) if schema.having(*OPTIONAL) else set()
-        return self._with_gaps(partial(read, given, horizon=horizon), schema, there)
+        there = set(read_rows(path, schema)[0].column_names) if schema.having(*OPTIONAL) else set()
+        return self._with_gaps(partial(read, path, horizon=horizon), schema, there)
 
     def _with_gaps(self, make: Callable[..., Dataset], schema: Schema, there: Container[str]) -> Dataset:
         """A log in which values are missing that none was in the policy's: they become the mean that was there, or no level.

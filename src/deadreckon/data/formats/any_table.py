@@ -1,6 +1,6 @@
 """Any file of a table as a pyarrow table: CSV in its dialects, Parquet, spreadsheets, SQLite and DuckDB."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -82,6 +82,7 @@ def table_of_kind(
         found, order, told = with_dates(stored, asked.dates)
         for index, name in enumerate(found.column_names):
             found = found.set_column(index, name, stored[name]) if name in known.texts else found
+            known.keep(name, stored[name])
         return found, None if order is None else Dialect(dates=order), told
     if kind == "excel":
         from deadreckon.data.formats.excel import read_excel
@@ -97,7 +98,9 @@ def table_of_kind(
     return found, None if order is None else Dialect(dates=order), told + lines + of_totals(found)
 
 
-def read_rows(path: Path | str, schema: Schema, *, plain: Collection[str] = (), **ways: Any) -> tuple[pa.Table, list[str]]:
+def read_rows(
+    path: Path | str, schema: Schema, *, plain: dict[str, Any] | None = None, **ways: Any
+) -> tuple[pa.Table, list[str]]:  # fmt: skip
     """A file of further rows of a table, whose columns are read as its schema has them.
 
     A column of texts stays one though its cells may all look like numbers or truth values here, and so does one of flags though
@@ -106,7 +109,7 @@ def read_rows(path: Path | str, schema: Schema, *, plain: Collection[str] = (), 
     Args:
         path: of the file, in any format of tables.
         schema: of the log, as it was resolved.
-        plain: columns whose texts stay as they are.
+        plain: columns of which the values as they stand in the file are put in here, those of a text file as texts.
         **ways: how the file is to be read; see `read_table`. What is not given is as the schema has it, and found else.
 
     Returns:
@@ -118,7 +121,7 @@ def read_rows(path: Path | str, schema: Schema, *, plain: Collection[str] = (), 
     used = schema.having("observation", "action", "legal")
     texts = {each.name for each in used if each.kind == "category" and (each.levels is None or any(map(_is_word, each.levels)))}
     flags = frozenset(each.name for each in used if each.kind == "flag")
-    known = Known(frozenset(texts) | {*plain}, flags - {*plain})
+    known = Known(frozenset(texts), flags, plain=plain)
     given = {key: value for key, value in ways.items() if value is not None}
     kind = sniff(path, given.get("separator", schema.options().get("separator")))
     own = {key: value for key, value in schema.options().items() if key in DIALECT and kind in READING[key]}
@@ -131,8 +134,8 @@ def read_rows(path: Path | str, schema: Schema, *, plain: Collection[str] = (), 
         how = f"read with the separator {own['separator']!r} of the schema's log; --separator names another"
         raise UserError(f"{error} ({how})") from error
     if assumed and not any(each.name in table.column_names for each in used):
-        head = " ".join(table.column_names)
-        if other := next((mark for mark in SEPARATORS if mark in head and mark != own["separator"]), None):
+        head, here = " ".join(table.column_names), table.num_columns - 1  # a name may hold one of the marks
+        if other := next((mark for mark in SEPARATORS if mark != own["separator"] and head.count(mark) > here), None):
             text = f"it is read with the separator {own['separator']!r}, as the schema's log was, and seems to have {other!r}"
             raise UserError(f"{path}: {text}; say --separator {other!r} and, if its decimals have a comma, --decimal comma")
     return table, told

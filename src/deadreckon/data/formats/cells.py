@@ -1,6 +1,7 @@
 """Columns of texts that stand for something else: yes and no, numbers with marks of thousands, dates."""
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -33,11 +34,18 @@ class Known(NamedTuple):
         flags: of columns of truth values.
         words: of columns of levels, which are not empty where they hold a word of `MISSING` alone; None: those that are named
             like an action.
+        plain: columns of which reading puts the values here as they stand; None: of none.
     """
 
     texts: frozenset[str] = frozenset()
     flags: frozenset[str] = frozenset()
     words: frozenset[str] | None = None
+    plain: dict[str, Any] | None = None
+
+    def keep(self, name: str, values: Any) -> None:
+        """Puts the values of a column into `plain` if they belong there."""
+        if self.plain is not None and name in self.plain:
+            self.plain[name] = values
 
 
 NOTHING = Known()
@@ -67,6 +75,7 @@ def converted(
     flags: list[str] = []
     grouped: list[str] = []
     for name, values in zip(table.column_names, table.columns, strict=True):
+        known.keep(name, without(values, ("",)) if is_string(values.type) else values)
         if not is_string(values.type) or name in known.texts:
             continue
         trimmed = _compute.utf8_trim_whitespace(values)
@@ -131,6 +140,13 @@ def flags_of(texts: Any, known: bool) -> tuple[Any, str] | None:
             values = _compute.equal(_compute.utf8_lower(texts), yes)
             return values, "" if yes == "true" else f"{yes}/{no}"
     return None
+
+
+def truths(levels: Sequence[Any], numbers: bool) -> list[Any]:
+    """Levels of a flag as its values are read, true and false, or 1 and 0 where they are `numbers`; others as they are."""
+    words: dict[Any, bool] = {word: yes for pair in _PAIRS for word, yes in zip(pair, (True, False))} | {1: True, 0: False}
+    found = [words.get(level.lower() if isinstance(level, str) else level) for level in levels]
+    return [level if yes is None else int(yes) if numbers else yes for level, yes in zip(levels, found)]
 
 
 def _numbers(texts: Any, dialect: Dialect) -> tuple[Any, list[str], bool] | None:

@@ -42,7 +42,7 @@ def dates_of(columns: Mapping[str, Any], asked: str | None, european: bool) -> t
         european: columns are separated by semicolons, or decimals by commas.
 
     Returns:
-        {name: (rows,) timestamps}, the order that was taken (None: there was none to take), and what to tell.
+        {name: (rows,) timestamps}, the order that was taken (None: none was, or columns differ), and what to tell.
     """
     done: dict[str, Any] = {}
     found: dict[str, _Dates] = {}
@@ -83,7 +83,9 @@ def dates_of(columns: Mapping[str, Any], asked: str | None, european: bool) -> t
         text = f"dates such as {example!r} are read as {_words(order, mark)}"
         text += f", and no cell tells whether that is right (--dates {other})" if unsure else f" (--dates {other})"
         told += [f"{text}: {_listed(names)}"] if asked is None else []
-    return done, asked or common or next((order for order, *_ in taken), None), told
+    orders = {order for order, *_ in taken}
+    # Further rows are read in one order, which columns of two orders do not have: their own cells tell again.
+    return done, asked or (orders.pop() if len(orders) == 1 else None), told
 
 
 def _words(order: str, mark: str) -> str:

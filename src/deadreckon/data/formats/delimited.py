@@ -88,7 +88,8 @@ def _options(dialect: Dialect) -> tuple[arrow.ReadOptions, arrow.ParseOptions]:
 def _parsed(path: Path | str, source: BinaryIO, dialect: Dialect, spool: Spool | None, known: Known) -> pa.Table:
     read, parse = _options(dialect)
     convert: dict[str, Any] = {"decimal_point": dialect.decimal, "null_values": _NULLS}
-    convert |= {"column_types": dict.fromkeys(known.texts, pa.string())} if known.texts else {}
+    texts = {*known.texts, *(known.plain or ())}
+    convert |= {"column_types": dict.fromkeys(texts, pa.string())} if texts else {}
     try:
         if spool is not None:
             return spool.read(source, read, parse, convert)

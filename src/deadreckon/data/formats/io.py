@@ -14,7 +14,8 @@ from deadreckon.data.formats.build import refuse_mmap
 from deadreckon.data.formats.kind import DIALECT, READING, TABLES, no_options, sniff
 from deadreckon.data.formats.minari_ids import PREFIX
 from deadreckon.data.formats.open_bandit import open_bandit
-from deadreckon.data.schema import Schema, as_schema, is_schema
+from deadreckon.data.schema import Schema, as_schema
+from deadreckon.data.schema_file import is_schema
 from deadreckon.errors import UserError, cannot_write
 from deadreckon.files import alone
 from deadreckon.progress import Progress, unwatched
