@@ -1703,7 +1703,8 @@ MUTANTS = (
         "actions of flags have the codes of false and true, whatever the levels are", ("runs/test_predict.py",),
     ),
     Mutant(
-        "dates-of-two-orders", "data/formats/dates.py", "orders.pop() if len(orders) == 1 else None", "orders.pop() if orders else None",
+        "dates-of-two-orders", "data/formats/dates.py",
+        "orders.pop() if len(orders) == 1 else None", "orders.pop() if orders else None",
         "one order of dates is kept of columns that have two", ("runs/test_reading.py",),
     ),
     Mutant(
@@ -1713,6 +1714,25 @@ MUTANTS = (
     Mutant(
         "kept-texts", "cli/predict.py", "_kept(table[column], text)", "_kept(table[column], table[column])",
         "columns that are copied are written as they were read", ("cli/test_predict.py",),
+    ),
+    Mutant(
+        "lattice-pivot", "mbo/lattice.py", "there = steps[pivot] + turn", "there = steps[pivot] - turn",
+        "the step that makes a sum whole is checked against bounds on the wrong side", ("mbo/test_lattice.py",),
+    ),
+    Mutant(
+        "grid-of-equality", "mbo/grids.py", "digits[i] = max(common if enough else min(common, wanted[i]), held[i])", "pass",
+        "parts of a sum have grids of their own", ("mbo/test_lattice.py",),
+    ),
+    Mutant(
+        "effects-measured", "mbo/effects.py", "left = float(each.bound) - data.repair.measured(x) @ rest",
+        "left = float(each.bound) - x @ rest",
+        "levels that are numbers count by their indices in sums", ("mbo/test_effects.py",),
+    ),
+    Mutant(
+        "copies-with-errors", "mbo/replicates.py",
+        "for each in (data.y, *([] if given is None else [given]))",
+        "for each in ([data.y] if given is None else [data.y + np.arange(len(data))])",
+        "copies of rows with standard errors pass for replicates", ("mbo/test_batch.py",),
     ),
     Mutant(
         "start-reads-by-names", "runs/started.py", 'read_like(known.get("name", str(source)), read, source)',

@@ -137,6 +137,10 @@ def test_copies_of_rows_say_nothing_of_the_noise():
     assert data.replicates is None
     np.testing.assert_allclose(np.sort(data.y), np.sort(y))
     assert np.isclose(fit(data).noise, fit(Designs.from_frame({"a": a, "y": y}, "y")).noise)
+    error = np.repeat(np.linspace(0.1, 0.2, 20), count)
+    told = Designs.from_frame({"a": np.repeat(a, count), "y": np.repeat(y, count), "se": error}, "y", std_error="se")
+    np.testing.assert_allclose(np.sort(told.std_error), np.linspace(0.1, 0.2, 20))
+    assert told.replicates is None
 
 
 def test_replicates_are_pooled_with_their_noise():

@@ -217,3 +217,17 @@ def test_values_of_other_types_are_refused(changes, words, tmp_path):
     with pytest.raises(UserError, match=words) as caught:
         DesignSchema.load(tmp_path / "schema.toml").read(tmp_path / "table.csv")
     assert "\n" not in str(caught.value)
+
+
+def test_bounds_without_end_and_levels_with_signs_are_saved_and_read_again(tmp_path):
+    rng = np.random.default_rng(0)
+    table = pa.table({"a": rng.uniform(size=20), "s": ["a=1", "b&2"] * 10, "y": rng.normal(size=20)})
+    csv.write_csv(table, tmp_path / "t.csv")
+    schema = describe(tmp_path / "t.csv", "y")[0]
+    columns = dict(schema.columns)
+    columns["a"] = dataclasses.replace(columns["a"], low=0.0, high=float("inf"))
+    columns["s"] = dataclasses.replace(columns["s"], fix="b&2")
+    dataclasses.replace(schema, columns=columns).save(tmp_path / "t.toml")
+    data = DesignSchema.load(tmp_path / "t.toml").read(tmp_path / "t.csv")
+    assert data.variables[0].high > 1e38
+    assert data.rules.fixed == ((1, 1.0),)

@@ -239,3 +239,13 @@ def test_columns_beside_proposals_are_in_the_targets_sign():
     assert np.isnan([low, high]).all()
     said = about(data, made)
     assert said["value"][said["what"].index("target")] == "cost, to be made small"
+
+
+def test_levels_that_are_numbers_count_in_sums_by_their_values():
+    rng = np.random.default_rng(0)
+    level = np.array([10, 20, 50] * 8)
+    data = Designs.from_frame({"lv": level, "a": 100.0 - level, "b": rng.uniform(size=24), "y": rng.normal(size=24)}, "y",
+                              kinds={"lv": "ordinal"}, constraints=["a + lv = 100"], bounds={"a": (0, 100)})  # fmt: skip
+    assert effects.allowed(data, data.x).all()
+    assert effects.with_value(data, data.x, 0, 2.0)[:, 1].tolist() == [50.0] * 24
+    assert not effects.allowed(data, data.x + np.array([0, 1, 0])).any()

@@ -1,6 +1,7 @@
 """What each column of a table is: its role, kind, levels, unit, range, and how missing values are filled; also as TOML."""
 
 import json
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -290,6 +291,8 @@ def toml_value(value: Any) -> str:
     """A value as TOML writes it; JSON's texts, numbers and lists are TOML's too."""
     if isinstance(value, list | tuple):
         return f"[{', '.join(map(toml_value, value))}]"
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)  # inf, -inf and nan are TOML, and JSON has other words
     # JSON escapes the control characters of ASCII alone; TOML takes the same escapes of all others, but of no half characters.
     text = json.dumps(value, ensure_ascii=False)
     return "".join(f"\\u{ord(c):04x}" if is_control(c) and not "\ud800" <= c <= "\udfff" else c for c in text)

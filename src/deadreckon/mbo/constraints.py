@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from deadreckon.data.arrow import is_number
 from deadreckon.errors import UserError, unknown
 from deadreckon.mbo.variables import Variable
 
@@ -89,15 +90,22 @@ def _column(given: str, variables: Sequence[Variable], name: str) -> int:
 
 
 def _bare(text: str) -> str:
-    """Signs within names in backticks separate nothing."""
-    return re.sub(r"`[^`]*`", lambda match: "_" * len(match[0]), text)
+    """Signs within names in backticks, and within levels in quotes, separate nothing."""
+    return re.sub(r"`[^`]*`|\"[^\"]*\"|'[^']*'", lambda match: "_" * len(match[0]), text)
+
+
+def quoted(value: Any) -> str:
+    """A value as a rule names it: texts in quotes that they do not hold."""
+    mark = next((mark for mark in "\"'`" if mark not in value), "") if isinstance(value, str) else ""
+    return f"{mark}{value}{mark}"
 
 
 def _sides(text: str, name: str, what: str) -> tuple[str, str, str]:
     """What stands before a relation, the relation, and what stands behind it."""
     found = list(_RELATION.finditer(_bare(text)))
     if len(found) != 1:
-        raise UserError(f"{name}: {what} needs one relation, got {text!r}")
+        hint = "; levels that hold such signs stand in quotes" if found else ""
+        raise UserError(f"{name}: {what} needs one relation, got {text!r}{hint}")
     at = found[0]
     return text[: at.start()], {"==": "="}.get(at[0], at[0]), text[at.end() :]
 
@@ -136,6 +144,9 @@ def _terms(side: str, text: str, variables: Sequence[Variable], name: str) -> li
         if found is None or (found[2] is None and found[3] is None) or (out and found[1] is None):
             where = side[at:].strip()
             raise UserError(f"{name}: constraint {text!r} cannot be read at {where!r}; a sum such as a + 2 b is needed")
+        if found[2] and (power := re.search("[eE]", found[2])) and found[2][power.start() :] in {v.name for v in variables}:
+            times = f"{found[2][: power.start()]} * {found[2][power.start() :]}"
+            raise UserError(f"{name}: constraint {text!r}: {found[2]} is a number, or {times}; write one or the other")
         factor = (Fraction(1) if found[2] is None else _exact(found[2], name)) * (-1 if found[1] == "-" else 1)
         out.append((factor, None if found[3] is None else _column(found[3], variables, name)))
         at = found.end()
@@ -158,6 +169,8 @@ def read_clause(part: str, variables: Sequence[Variable], name: str, text: str) 
     if v.leveled and relation not in ("=", "!=") and not v.numeric_levels:
         raise UserError(f"{name}: forbidden combination {text!r}: {v.name} has levels, which are compared by = and != alone")
     if not v.leveled:
+        if relation in ("=", "!="):
+            raise UserError(f"{name}: {v.name} is a number; compare it with <, <=, > or >= in forbidden combinations")
         return Clause(column, relation, _fraction(right, v, name))
     same = relation in ("=", "!=")
     bound = Fraction(_level(right, v, name)) if same else _fraction(right, v, name)
@@ -183,9 +196,15 @@ def read_fixed(text: str, variables: Sequence[Variable], name: str) -> tuple[int
 
 def _level(text: str, v: Variable, name: str) -> int:
     """The index of a level that was given as a text."""
-    given = text.strip().strip("`'\"")
+    given = text.strip()
+    if len(given) > 1 and given[0] == given[-1] and given[0] in "`'\"":
+        given = given[1:-1]
     for i, level in enumerate(v.levels):
         if str(level).lower() == given.lower() if isinstance(level, bool) else str(level) == given:
+            return i
+    number = _fraction(given, v, name) if is_number(given) else None  # 1.0 is the level 1
+    for i, level in enumerate(v.levels):
+        if isinstance(level, int | float) and not isinstance(level, bool) and Fraction(str(level)) == number:
             return i
     raise UserError(f"{name}: {unknown(f'level of {v.name}', given, list(map(str, v.levels)))}")
 

@@ -49,7 +49,7 @@ class Coordinates:
         logs = np.array([designs.variables[i].log for i in numeric], bool)
         part = _logged(designs.x[:, numeric].astype(np.float64), logs)
         mean, std = part.mean(0), part.std(0)
-        std = np.where(std > 0, std, 1.0)
+        std = np.where(np.ptp(part, axis=0) > 0, std, 1.0)  # that of a constant may be a rounding error
         bounds = np.array([(designs.variables[i].low, designs.variables[i].high) for i in numeric]).reshape(-1, 2)
         bounds = _logged(bounds.T, logs).T
         free = np.full(sum(len(columns) * (n - 1) for columns, n in groups), np.inf)

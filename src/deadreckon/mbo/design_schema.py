@@ -23,6 +23,7 @@ from deadreckon.data.schema import toml_value
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml, replacing
 from deadreckon.foreign.shapes import checked, wrong
+from deadreckon.mbo.constraints import quoted
 from deadreckon.mbo.design_values import DesignValues
 from deadreckon.mbo.designs import Designs, name_of
 from deadreckon.mbo.variables import KINDS
@@ -103,7 +104,7 @@ class DesignSchema:
             "levels": {name: column.levels for name, column in inputs.items() if column.levels},
             "steps": {name: column.step for name, column in inputs.items() if column.step is not None},
             "logs": tuple(name for name, column in inputs.items() if column.log),
-            "fixed": tuple(f"`{name}` = {column.fix}" for name, column in inputs.items() if column.fix is not None),
+            "fixed": tuple(f"`{name}` = {quoted(column.fix)}" for name, column in inputs.items() if column.fix is not None),
             "constraints": self.constraints, "mixtures": self.mixtures, "forbidden": self.forbidden,
             "max_distance": self.max_distance, "apart": self.apart,
         }  # fmt: skip

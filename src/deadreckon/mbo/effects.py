@@ -162,7 +162,8 @@ def with_value(data: Designs, x: np.ndarray, column: int, value: float | np.ndar
         others = [c for c in weights if c != column and data.variables[c].kind == "continuous"]
         if not others:
             continue
-        left = float(each.bound) - x @ np.array([0.0 if c in others else weights.get(c, 0.0) for c in range(x.shape[1])])
+        rest = np.array([0.0 if c in others else weights.get(c, 0.0) for c in range(x.shape[1])])
+        left = float(each.bound) - data.repair.measured(x) @ rest
         low, high = (np.array([getattr(data.variables[c], end) for c in others]) for end in ("low", "high"))
         x[:, others] = _scaled(x[:, others], np.array([weights[c] for c in others]), left, low, high)
     return x
@@ -200,8 +201,9 @@ def allowed(data: Designs, x: np.ndarray) -> np.ndarray:
         if not v.leveled:
             slack = SLACK * np.maximum(1.0, np.abs(x[:, i]))
             good &= (x[:, i] >= v.low - slack) & (x[:, i] <= v.high + slack)
+    measured = data.repair.measured(x)
     for each in data.rules.linear:
-        total, bound = sum(float(w) * x[:, c] for c, w in each.weights), float(each.bound)
+        total, bound = sum(float(w) * measured[:, c] for c, w in each.weights), float(each.bound)
         slack = 100 * SLACK * max(1.0, abs(bound))
         good &= (np.abs(total - bound) <= slack) if each.equal else (total <= bound + slack)
     return good

@@ -1,17 +1,19 @@
 """The nearest design that satisfies all rules, as a mixed-integer linear program."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from fractions import Fraction
+from typing import Any
 
 import numpy as np
 
-from deadreckon.errors import UserError
 from deadreckon.mbo.constraints import Clause
 from deadreckon.mbo.rules import Rules
 from deadreckon.mbo.variables import Variable
 
 SECONDS = 5.0  # that one program may take
+LATE = 2  # programs that may run out of time before the others are left out
+_TIME = 1  # status of SciPy's `milp`: a limit of time or iterations was reached
 FURTHEST = 1e6  # scales that a condition on a variable without bounds may reach
 
 
@@ -33,13 +35,10 @@ class Program:
         rules: that they must satisfy.
         steps: of the grids of the variables; None: there is none.
         scale: (variables,) in which distances are measured.
-        name: of the data, for errors.
     """
 
-    def __init__(
-        self, variables: Sequence[Variable], rules: Rules, steps: Sequence[Fraction | None], scale: np.ndarray, name: str
-    ):
-        self.variables, self.steps, self.scale, self.name = variables, steps, scale, name
+    def __init__(self, variables: Sequence[Variable], rules: Rules, steps: Sequence[Fraction | None], scale: np.ndarray):
+        self.variables, self.steps, self.scale = variables, steps, scale
         self.fixed = fixed = dict(rules.fixed)
         self.at: list[int] = []  # first column of each variable
         self.lows: list[float] = []
@@ -95,14 +94,16 @@ class Program:
 
     def _fails(self, clause: Clause) -> int:
         """A column that is 1 only where a condition does not hold."""
-        i, v, out = clause.column, self.variables[clause.column], self._column(0.0, 1.0, whole=True)
+        i, v = clause.column, self.variables[clause.column]
+        if i in self.fixed:  # whose value need not lie on a grid
+            value = Fraction(int(self.fixed[i])) if v.leveled else Fraction(str(np.float32(self.fixed[i])))
+            return self._column(0.0, 0.0 if clause.holds(value) else 1.0, whole=True)
+        out = self._column(0.0, 1.0, whole=True)
         if v.leveled:
             met = {self.at[i] + level: 1.0 for level in range(len(v.levels)) if clause.holds(Fraction(level))}
             self.rows.append(({out: 1.0} | met, -math.inf, 1.0))
             return out
         unit = self.unit(i)
-        if clause.relation in ("=", "!="):
-            raise UserError(f"{self.name}: {v.name} is a number; compare it with <, <=, > or >= in forbidden combinations")
         low, high = (b if math.isfinite(b) else s * FURTHEST * self.scale[i] for b, s in ((v.low, -1), (v.high, 1)))
         at = clause.value / self._unit(i)
         # The nearest values on the grid for which the condition does not hold.
@@ -130,7 +131,7 @@ class Program:
             for level in range(len(v.levels)):
                 away = abs(level - x[i]) / self.scale[i] if v.kind == "ordinal" else 2.0 * (level != int(x[i]))
                 cost[self.at[i] + level] = away
-        found = self._solved(cost, rows)
+        found = self._solved(cost, rows).x
         if found is None:
             return None
         out = np.empty(len(self.variables))
@@ -143,11 +144,12 @@ class Program:
         out[list(self.fixed)] = list(self.fixed.values())
         return out
 
-    def possible(self) -> bool:
-        """Whether any design satisfies all rules."""
-        return self._solved(np.zeros(len(self.lows)), self.rows) is not None
+    def possible(self) -> bool | None:
+        """Whether any design on its grids satisfies all rules; None: none was found in time."""
+        found = self._solved(np.zeros(len(self.lows)), self.rows)
+        return True if found.x is not None else None if found.status == _TIME else False
 
-    def _solved(self, cost: np.ndarray, rows: list[tuple[dict[int, float], float, float]]) -> np.ndarray | None:
+    def _solved(self, cost: np.ndarray, rows: list[tuple[dict[int, float], float, float]]) -> Any:
         from scipy.optimize import Bounds, LinearConstraint, milp
         from scipy.sparse import csr_array
 
@@ -163,4 +165,17 @@ class Program:
             cost, integrality=whole, bounds=bounds, constraints=limits,
             options={"time_limit": SECONDS, "mip_rel_gap": 1e-3},
         )  # fmt: skip
-        return found.x
+        return found
+
+
+def possible(programs: Iterable[Program]) -> bool | None:
+    """Whether one of them has a design; None: none was found, and some ran out of time."""
+    late = 0
+    for program in programs:
+        found = program.possible()
+        if found:
+            return True
+        late += found is None
+        if late == LATE:
+            break
+    return None if late else False

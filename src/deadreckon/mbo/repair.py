@@ -1,10 +1,12 @@
 """Designs moved to the nearest ones that satisfy all rules, or refused where none does.
 
-Two means: in floating point, projections on one constraint after the other (Dykstra's algorithm), for many candidates at once;
-and for what is proposed a mixed-integer linear program on the grid of each variable (HiGHS), whose solution is checked exactly.
+Three means: in floating point, projections on one constraint after the other (Dykstra's algorithm), for many candidates at
+once; for what is proposed whole steps on the grid of each variable (`mbo.lattice`), and where these break other rules a
+mixed-integer linear program on the same grids (HiGHS). What they find is checked exactly.
 """
 
 import math
+import time
 from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
@@ -14,14 +16,17 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.mbo.constraints import Forbidden, Linear, places
-from deadreckon.mbo.program import Program, ends
+from deadreckon.mbo.grids import FINE, grids
+from deadreckon.mbo.lattice import Equality, moved
+from deadreckon.mbo.program import SECONDS, Program, ends, possible
 from deadreckon.mbo.rules import Rules, written
 
 if TYPE_CHECKING:
     from deadreckon.mbo.designs import Designs
 
-FINE = 4  # digits below the range of a constrained variable to which proposals are rounded, so that sums are exact
 SWEEPS = 60  # of Dykstra's algorithm
+NEAR = 0.05  # standard deviations of a variable
+SOME = 20  # rows of the data near which designs are looked for before programs are asked
 
 
 class Repair:
@@ -33,24 +38,13 @@ class Repair:
 
     def __init__(self, data: "Designs"):
         self.data, self.rules, self.variables = data, data.rules, data.variables
-        touched, self.decimals = self.rules.touched, self.rules.decimals(data.variables)
-        self.steps = [self._step(i) if v.step or i in touched else None for i, v in enumerate(self.variables)]
-        spread = data.x.astype(np.float64).std(0)
+        self.decimals = self.rules.decimals(data.variables)
+        self.grids = grids(self.variables, self.rules, self.decimals, data.x)
+        self.steps = self.grids[0]
+        x = data.x.astype(np.float64)
+        spread = np.where(np.ptp(x, axis=0) > 0, x.std(0), 0.0)  # rounding errors are no spread
         self.scale = np.where(spread > 0, spread, np.maximum(1e-3 * np.abs(data.x).max(0), 1e-3))
-        self.free = not (touched or self.rules.fixed or any(self.steps))
-
-    def _step(self, i: int) -> Fraction | None:
-        """Of the grid on which a variable is proposed."""
-        v, seen = self.variables[i], self.data.x[:, i]
-        if v.step is not None:
-            return Fraction(str(v.step))
-        if v.kind != "continuous":
-            return Fraction(1) if v.kind == "integer" else None
-        low, high = (b if math.isfinite(b) else float(s) for b, s in ((v.low, seen.min()), (v.high, seen.max())))
-        largest = max(abs(low), abs(high), 1e-30)
-        digits = min(math.floor(math.log10(max(high - low, 1e-7 * largest))) - FINE, -self.decimals[i])
-        apart = np.spacing(np.nextafter(np.float32(largest), np.float32(0)))  # of the largest numbers of 32 bits
-        return Fraction(10) ** max(digits, math.ceil(math.log10(apart)))
+        self.free = not (self.rules.touched or self.rules.fixed or any(self.steps))
 
     def good(self, x: np.ndarray) -> np.ndarray:
         """(rows,) which designs satisfy all rules exactly as they are written."""
@@ -68,7 +62,7 @@ class Repair:
         moved = [i for i, v in enumerate(self.variables) if v.kind == "continuous" and v.step is None and i not in fixed]
         low, high = (np.array([getattr(self.variables[i], end) for i in moved]) for end in ("low", "high"))
         scale = self.scale[moved]
-        measured = self._measured(x)
+        measured = self.measured(x)
         rest = [i for i in range(x.shape[1]) if i not in moved]
         planes = []
         for each in self.rules.linear:
@@ -116,10 +110,62 @@ class Repair:
         x = self._snapped(self.relaxed(x)).astype(np.float32)
         good = self.good(x)
         for i in np.flatnonzero(~good):
-            found = self._program.nearest(x[i])
+            found = self._by_steps(x[i])
+            found = self._by_programs(x[i]) if found is None else found
             if found is not None:
                 x[i] = found
         return x, self.good(x)
+
+    def _by_programs(self, x: np.ndarray) -> np.ndarray | None:
+        """The nearest design on the first grid on which one is found, within about `SECONDS`."""
+        begun = time.monotonic()
+        for program in self._programs:
+            found = program.nearest(x)
+            if found is not None and self.good(found[None])[0]:
+                return found
+            if time.monotonic() - begun > SECONDS:
+                break
+        return None
+
+    def _by_steps(self, x: np.ndarray) -> np.ndarray | None:
+        """A design near to this one, moved in whole steps until each equality holds; None: that does not satisfy all rules."""
+        x = np.array(x, np.float64)
+        measured = [Fraction(str(np.float32(value))) for value in self.measured(x[None])[0]]
+        for equalities in self._equalities:
+            found = self._met(equalities, x.copy(), list(measured))
+            if found is not None and self.good(found[None])[0]:
+                return found
+        return None
+
+    def _met(self, equalities: list[Equality], x: np.ndarray, measured: list[Fraction]) -> np.ndarray | None:
+        """The design with steps of the grids of these equalities that meet them; None: there are none near to it."""
+        for each in equalities:
+            here = [round(float(x[c]) / float(step)) for c, step in zip(each.columns, each.steps)]
+            limits = [ends(self.variables[c].low, self.variables[c].high, step) for c, step in zip(each.columns, each.steps)]
+            cost = [float(step) / self.scale[c] for c, step in zip(each.columns, each.steps)]
+            found = moved(each, here, limits, [measured[c] for c, _ in each.rest], cost)
+            if found is None:
+                return None
+            x[list(each.columns)] = [n * step.numerator / step.denominator for n, step in zip(found, each.steps)]
+            for c in each.columns:
+                measured[c] = Fraction(str(np.float32(x[c])))
+        return x
+
+    @cached_property
+    def _equalities(self) -> list[list[Equality]]:
+        """Of each grid, with the numbers that may move in them, each in the first equality that has it."""
+        out: list[list[Equality]] = []
+        for grid in self.grids:
+            taken, found = {column for column, _ in self.rules.fixed}, []
+            for each in self.rules.linear:
+                free = [(c, w, step) for c, w in each.weights if c not in taken and (step := grid[c]) is not None]
+                if each.equal and free:
+                    columns, weights, steps = zip(*free)
+                    rest = tuple(one for one in each.weights if one[0] not in columns)
+                    found.append(Equality(columns, weights, steps, rest, each.bound))
+                    taken |= set(columns)
+            out += [found] if found else []
+        return out
 
     def _snapped(self, x: np.ndarray) -> np.ndarray:
         """Within bounds, on grids, with fixed values."""
@@ -137,7 +183,7 @@ class Repair:
             x[:, column] = value
         return x
 
-    def _measured(self, x: np.ndarray) -> np.ndarray:
+    def measured(self, x: np.ndarray) -> np.ndarray:
         """Designs with the numbers that indices of ordinal levels stand for."""
         x = np.array(x, np.float64)
         for i, v in enumerate(self.variables):
@@ -146,14 +192,31 @@ class Repair:
         return x
 
     @cached_property
-    def _program(self) -> Program:
-        return Program(self.variables, self.rules, self.steps, self.scale, self.data.name)
+    def _programs(self) -> list[Program]:
+        return [self._program(steps) for steps in self.grids]
+
+    def _program(self, steps: list[Fraction | None], rules: Rules | None = None) -> Program:
+        return Program(self.variables, rules or self.rules, steps, self.scale)
+
+    def _near(self) -> bool:
+        """Whether designs that satisfy all rules lie near to most of those that satisfy them but for the digits of numbers."""
+        some = self._snapped(self.relaxed(self.data.x[:SOME]))
+        moved, good = self.exact(some)
+        away = np.abs(moved - some) / self.scale
+        return bool(np.median(np.where(good, away.max(1), math.inf)) <= NEAR)
+
+    def _possible(self) -> bool | None:
+        """Whether any design satisfies all rules; None: none was found in time."""
+        some = self._snapped(self.relaxed(self.data.x[:SOME])).astype(np.float32)
+        if self.good(some).any() or any(self._by_steps(x) is not None for x in some):
+            return True
+        return possible(self._programs)
 
     def _too_fine(self, each: Linear) -> bool:
         """Whether an equality needs more decimals than the grids of its variables have, or weights on top of theirs."""
         steps = [(self.decimals[c], step) for c, _ in each.weights if (step := self.steps[c]) is not None]
         fine = any(Fraction(1, 10**count) < step for count, step in steps)
-        return fine or any(places(weight) >= FINE for _, weight in each.weights)
+        return fine or _of_fine_weights(each)
 
     def check_possible(self) -> None:
         """Refuses rules that no design satisfies.
@@ -169,18 +232,27 @@ class Repair:
             v = self.variables[column]
             if v.step is not None and Fraction(str(np.float32(value))) % Fraction(str(v.step)):
                 raise UserError(f"{name}: {v.name} is fixed at {value:g}, which is no multiple of its step {v.step:g}")
-        if self.free or self._program.possible():
+        there = True if self.free else self._possible()
+        digits = "numbers have seven digits (32 bits): round them, and write ratios in whole numbers, such as 3 a - b = 0"
+        if there:
+            fine = [each.text for each in self.rules.linear if each.equal and _of_fine_weights(each)]
+            if fine and not self._near():
+                raise UserError(f"{name}: few designs within the bounds satisfy {fine[0]!r}; {digits}")
             return
-        def without(rules: Rules) -> bool:
-            return Program(self.variables, rules, self.steps, self.scale, name).possible()
-
         rules, blamed = self.rules, []
         for kind in ("linear", "forbidden"):
             for each in getattr(rules, kind):
-                if without(replace(rules, **{kind: tuple(e for e in getattr(rules, kind) if e is not each)})):
+                fewer = replace(rules, **{kind: tuple(e for e in getattr(rules, kind) if e is not each)})
+                if possible([self._program(steps, fewer) for steps in self.grids]):
                     blamed.append(each)
         names = [f"forbidding {each.text}" if isinstance(each, Forbidden) else each.text for each in blamed]
         told = f"; without {' or without '.join(map(repr, names))} there would be some" if blamed else ""
         if any(isinstance(each, Linear) and each.equal and self._too_fine(each) for each in blamed or rules.linear):
-            told += "; numbers have seven digits (32 bits): round them, and write ratios in whole numbers, such as 3 a - b = 0"
-        raise UserError(f"{name}: no design within the bounds satisfies all constraints{told}")
+            told += f"; {digits}"
+        late = f" was found in {SECONDS:g} s that" if there is None else ""
+        raise UserError(f"{name}: no design within the bounds{late} satisfies all constraints{told}")
+
+
+def _of_fine_weights(each: Linear) -> bool:
+    """Whether an equality has weights of so many decimals that numbers, which have seven digits, have few left beside them."""
+    return any(places(weight) >= FINE for _, weight in each.weights)

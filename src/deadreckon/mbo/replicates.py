@@ -19,7 +19,8 @@ def pooled(data: "Designs") -> "Designs":
     Its standard error follows from those of the rows where they are given, else from the scatter within designs, pooled over
     all designs (the pooled variance of one-way analysis of variance): s / sqrt(measurements), for unreplicated designs too.
     Data without replicates is given back as it is, and so is data of fewer than `FEWEST` different designs. Where all
-    replicates have the same score to the last digit, nothing is learned of the noise: of each design one row is kept.
+    replicates have the same score to the last digit, and the same standard error, nothing is learned of the noise: of each
+    design one row is kept.
     """
     _, first, which = np.unique(data.x, axis=0, return_index=True, return_inverse=True)
     which = which.reshape(-1)
@@ -37,10 +38,11 @@ def pooled(data: "Designs") -> "Designs":
     plain = np.bincount(which, data.y) / count
     scatter = float(np.sqrt(np.square(data.y - plain[which]).sum() / freedom))
     repeated = f"{data.name}: {int(count[count > 1].sum())} rows are replicates of {int((count > 1).sum())} designs"
-    if given is None and (data.y == data.y[first][which]).all():
+    if all((each == each[first][which]).all() for each in (data.y, *([] if given is None else [given]))):
         told = f"{repeated} with the same {data.target} to the last digit; one of each is kept, as if the others were copies"
         warnings.warn(told, stacklevel=3)
-        return replace(data, x=data.x[first], y=data.y[first], table_rows=data.numbered(first))
+        error = None if given is None else given[first]
+        return replace(data, x=data.x[first], y=data.y[first], std_error=error, table_rows=data.numbered(first))
     if given is None:
         error = scatter / np.sqrt(count)
     else:

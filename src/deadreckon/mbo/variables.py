@@ -43,6 +43,10 @@ class Variable:
             raise UserError(f"{self.name}: {unknown('kind', self.kind, KINDS)}")
         if self.leveled and not self.levels:
             raise UserError(f"{self.name}: a{'n' * (self.kind == 'ordinal')} {self.kind} variable needs its levels")
+        if (twice := next((level for i, level in enumerate(self.levels) if level in self.levels[:i]), None)) is not None:
+            raise UserError(f"{self.name}: its level {twice!r} is listed twice; levels must differ, numbers by their values")
+        if odd := [level for level in self.levels if isinstance(level, float) and not math.isfinite(level)]:
+            raise UserError(f"{self.name}: a level must be finite, got {odd[0]}")
         if self.kind == "ordinal":
             object.__setattr__(self, "low", 0.0)
             object.__setattr__(self, "high", len(self.levels) - 1.0)
@@ -56,6 +60,8 @@ class Variable:
             raise UserError(f"{self.name}: holds whole numbers, its step must be whole too, got {self.step:g}")
         if self.log and self.low <= 0:
             raise UserError(f"{self.name}: a log scale needs a lower bound above 0, got {self.low:g}")
+        if self.log and self.low < (least := float(np.finfo(np.float32).tiny)):
+            raise UserError(f"{self.name}: a log scale begins at {least:.3g} (32 bits), got {self.low:g}; take another unit")
 
     def __repr__(self) -> str:  # names files of results: what is not set leaves it as it was
         more = "".join(f", {key}={getattr(self, key)!r}" for key in ("step", "log") if getattr(self, key))
@@ -69,8 +75,8 @@ class Variable:
 
     @property
     def numeric_levels(self) -> bool:
-        """Whether it is ordinal with levels that are numbers."""
-        return self.kind == "ordinal" and all(isinstance(each, int | float) for each in self.levels)
+        """Whether it is ordinal with levels that are numbers, which truth values are not."""
+        return self.kind == "ordinal" and all(isinstance(v, int | float) and not isinstance(v, bool) for v in self.levels)
 
 
 def variable_of(
@@ -133,7 +139,7 @@ def _number(
     if kind == "integer" and (values != np.round(values)).any():
         row = int(np.argmax(values != np.round(values)))
         raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, whole numbers are needed")
-    spread, fineness = values.std(), float(np.spacing(np.float32(np.abs(values).max())))
+    spread, fineness = values.std() if np.ptp(values) else 0.0, float(np.spacing(np.float32(np.abs(values).max())))
     if kind == "continuous" and fineness > FINE * spread > 0:
         raise UserError(
             f"{name}: column {column} reaches {np.abs(values).max():g} with a deviation of {spread:.3g}, which 32 bits hold in "
@@ -143,7 +149,9 @@ def _number(
     if outside.any():
         row = int(np.argmax(outside))
         raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, outside the bounds [{low:g}, {high:g}]")
-    if bounds is not None:
+    if bounds is not None and low == high:  # a constant, which 32 bits hold as its nearest number
+        low = high = float(str(np.float32(low)))
+    elif bounds is not None:
         low, high = _within(float(low), 1), _within(float(high), -1)
         if low > high:
             raise UserError(f"{name}: column {column}: 32 bits hold no number between its bounds {bounds[0]} and {bounds[1]}")

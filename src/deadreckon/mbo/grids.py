@@ -1,0 +1,75 @@
+"""The grids on which designs are proposed where rules tie variables together."""
+
+import math
+from collections.abc import Sequence
+from fractions import Fraction
+
+import numpy as np
+
+from deadreckon.mbo.rules import Rules
+from deadreckon.mbo.variables import Variable
+
+FINE = 4  # digits below the range of a constrained variable to which proposals are rounded, so that sums are exact
+LEAST = 100  # values that a shared grid leaves each variable
+COARSER = (0, 1, 2, 3, 4, -1, -2, -3)  # digits by which the grids that are tried are coarser than the usual ones
+
+
+def grids(variables: Sequence[Variable], rules: Rules, decimals: Sequence[int], x: np.ndarray) -> list[list[Fraction | None]]:
+    """Steps in which each variable is proposed, on several grids, the usual ones first; None: any number, or a level.
+
+    The numbers of an equality share one grid, the finest that any of them asks for and 32 bits hold in all, unless that
+    leaves one of them fewer than `LEAST` values: a sum is met by multiples of its coarsest grid alone. On coarser ones a
+    program is easier; finer ones are needed by weights such as in 2 a + 4 b = 1.
+
+    Args:
+        variables: of the designs.
+        rules: that proposals satisfy.
+        decimals: `rules.decimals` of each variable.
+        x: (rows, variables) designs of the data, for ranges where there are no bounds.
+    """
+    touched = rules.touched
+    plain: list[Fraction | None] = [None] * len(variables)
+    wanted: dict[int, int] = {}  # digits of those whose grid is ours to choose
+    held: dict[int, int] = {}  # by 32 bits
+    reach: dict[int, float] = {}
+    for i, v in enumerate(variables):
+        if v.step is not None:
+            plain[i] = Fraction(str(v.step))
+        elif v.kind == "integer" and i in touched:
+            plain[i] = Fraction(1)
+        elif v.kind == "continuous" and i in touched and v.low < v.high:
+            seen = x[:, i]
+            low, high = (b if math.isfinite(b) else float(s) for b, s in ((v.low, seen.min()), (v.high, seen.max())))
+            largest = max(abs(low), abs(high), 1e-30)
+            reach[i] = max(high - low, 1e-7 * largest)
+            wanted[i] = min(math.floor(math.log10(reach[i])) - FINE, -decimals[i])
+            # Numbers of 32 bits that are as far apart as the largest ones.
+            held[i] = math.ceil(math.log10(np.spacing(np.nextafter(np.float32(largest), np.float32(0)))))
+    shared = _shared(rules, set(wanted))
+    out: list[list[Fraction | None]] = []
+    for coarser in COARSER:
+        digits = {i: max(count, held[i]) for i, count in wanted.items()}
+        for group in shared:
+            fewest = -max(decimals[i] for i in group)
+            common = max(min(wanted[i] for i in group), *(held[i] for i in group))
+            if coarser < 0:
+                common = max(common + coarser, *(held[i] for i in group))
+            else:
+                common = max(common, min(common + coarser, fewest))
+            for i in group:
+                enough = reach[i] >= LEAST * 10.0**common
+                digits[i] = max(common if enough else min(common, wanted[i]), held[i])
+        steps = [Fraction(10) ** digits[i] if i in digits else step for i, step in enumerate(plain)]
+        out += [] if steps in out else [steps]
+    return out
+
+
+def _shared(rules: Rules, columns: set[int]) -> list[list[int]]:
+    """Those of the columns that equalities bind together, also by way of others."""
+    groups: list[set[int]] = []
+    fixed = {column for column, _ in rules.fixed}
+    for each in rules.linear:
+        if each.equal:
+            group = {column for column, _ in each.weights} - fixed
+            groups = [*(g for g in groups if not g & group), group.union(*(g for g in groups if g & group))]
+    return [sorted(group & columns) for group in groups if group & columns]
