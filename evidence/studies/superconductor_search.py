@@ -1,8 +1,8 @@
 """What a grid search over NEMO's rates finds on superconductors where the judge is looked at (section 6.6, appendix C.1).
 
-The thesis has its settings from "a grid search across different settings of alpha_theta, alpha_x, and tau", and does not say by
-what they were chosen. Here they are chosen by the scores themselves, separately for each form of boosting that may have been the
-judge, and so is the iteration at which the search ends; the chosen ones are then run again with another seed.
+The thesis has its settings from "a grid search across different settings of alpha_theta, alpha_x, and tau", and does not say
+by what they were chosen. Here they are chosen by the scores themselves, separately for each form of boosting that may have been
+the judge, and so is the iteration at which the search ends; the chosen ones are then run again with another seed.
 """
 
 from itertools import product
