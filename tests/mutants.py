@@ -1716,7 +1716,7 @@ MUTANTS = (
         "columns that are copied are written as they were read", ("cli/test_predict.py",),
     ),
     Mutant(
-        "lattice-pivot", "mbo/lattice.py", "there = steps[pivot] + turn", "there = steps[pivot] - turn",
+        "lattice-pivot", "mbo/lattice.py", "(steps[i] + turn >= ends[i][0])", "(steps[i] - turn >= ends[i][0])",
         "the step that makes a sum whole is checked against bounds on the wrong side", ("mbo/test_lattice.py",),
     ),
     Mutant(

@@ -74,8 +74,9 @@ def searched(
 
 
 def _scores(judge: Judge, x: np.ndarray) -> tuple[float, float]:
-    """The best and the median design."""
-    scores = np.asarray(judge(x.astype(np.float32)), np.float64)
+    """The best and the median design; those that diverged are the worst."""
+    found = np.asarray(judge(np.nan_to_num(x).astype(np.float32)), np.float64)
+    scores = np.where(np.isfinite(x).all(1), found, -np.inf)
     return float(scores.max()), float(np.median(scores))
 
 

@@ -11,6 +11,8 @@ from pyarrow import parquet
 import deadreckon as dr
 from deadreckon.cli.main import main
 from deadreckon.data.describe import describe_table
+from deadreckon.data.formats.any_table import read_rows
+from deadreckon.data.schema import Column, Schema
 from deadreckon.files import write_json
 from deadreckon.runs.train import train
 from tests.recorded import decision
@@ -191,3 +193,14 @@ def test_a_name_with_a_comma_is_not_taken_for_a_wrong_separator(run, tmp_path, c
     told = capsys.readouterr().err
     assert "no column weight, kg" in told
     assert "seems to have" not in told
+
+
+def test_columns_are_read_alike_whether_they_are_kept_or_not(tmp_path):
+    names = {"id": ["1234567890123456789", "1234567890123456788"], "x": ["inf", "-1"], "empty": ["", ""],
+             "day": ["2020-01-01"] * 2, "time": ["10:00", "11:00"], "hex": ["0x1F", "0x2F"], "age": ["+5", "6"]}  # fmt: skip
+    pd.DataFrame(names).to_csv(tmp_path / "t.csv", index=False)
+    schema = Schema((Column("age", "observation", "number"),))
+    plain = dict.fromkeys(names)
+    with_texts = read_rows(tmp_path / "t.csv", schema, plain=plain)[0]
+    assert with_texts.equals(read_rows(tmp_path / "t.csv", schema)[0])
+    assert {name: [text or "" for text in values.to_pylist()] for name, values in plain.items()} == names

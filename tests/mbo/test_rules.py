@@ -173,6 +173,10 @@ def test_levels_are_told_apart_by_their_values():
     for level, name in enumerate(signs.levels):
         assert Rules.of([signs], fixed=[f's = "{name}"']).fixed == ((0, level),)
         assert Rules.of([signs], forbidden=[f's = "{name}" & s != `{name}`']).forbidden[0].clauses[0].levels == (level,)
+    marked = Variable("d'x", "continuous", 0.0, 9.0), Variable("e'y", "continuous", 0.0, 9.0)
+    assert len(Rules.of(marked, forbidden=["d'x > 3 & e'y < 2"]).forbidden[0].clauses) == 2
+    pipe = Variable("pipe", "categorical", levels=('3"', '5"', '7"'))
+    assert [c.levels for c in Rules.of([pipe], forbidden=['pipe != 5" & pipe != 3"']).forbidden[0].clauses] == [(0, 2), (1, 2)]
     with pytest.raises(UserError, match="needs one relation, got 's = a=1'; levels that hold such signs stand in quotes"):
         Rules.of([signs], fixed=["s = a=1"])
 
@@ -193,6 +197,11 @@ def test_a_factor_that_may_be_a_power_of_ten_is_refused():
     with pytest.raises(UserError, match=r"'a \+ 2e1 <= 100': 2e1 is a number, or 2 \* e1; write one or the other"):
         Rules.of([a, e1], constraints=["a + 2e1 <= 100"])
     assert Rules.of([a, e1], constraints=["a + 2 e1 <= 100"]).linear[0].weights == ((0, 1), (1, 2))
+    e = Variable("e", "continuous", 0.0, 1.0)
+    for text in ("a + 2e-1 <= 3", "a <= 2e-1", "2E+1 a <= 3"):
+        named = Variable("E", "continuous", 0.0, 1.0) if "E" in text else e
+        with pytest.raises(UserError, match="is a number, or 2 "):
+            Rules.of([a, named], constraints=[text])
     assert Rules.of([a, B], constraints=["a + 2e1 b <= 100"]).linear[0].weights == ((0, 1), (1, 20))
 
 

@@ -90,8 +90,13 @@ def _column(given: str, variables: Sequence[Variable], name: str) -> int:
 
 
 def _bare(text: str) -> str:
-    """Signs within names in backticks, and within levels in quotes, separate nothing."""
-    return re.sub(r"`[^`]*`|\"[^\"]*\"|'[^']*'", lambda match: "_" * len(match[0]), text)
+    """Signs within names in backticks, and within levels in quotes behind a relation, separate nothing."""
+
+    def hidden(match: re.Match[str]) -> str:
+        before = match[1] or ""
+        return before + "_" * (len(match[0]) - len(before))
+
+    return re.sub(rf"`[^`]*`|((?:{_RELATION.pattern})\s*)(?:\"[^\"]*\"|'[^']*')", hidden, text)
 
 
 def quoted(value: Any) -> str:
@@ -144,8 +149,9 @@ def _terms(side: str, text: str, variables: Sequence[Variable], name: str) -> li
         if found is None or (found[2] is None and found[3] is None) or (out and found[1] is None):
             where = side[at:].strip()
             raise UserError(f"{name}: constraint {text!r} cannot be read at {where!r}; a sum such as a + 2 b is needed")
-        if found[2] and (power := re.search("[eE]", found[2])) and found[2][power.start() :] in {v.name for v in variables}:
-            times = f"{found[2][: power.start()]} * {found[2][power.start() :]}"
+        head, power, tail = re.match(r"([^eE]*)([eE]?)(.*)", found[2] or "").groups()  # type: ignore[union-attr]
+        if power and {power + tail, power if tail[0] in "+-" else ""} & {v.name for v in variables}:
+            times = f"{head} * {power}{tail}"
             raise UserError(f"{name}: constraint {text!r}: {found[2]} is a number, or {times}; write one or the other")
         factor = (Fraction(1) if found[2] is None else _exact(found[2], name)) * (-1 if found[1] == "-" else 1)
         out.append((factor, None if found[3] is None else _column(found[3], variables, name)))

@@ -6,6 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from deadreckon.mbo.constraints import Linear
 from deadreckon.mbo.rules import Rules
 from deadreckon.mbo.variables import Variable
 
@@ -66,10 +67,18 @@ def grids(variables: Sequence[Variable], rules: Rules, decimals: Sequence[int], 
 
 def _shared(rules: Rules, columns: set[int]) -> list[list[int]]:
     """Those of the columns that equalities bind together, also by way of others."""
-    groups: list[set[int]] = []
-    fixed = {column for column, _ in rules.fixed}
-    for each in rules.linear:
-        if each.equal:
-            group = {column for column, _ in each.weights} - fixed
-            groups = [*(g for g in groups if not g & group), group.union(*(g for g in groups if g & group))]
-    return [sorted(group & columns) for group in groups if group & columns]
+    free = {c for each in rules.linear for c, _ in each.weights} - {column for column, _ in rules.fixed}
+    groups = tied([each for each in rules.linear if each.equal], free)
+    shared = [{c for each in group for c, _ in each.weights} & free & columns for group in groups]
+    return [sorted(group) for group in shared if group]
+
+
+def tied(equalities: Sequence[Linear], free: set[int]) -> list[list[Linear]]:
+    """Equalities by groups that share `free` columns, also by way of others."""
+    groups: list[tuple[set[int], list[Linear]]] = []
+    for each in equalities:
+        columns = {column for column, _ in each.weights} & free
+        near = [group for group in groups if group[0] & columns]
+        groups = [group for group in groups if not group[0] & columns]
+        groups.append((columns.union(*(c for c, _ in near)), [*(e for _, part in near for e in part), each]))
+    return [part for _, part in groups]

@@ -2,7 +2,8 @@
 
 With n_i the steps of a variable and W_i whole weights, W_1 n_1 + W_2 n_2 + ... = T has solutions near almost every point once
 three variables may move: offsets of two of them within a window are tried, and what is left must divide by the weight of the
-third, the pivot. Branch and bound takes minutes for weights such as molar masses, whose relaxations are nearly all feasible.
+third, the pivot. Two equalities at once have two pivots, and their determinant in the place of the weight. Branch and bound
+takes minutes for weights such as molar masses, whose relaxations are nearly all feasible.
 """
 
 import math
@@ -15,70 +16,111 @@ import numpy as np
 
 MOST = 1_500_000  # offsets of a pair that are tried at once
 PAIRS = 4  # of variables that are tried, until one has a solution
+AT_ONCE = 2  # equalities that are met together
+_LARGEST = 2**62
 
 
 @dataclass(frozen=True)
-class Equality:
-    """A weighted sum of numbers that must equal a bound.
+class System:
+    """Weighted sums of the same numbers, each of which must equal a bound.
 
     Attributes:
-        columns: of the designs, those that may move.
-        weights: of these.
-        steps: of their grids.
-        rest: (column, weight) of those that stay where they are.
-        bound: of the sum.
+        columns: (n,) of the designs, those that may move.
+        steps: (n,) of their grids.
+        weights: (m, n).
+        rest: of each sum, (column, weight) of those that stay where they are.
+        bounds: (m,) of the sums.
     """
 
     columns: tuple[int, ...]
-    weights: tuple[Fraction, ...]
     steps: tuple[Fraction, ...]
-    rest: tuple[tuple[int, Fraction], ...]
-    bound: Fraction
+    weights: tuple[tuple[Fraction, ...], ...]
+    rest: tuple[tuple[tuple[int, Fraction], ...], ...]
+    bounds: tuple[Fraction, ...]
 
 
 def moved(
-    each: Equality, steps: Sequence[int], ends: Sequence[tuple[float, float]], rest: Sequence[Fraction], cost: Sequence[float]
+    system: System, steps: Sequence[int], ends: Sequence[tuple[float, float]], values: Sequence[Fraction], cost: Sequence[float]
 ) -> list[int] | None:
-    """Steps of the variables that may move, near to the given ones, with which the equality holds; None: none was found.
+    """Steps of the variables that may move, near to the given ones, with which the equalities hold; None: none was found.
 
     Args:
-        each: the equality.
+        system: one equality, or `AT_ONCE`.
         steps: of each variable, where it is.
         ends: first and last step of each; infinite where there is none.
-        rest: values of those that stay.
+        values: of all columns of the designs; those that stay are looked up here.
         cost: of a step of each.
     """
-    left = each.bound - sum((weight * value for (_, weight), value in zip(each.rest, rest)), Fraction(0))
-    units = [weight * step for weight, step in zip(each.weights, each.steps)]
-    scale = math.lcm(left.denominator, *(unit.denominator for unit in units))
-    whole = [int(unit * scale) for unit in units]
-    missing = int(left * scale) - sum(w * n for w, n in zip(whole, steps))
-    if missing % math.gcd(*whole) or max(map(abs, [missing, *whole])) >= 2**40:
+    weights: list[list[int]] = []
+    missing: list[int] = []
+    for row, rest, bound in zip(system.weights, system.rest, system.bounds):
+        left = bound - sum((weight * values[column] for column, weight in rest), Fraction(0))
+        units = [weight * step for weight, step in zip(row, system.steps)]
+        scale = math.lcm(left.denominator, *(unit.denominator for unit in units))
+        whole = [int(unit * scale) for unit in units]
+        weights.append(whole)
+        missing.append(int(left * scale) - sum(w * n for w, n in zip(whole, steps)))
+        if missing[-1] % math.gcd(*whole):
+            return None
+    count = len(weights)
+    choices = [(_determinant(weights, at), at) for at in combinations(range(len(steps)), count)]
+    choices = [(found, at) for found, at in choices if found]
+    if not choices:
         return None
-    pivot = min(range(len(whole)), key=lambda i: abs(whole[i]))
-    others = [i for i in range(len(whole)) if i != pivot]
+    determinant, pivots = min(choices, key=lambda choice: abs(choice[0]))
+    # Those with many values first: of few there are few combinations.
+    others = sorted((i for i in range(len(steps)) if i not in pivots), key=lambda i: ends[i][0] - ends[i][1])
     pairs = [*combinations(others, 2)][:PAIRS] or [(i,) for i in others] or [()]
-    for pair in pairs:
-        window = int(min(64 * abs(whole[pivot]) + 1000, MOST) ** (1 / max(len(pair), 1))) + 1
-        offsets = np.meshgrid(*(_around(steps[i], window, ends[i]) for i in pair), indexing="ij")
-        offsets = [offset.reshape(-1) for offset in offsets]
-        over = missing - sum((whole[i] * offset for i, offset in zip(pair, offsets)), np.zeros(1, np.int64))
-        turn = over // whole[pivot]
-        there = steps[pivot] + turn
-        good = (over % whole[pivot] == 0) & (there >= ends[pivot][0]) & (there <= ends[pivot][1])
-        price = np.abs(turn) * cost[pivot] + sum((np.abs(o) * cost[i] for i, o in zip(pair, offsets)), np.zeros(1))
-        price = np.where(good, price, math.inf)
+    few = min(8 * abs(determinant) + 1000, MOST)  # among which there are about eight solutions, if they lie evenly
+    for pair, total in [*((pair, few) for pair in pairs), (pairs[0], MOST)]:
+        offsets = _offsets(pair, steps, ends, total)
+        reach = [
+            abs(m) + sum(abs(row[i]) * int(np.abs(o).max(initial=0)) for i, o in zip(pair, offsets))
+            for m, row in zip(missing, weights)
+        ]
+        if max(reach) * (1 if count == 1 else 2 * max(abs(w) for row in weights for w in row)) >= _LARGEST:
+            return None
+        over = [m - sum((row[i] * o for i, o in zip(pair, offsets)), np.zeros(1, np.int64)) for m, row in zip(missing, weights)]
+        turns = _cramer(weights, pivots, over)
+        good = np.all([turn % determinant == 0 for turn in turns], 0)
+        turns = [turn // determinant for turn in turns]
+        for i, turn in zip(pivots, turns):
+            good = good & (steps[i] + turn >= ends[i][0]) & (steps[i] + turn <= ends[i][1])
+        changes = [*zip(pivots, turns), *zip(pair, offsets)]
+        price = np.where(good, sum((np.abs(change) * cost[i] for i, change in changes), np.zeros(1)), math.inf)
         at = int(price.argmin())
         if math.isfinite(price[at]):
             found = list(steps)
-            found[pivot] += int(turn[at])
-            for i, offset in zip(pair, offsets):
-                found[i] += int(offset[at])
+            for i, change in changes:
+                found[i] += int(change[at])
             return found
     return None
 
 
-def _around(here: int, window: int, ends: tuple[float, float]) -> np.ndarray:
-    """Offsets of at most half a window that stay within bounds."""
-    low, high = max(-(window // 2), ends[0] - here), min(window // 2, ends[1] - here)
-    return np.arange(int(low), int(high) + 1, dtype=np.int64)
+def _determinant(weights: list[list[int]], at: tuple[int, ...]) -> int:
+    if len(at) == 1:
+        return weights[0][at[0]]
+    (a, b), (c, d) = ([row[i] for i in at] for row in weights)
+    return a * d - b * c
+
+
+def _cramer(weights: list[list[int]], at: tuple[int, ...], over: list[np.ndarray]) -> list[np.ndarray]:
+    """What the pivots have to change by, times the determinant."""
+    if len(at) == 1:
+        return over
+    (a, b), (c, d) = ([row[i] for i in at] for row in weights)
+    return [d * over[0] - b * over[1], a * over[1] - c * over[0]]
+
+
+def _offsets(
+    pair: tuple[int, ...], steps: Sequence[int], ends: Sequence[tuple[float, float]], total: int
+) -> list[np.ndarray]:  # fmt: skip
+    """(k,) offsets of each variable, about `total` combinations within bounds; what one does not use of them the others may."""
+    room = {i: (max(ends[i][0] - steps[i], -total), min(ends[i][1] - steps[i], total)) for i in pair}
+    found: dict[int, np.ndarray] = {}
+    for left, i in zip(range(len(pair), 0, -1), sorted(pair, key=lambda i: room[i][1] - room[i][0])):
+        half = int(total ** (1 / left)) // 2 + 1
+        low, high = max(room[i][0], -half), min(room[i][1], half)
+        found[i] = np.arange(int(low), int(high) + 1, dtype=np.int64)
+        total = max(total // max(len(found[i]), 1), 1)
+    return [each.reshape(-1) for each in np.meshgrid(*(found[i] for i in pair), indexing="ij")]

@@ -16,15 +16,17 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.mbo.constraints import Forbidden, Linear, places
-from deadreckon.mbo.grids import FINE, grids
-from deadreckon.mbo.lattice import Equality, moved
+from deadreckon.mbo.grids import FINE, grids, tied
+from deadreckon.mbo.lattice import AT_ONCE, System, moved
 from deadreckon.mbo.program import SECONDS, Program, ends, possible
 from deadreckon.mbo.rules import Rules, written
+from deadreckon.mbo.variables import Variable
 
 if TYPE_CHECKING:
     from deadreckon.mbo.designs import Designs
 
 SWEEPS = 60  # of Dykstra's algorithm
+TOGETHER = 60.0  # seconds that the programs of all designs that are moved at once may take
 NEAR = 0.05  # standard deviations of a variable
 SOME = 20  # rows of the data near which designs are looked for before programs are asked
 
@@ -108,10 +110,13 @@ class Repair:
         if self.free:
             return x, np.ones(len(x), bool)
         x = self._snapped(self.relaxed(x)).astype(np.float32)
-        good = self.good(x)
+        good, spent = self.good(x), 0.0
         for i in np.flatnonzero(~good):
             found = self._by_steps(x[i])
-            found = self._by_programs(x[i]) if found is None else found
+            if found is None and spent < TOGETHER:
+                begun = time.monotonic()
+                found = self._by_programs(x[i])
+                spent += time.monotonic() - begun
             if found is not None:
                 x[i] = found
         return x, self.good(x)
@@ -131,19 +136,19 @@ class Repair:
         """A design near to this one, moved in whole steps until each equality holds; None: that does not satisfy all rules."""
         x = np.array(x, np.float64)
         measured = [Fraction(str(np.float32(value))) for value in self.measured(x[None])[0]]
-        for equalities in self._equalities:
-            found = self._met(equalities, x.copy(), list(measured))
+        for systems in self._systems:
+            found = self._met(systems, x.copy(), list(measured))
             if found is not None and self.good(found[None])[0]:
                 return found
         return None
 
-    def _met(self, equalities: list[Equality], x: np.ndarray, measured: list[Fraction]) -> np.ndarray | None:
+    def _met(self, systems: list[System], x: np.ndarray, measured: list[Fraction]) -> np.ndarray | None:
         """The design with steps of the grids of these equalities that meet them; None: there are none near to it."""
-        for each in equalities:
+        for each in systems:
             here = [round(float(x[c]) / float(step)) for c, step in zip(each.columns, each.steps)]
             limits = [ends(self.variables[c].low, self.variables[c].high, step) for c, step in zip(each.columns, each.steps)]
             cost = [float(step) / self.scale[c] for c, step in zip(each.columns, each.steps)]
-            found = moved(each, here, limits, [measured[c] for c, _ in each.rest], cost)
+            found = moved(each, here, limits, measured, cost)
             if found is None:
                 return None
             x[list(each.columns)] = [n * step.numerator / step.denominator for n, step in zip(found, each.steps)]
@@ -152,18 +157,21 @@ class Repair:
         return x
 
     @cached_property
-    def _equalities(self) -> list[list[Equality]]:
-        """Of each grid, with the numbers that may move in them, each in the first equality that has it."""
-        out: list[list[Equality]] = []
+    def _systems(self) -> list[list[System]]:
+        """Of each grid the equalities, those together that share numbers, or one after the other where these are too many."""
+        out: list[list[System]] = []
+        fixed = {column for column, _ in self.rules.fixed}
         for grid in self.grids:
-            taken, found = {column for column, _ in self.rules.fixed}, []
-            for each in self.rules.linear:
-                free = [(c, w, step) for c, w in each.weights if c not in taken and (step := grid[c]) is not None]
-                if each.equal and free:
-                    columns, weights, steps = zip(*free)
-                    rest = tuple(one for one in each.weights if one[0] not in columns)
-                    found.append(Equality(columns, weights, steps, rest, each.bound))
-                    taken |= set(columns)
+            free = {c for c, step in enumerate(grid) if step is not None} - fixed
+            found: list[System] = []
+            for group in tied([each for each in self.rules.linear if each.equal], free):
+                parts = [group] if len(group) <= AT_ONCE else [[each] for each in group]
+                taken: set[int] = set()
+                for part in parts:
+                    columns = sorted({c for each in part for c, _ in each.weights} & free - taken)
+                    if columns:
+                        found.append(_system(part, columns, grid))
+                        taken |= set(columns)
             out += [found] if found else []
         return out
 
@@ -228,6 +236,10 @@ class Repair:
         for v, step in zip(self.variables, self.steps):
             if step is not None and np.greater(*ends(v.low, v.high, step)):
                 raise UserError(f"{name}: {v.name} has no multiple of {float(step):g} in [{v.low:g}, {v.high:g}]")
+        for v, step in zip(self.variables, self.steps):
+            if v.step is not None and step is not None and not _held(v, step):
+                text = f"most multiples of the step {v.step} of {v.name} have more than the seven digits of 32 bits"
+                raise UserError(f"{name}: {text}; round the step, or make the variable ordinal and list its levels")
         for column, value in self.rules.fixed:
             v = self.variables[column]
             if v.step is not None and Fraction(str(np.float32(value))) % Fraction(str(v.step)):
@@ -256,3 +268,20 @@ class Repair:
 def _of_fine_weights(each: Linear) -> bool:
     """Whether an equality has weights of so many decimals that numbers, which have seven digits, have few left beside them."""
     return any(places(weight) >= FINE for _, weight in each.weights)
+
+
+def _system(part: list[Linear], columns: list[int], grid: list[Fraction | None]) -> System:
+    """These equalities, in which the numbers of these columns may move."""
+    weights = [dict(each.weights) for each in part]
+    rest = tuple(tuple((c, w) for c, w in of.items() if c not in columns) for of in weights)
+    rows = tuple(tuple(of.get(c, Fraction(0)) for c in columns) for of in weights)
+    return System(tuple(columns), tuple(grid[c] or Fraction(1) for c in columns), rows, rest, tuple(e.bound for e in part))
+
+
+def _held(v: Variable, step: Fraction) -> bool:
+    """Whether 32 bits hold most of the first multiples of a step within the bounds as they are written."""
+    first, last = ends(v.low, v.high, step)
+    begin = 0 if math.isinf(first) else int(first)
+    some = range(begin, int(min(begin + 20, last)) + 1)
+    held = [not Fraction(str(np.float32(float(n * step)))) % step for n in some if n]
+    return not held or 2 * sum(held) >= len(held)

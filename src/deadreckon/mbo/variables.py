@@ -43,7 +43,8 @@ class Variable:
             raise UserError(f"{self.name}: {unknown('kind', self.kind, KINDS)}")
         if self.leveled and not self.levels:
             raise UserError(f"{self.name}: a{'n' * (self.kind == 'ordinal')} {self.kind} variable needs its levels")
-        if (twice := next((level for i, level in enumerate(self.levels) if level in self.levels[:i]), None)) is not None:
+        if len(set(self.levels)) < len(self.levels):
+            twice = next(level for i, level in enumerate(self.levels) if level in self.levels[:i])
             raise UserError(f"{self.name}: its level {twice!r} is listed twice; levels must differ, numbers by their values")
         if odd := [level for level in self.levels if isinstance(level, float) and not math.isfinite(level)]:
             raise UserError(f"{self.name}: a level must be finite, got {odd[0]}")

@@ -85,7 +85,7 @@ def _seconds(cell: Any, order: str | None) -> tuple[str, float]:
         return _TIME, cell.total_seconds()
     if isinstance(cell, datetime.time):
         return _TIME, cell.hour * 3600 + cell.minute * 60 + cell.second + cell.microsecond / 1e6
-    if isinstance(cell, int | float) and not isinstance(cell, bool):  # such as the milliseconds since 1970 of a JSON file
+    if isinstance(cell, int | float | np.number) and not isinstance(cell, bool):  # such as milliseconds since 1970 in JSON
         return _NUMBER, float(cell)
     if isinstance(cell, str):
         if span := _SPAN.fullmatch(cell.strip()):

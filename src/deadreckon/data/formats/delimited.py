@@ -13,7 +13,8 @@ import pyarrow as pa
 from pyarrow import csv as arrow
 
 from deadreckon.data.arrow import compute as _compute
-from deadreckon.data.formats.cells import MISSING, NOTHING, Known, converted, with_dates
+from deadreckon.data.arrow import is_string
+from deadreckon.data.formats.cells import MISSING, NOTHING, Known, converted, with_dates, without
 from deadreckon.data.formats.dialect import HEAD, Dialect, sniff
 from deadreckon.data.formats.marks import LARGEST, of_large
 from deadreckon.data.formats.spool import Spool
@@ -48,23 +49,37 @@ def read_delimited(
     """
     with reading(path, "CSV"), opened(path) as file:
         source = unpacked(path, file)
-        head, whole = _head(source)
-        dialect, told = sniff(path, head, whole, asked)
-        source.seek(0)
-        table = with_words(_parsed(path, source, dialect, spool, known), source, _options(dialect), spool, known)
-        told += _of_zeros(source, table, dialect, spool) + _of_large(source, table, dialect)
-        told += _of_names(path, table.column_names)
-        table = _named(path, table)
-        table, lines = _decoded(path, table, dialect, known=asked.encoding is not None or not head.isascii())
-        told += lines
-        dialect = replace(dialect, encoding=None) if lines else dialect  # it has two
-        table, lines = _without_empty(path, table)
-        told += lines
-        told += _of_quotes(path, table, dialect)
-        if not table.num_rows:
-            raise UserError(f"{path}: the log has no rows, only a line of names")
-    table, order, lines = converted(table, dialect, spool, known)
+        table, dialect, told = _read(path, source, asked, spool, known)
+        if known.plain:  # the same file again, as which columns are read must not depend on which are kept
+            source.seek(0)
+            texts = _read(path, source, asked, None, Known(known.texts | set(known.plain)))[0]
+            for name in known.plain:
+                if name in texts.column_names:
+                    known.keep(name, without(texts[name], ("",)) if is_string(texts[name].type) else texts[name])
+    table, order, lines = converted(table, dialect, spool, known._replace(plain=None))
     return table, with_dates(dialect, order), told + lines
+
+
+def _read(
+    path: Path | str, source: BinaryIO, asked: Dialect, spool: Spool | None, known: Known
+) -> tuple[pa.Table, Dialect, list[str]]:
+    """The table as pyarrow reads it, its dialect, and what to tell."""
+    head, whole = _head(source)
+    dialect, told = sniff(path, head, whole, asked)
+    source.seek(0)
+    table = with_words(_parsed(path, source, dialect, spool, known), source, _options(dialect), spool, known)
+    told += _of_zeros(source, table, dialect, spool) + _of_large(source, table, dialect)
+    told += _of_names(path, table.column_names)
+    table = _named(path, table)
+    table, lines = _decoded(path, table, dialect, known=asked.encoding is not None or not head.isascii())
+    told += lines
+    dialect = replace(dialect, encoding=None) if lines else dialect  # it has two
+    table, lines = _without_empty(path, table)
+    told += lines
+    told += _of_quotes(path, table, dialect)
+    if not table.num_rows:
+        raise UserError(f"{path}: the log has no rows, only a line of names")
+    return table, dialect, told
 
 
 def _head(source: BinaryIO) -> tuple[bytes, bool]:
@@ -88,8 +103,7 @@ def _options(dialect: Dialect) -> tuple[arrow.ReadOptions, arrow.ParseOptions]:
 def _parsed(path: Path | str, source: BinaryIO, dialect: Dialect, spool: Spool | None, known: Known) -> pa.Table:
     read, parse = _options(dialect)
     convert: dict[str, Any] = {"decimal_point": dialect.decimal, "null_values": _NULLS}
-    texts = {*known.texts, *(known.plain or ())}
-    convert |= {"column_types": dict.fromkeys(texts, pa.string())} if texts else {}
+    convert |= {"column_types": dict.fromkeys(known.texts, pa.string())} if known.texts else {}
     try:
         if spool is not None:
             return spool.read(source, read, parse, convert)
