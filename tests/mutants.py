@@ -765,7 +765,7 @@ MUTANTS = (
         "sums that must equal a number are not checked", ("mbo/test_batch.py",),
     ),
     Mutant(
-        "mixture-projected", "mbo/repair.py", "        good = self.good(x)\n", "        good = np.ones(len(x), bool)\n",
+        "mixture-projected", "mbo/repair.py", "good, spent = self.good(x), 0.0", "good, spent = np.ones(len(x), bool), 0.0",
         "mixtures are projected in floating point alone", ("mbo/test_batch.py",),
     ),
     Mutant(
@@ -793,9 +793,8 @@ MUTANTS = (
         ("mbo/test_rules.py::test_levels_that_are_numbers_are_compared_as_numbers_in_whatever_order_they_stand",),
     ),
     Mutant(
-        "decimals-unasked", "mbo/repair.py", "- FINE, -self.decimals[i])", "- FINE, 0)",
-        "sums with fixed parts of many decimals are called impossible",
-        ("mbo/test_rules.py::test_what_must_be_equal_has_as_many_decimals_as_it_takes",),
+        "one-grid", "mbo/grids.py", "COARSER = (0, 1, 2, 3, 4, -1, -2, -3)", "COARSER = (0,)",
+        "sums whose weights need a finer grid than the usual one are called impossible", ("mbo/test_lattice.py",),
     ),
     Mutant(
         "bounds-rounded-out", "mbo/variables.py", "low, high = _within(float(low), 1), _within(float(high), -1)", "pass",
@@ -850,7 +849,8 @@ MUTANTS = (
     ),
     Mutant(
         "pooled-row-numbers", "mbo/replicates.py",
-        "std_error=error, table_rows=data.numbered(first)", "std_error=error, table_rows=None",
+        "replicates=count, std_error=error, table_rows=data.numbered(first)",
+        "replicates=count, std_error=error, table_rows=None",
         "rows of pooled designs are not called as the table has them",
         ("mbo/test_effects.py::test_columns_beside_proposals_are_in_the_targets_sign",),
     ),
