@@ -12,7 +12,12 @@ from deadreckon.tasks.task import Starts
 DAY = 96  # steps of a quarter of an hour
 
 
-class Rooms:  # observations: degrees in the room and outside, time of day; actions: heating
+# Observations: degrees in the room and outside, time of day, each less a middle and in units in which it is about 1 in size.
+# Online they are learned from as they are, and from plain degrees SAC learns hardly anything in 20,000 steps. Actions: heating.
+MIDDLE, UNIT = np.array([20.0, 2.5, 0.5]), np.array([5.0, 5.0, 0.3])
+
+
+class Rooms:
     def __init__(self, seeds):
         self.starts = Starts(seeds, lambda rng: rng.uniform((15.0, -5.0), (25.0, 10.0)))
         self.degrees, self.time = np.zeros((len(seeds), 2)), np.zeros(len(seeds), int)
@@ -32,7 +37,7 @@ class Rooms:  # observations: degrees in the room and outside, time of day; acti
         return self.observe(), reward, np.zeros(len(room), bool), self.time >= DAY  # a day times out, nothing ends it
 
     def observe(self):
-        return np.column_stack([self.degrees, self.time / DAY]).astype(np.float32)
+        return ((np.column_stack([self.degrees, self.time / DAY]) - MIDDLE) / UNIT).astype(np.float32)
 
     def state(self):
         return self.starts.state() | {"degrees": self.degrees.copy(), "time": self.time.copy()}
