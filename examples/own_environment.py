@@ -10,14 +10,10 @@ from deadreckon.data.spec import Box
 from deadreckon.tasks.task import Starts
 
 DAY = 96  # steps of a quarter of an hour
+MIDDLE, UNIT = (20.0, 2.5, 0.5), (5.0, 5.0, 0.3)  # observations about 1 in size; from plain degrees SAC learns hardly anything
 
 
-# Observations: degrees in the room and outside, time of day, each less a middle and in units in which it is about 1 in size.
-# Online they are learned from as they are, and from plain degrees SAC learns hardly anything in 20,000 steps. Actions: heating.
-MIDDLE, UNIT = np.array([20.0, 2.5, 0.5]), np.array([5.0, 5.0, 0.3])
-
-
-class Rooms:
+class Rooms:  # observations: degrees in the room and outside, time of day; actions: heating
     def __init__(self, seeds):
         self.starts = Starts(seeds, lambda rng: rng.uniform((15.0, -5.0), (25.0, 10.0)))
         self.degrees, self.time = np.zeros((len(seeds), 2)), np.zeros(len(seeds), int)
