@@ -1,6 +1,7 @@
 """From a log to a better policy online in an environment of one's own: the heated room of `examples/own_environment.py`.
 
     python benchmarks/own_online.py [FOLDER]
+    python benchmarks/own_online.py --degrees [FOLDER]   # observed in plain degrees instead of units of five
 
 Cal-QL learns from 10,000 steps of uniform actions and goes on for 6,000 steps of its own, beside SAC from nothing with as many;
 five seeds. Rule: it has risen if the interval of the last return less that of the policy before it acts lies above 0.
@@ -29,11 +30,14 @@ def returns(run: Run) -> np.ndarray:
     return table.groupby(["seed", "step"])["return"].mean().unstack("step").to_numpy()
 
 
-def main(folder: Path) -> None:
+def main(folder: Path, degrees: bool) -> None:
     """Runs both and prints a line each."""
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "examples"))
+    import own_environment
     from own_environment import DAY, Room
 
+    if degrees:
+        own_environment.MIDDLE, own_environment.UNIT = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
     scale = dr.tasks.Reference(random=-422.0, expert=-23.0, source="uniform actions, a thermostat")
     dr.tasks.register(Room("room", "own", DAY, (3,), Box((0.0,), (1.0,)), "own/Room-v0", scale))
     log = dr.read(collect_in_task("room", steps=10_000, out=folder / "room.hdf5", force=True))
@@ -54,4 +58,5 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp()))
+    words = [word for word in sys.argv[1:] if word != "--degrees"]
+    main(Path(words[0]) if words else Path(tempfile.mkdtemp()), "--degrees" in sys.argv)

@@ -95,48 +95,47 @@ def test_a_model_of_more_data_errs_less(monkeypatch):
     assert many["own"] < few["own"]
 
 
-@pytest.mark.slow
-def test_the_same_superconductors_are_scored_by_four_oracles(real_data, home, monkeypatch):
+@pytest.fixture
+def few_superconductors(real_data, home, monkeypatch):
+    """The first 399 materials of the list, by which the judges are learned."""
     monkeypatch.syspath_prepend(str(ROOT))
-    from evidence.studies.superconductor_judges import designs, everything, judges
-
-    lines = (real_data / "supercon" / "Supercon_data.csv").read_text().splitlines()
-    (home / "designs").mkdir(parents=True)
-    (home / "designs" / "superconductor.csv").write_text("\n".join(lines[:400]))
-    judges.cache_clear()
-    try:
-        found = designs("80", seed=0, method="best")
-        shown = everything().visible
-        assert found["shown"] == np.sort(shown.y)[: round(0.8 * len(shown.y))].max()
-        assert found["best"] > found["median"]
-        assert len({found[name] for name in found if name.startswith("best")}) == 4
-        assert min(found["best_half"], found["best_shallow"], found["best_histogram"]) > 0.5 * found["shown"]
-    finally:
-        judges.cache_clear()  # of another list
-
-
-@pytest.mark.slow
-def test_settings_are_searched_with_the_judges_in_view_and_run_again_with_another_seed(real_data, home, monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT))
-    from evidence.studies import superconductor_search as study
     from evidence.studies.superconductor_judges import judges
 
     lines = (real_data / "supercon" / "Supercon_data.csv").read_text().splitlines()
     (home / "designs").mkdir(parents=True)
     (home / "designs" / "superconductor.csv").write_text("\n".join(lines[:400]))
     judges.cache_clear()
+    yield
+    judges.cache_clear()  # of another list
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("few_superconductors")
+def test_the_same_superconductors_are_scored_by_four_oracles():
+    from evidence.studies.superconductor_judges import designs, everything
+
+    found = designs("80", seed=0, method="best")
+    shown = everything().visible
+    assert found["shown"] == np.sort(shown.y)[: round(0.8 * len(shown.y))].max()
+    assert found["best"] > found["median"]
+    assert len({found[name] for name in found if name.startswith("best")}) == 4
+    assert min(found["best_half"], found["best_shallow"], found["best_histogram"]) > 0.5 * found["shown"]
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("few_superconductors")
+def test_settings_are_searched_with_the_judges_in_view_and_run_again_with_another_seed(monkeypatch):
+    from evidence.studies import superconductor_search as study
+
     monkeypatch.setattr(study, "RATES", (0.005,))
-    try:
-        short = {"updates": 20, "every": 10, "pretrain": 20, "bins": 4}
-        found = study.searched("80", seed=0, **short)
-        assert found["rate"] == 0.005
-        assert found["step"] in study.STEPS
-        assert found["after"] in (10, 20)
-        monkeypatch.setattr(study, "STEPS", (found["step_half"],))  # the chosen one alone is seen as it was
-        alone = study.searched("80", seed=0, **short)
-        assert alone["seen_half"] == pytest.approx(found["seen_half"])
-        assert alone["best_half"] == pytest.approx(found["best_half"])
-        assert alone["seen"] <= found["seen"] + 1e-6
-        assert found["best_half"] != found["seen_half"]
-    finally:
-        judges.cache_clear()
+    short = {"updates": 20, "every": 10, "pretrain": 20, "bins": 4}
+    found = study.searched("80", seed=0, **short)
+    assert found["rate"] == 0.005
+    assert found["step"] in study.STEPS
+    assert found["after"] in (10, 20)
+    monkeypatch.setattr(study, "STEPS", (found["step_half"],))  # the chosen one alone is seen as it was
+    alone = study.searched("80", seed=0, **short)
+    assert alone["seen_half"] == pytest.approx(found["seen_half"])
+    assert alone["best_half"] == pytest.approx(found["best_half"])
+    assert alone["seen"] <= found["seen"] + 1e-6
+    assert found["best_half"] != found["seen_half"]

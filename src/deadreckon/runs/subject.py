@@ -122,8 +122,8 @@ class Subject:
             table, make = to_arrow(given, "frame"), partial(Dataset.from_frame, name="frame")
             there = set(table.column_names)
             return self._with_gaps(partial(make, table), self.schema, there) if gaps else make(table, schema=self.schema)
-        schema, path = schema_for(self.name, self.read, given)
-        if schema is None or not gaps:
+        schema, path = schema_for(self.name, self.read, given) if gaps else (None, given)
+        if schema is None:
             return read_like(self.name, self.read, given)
         there = set(read_rows(path, schema)[0].column_names) if schema.having(*OPTIONAL) else set()
         return self._with_gaps(partial(read, path, horizon=horizon), schema, there)
