@@ -194,7 +194,8 @@ def _effect(one: Comparison) -> str:
     margin = f", margin {test.margin:g}" if test.margin else ""
     told += ", as sign(x) log10(1 + |x|)" if test.log else ""
     level = "" if one.level == LEVEL else f" ({one.level:.1%} interval)"
-    found = f"{'' if test.among else 'gain '}{one.gain:.3g}{level}{margin}, {one.alone}"
+    same = f", the same with every seed on {words([*one.constant])}" if one.constant else ""
+    found = f"{'' if test.among else 'gain '}{one.gain:.3g}{level}{margin}{same}, {one.alone}"
     if one.undefined:
         found = f"{one.undefined:,} of {one.cells:,} scores are not finite"
     return f"`{test.suite.name}`, {told}: " + ("not there yet" if one.missing else found)
@@ -228,7 +229,7 @@ def of_queue(make: Callable[[Sequence[Suite], Store], str]) -> Callable[[str, di
 
 
 def pending(name: str, files: dict[str, bytes]) -> str:
-    """Suites with cells that are missing, and the time of a core that they would take where jobs like them are done."""
+    """Suites with cells that are missing, and the time of a core that they would take where jobs like them are done on one."""
     rows = ["| suite | size | cells missing | hours of one core | command |", "|---|---|---:|---:|---|"]
     sized = [(suite, full) for full in (False, True) for suite in queue(HERE / "queue.toml", full)]
     store = store_of([suite for suite, _ in sized], HERE)

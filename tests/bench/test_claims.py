@@ -1,6 +1,7 @@
 """Claims: what is refused in their file, and what results say of them."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from deadreckon.bench.plan import plan
 from deadreckon.bench.suite import read
 from deadreckon.errors import UserError
 from deadreckon.stats.comparison import paired
+from deadreckon.stats.interval import Interval
 from tests.results import keep
 
 SUITE = '''
@@ -151,6 +153,16 @@ def test_equal_gains_of_all_seeds_decide_nothing(folder):
     assert (low.gain.value, low.missing, low.state) == (10.0, 0, "open")
 
 
+@pytest.mark.parametrize(("last", "constant", "state"), [(40.5, (), "holds"), (40.0, ("hopper-medium-v2",), "open")])
+def test_a_log_on_which_all_seeds_differ_by_the_same_decides_nothing(folder, last, constant, state):
+    """Of one log of two: how its seeds vary is not known, so the interval that the other alone makes is too narrow."""
+    (folder / "claims.toml").write_text(CLAIMS.replace(", each = true", "").replace("margin = -10.0", "margin = -40.0"))
+    known = {("BC", "walker2d"): BC, ("TD3", "walker2d"): TD3, ("BC", "hopper"): [40.0] * 4}
+    [one] = verdict(claims("claims.toml")[1], kept(known | {("TD3", "hopper"): [40.0] * 3 + [last]})).comparisons
+    assert one.gain.low > -40.0
+    assert (one.constant, one.state) == (constant, state)
+
+
 def test_a_metric_that_no_result_has_is_refused(folder):
     text = CLAIMS.replace("than = 20.0", 'metric = "scores", than = 20.0')
     (folder / "claims.toml").write_text(text)
@@ -248,6 +260,9 @@ def test_logs_of_a_task_are_compared_with_each_other(folder, gap, state):
     assert (one.cells, one.state) == (24, state)
     assert (one.gain.value, one.gain.low, one.gain.high) == pytest.approx(((f - 1) / 4, *limits))
     (folder / "suite.toml").write_text(SUITE)
+    # No variance is below 0: such an interval is due to seeds that vary unequally, and contradicts nothing.
+    below = replace(one, gain=Interval(-0.2, -0.24, -0.1), strict=Interval(-0.2, -0.24, -0.1))
+    assert below.state == "open"
     with pytest.raises(UserError, match="no two of hopper-medium-v2, walker2d-medium-v2 share one"):
         claims("claims.toml")
 

@@ -3,9 +3,8 @@
 A test compares the method with each of its rivals: the gain is the mean over logs of the mean difference between runs of the
 same seed, with Student's interval (`stats.comparison.paired`). It *holds* where the whole interval lies above the margin, is
 *contradicted* where it lies below, and is *open* else, or where cells are missing or have no finite number, or where all
-differences are equal: an interval of no width says that there are too few runs, not that there is no doubt. A claim holds where
-all its comparisons hold. It is contradicted where one of its k comparisons is, whose interval has level 1 - alpha / k then
-(Bonferroni).
+differences on one of the logs are equal: that says that there are too few runs, not that there is no doubt. A claim holds where
+all its comparisons hold. It is contradicted where one of its k comparisons is, of level 1 - alpha / k then (Bonferroni).
 
 Where a test has `again`, a second suite with fresh seeds, and is open with all its cells, all of them finite, the comparison
 is made there, of those cells alone, with intervals of 1 - alpha / 2 and 1 - alpha / 2k, and what it says counts. As the two
@@ -120,6 +119,7 @@ class Comparison:
         missing: of these, that are not there.
         undefined: of these, that are there and have no finite number for the metric, such as a correlation of equal estimates.
         level: of the interval of the gain.
+        constant: logs on which all seeds differ by the same: how they vary there is not known, and the interval too narrow.
         again: the same with fresh seeds, where this one leaves it open with all cells and they are declared.
     """
 
@@ -132,6 +132,7 @@ class Comparison:
     missing: int
     undefined: int
     level: float
+    constant: tuple[str, ...] = ()
     again: "Comparison | None" = None
 
     @property
@@ -147,11 +148,12 @@ class Comparison:
     @property
     def alone(self) -> State:
         """What it says by itself, without a second stage."""
-        if self.missing or self.undefined or not self.gain.low < self.gain.high:  # also where they are NaN
+        if self.missing or self.undefined or self.constant or not self.gain.low < self.gain.high:  # also where they are NaN
             return "open"
         if self.gain.low > self.test.margin:
             return "holds"
-        return "contradicted" if self.strict.high < self.test.margin else "open"
+        # No variance is below 0: an interval that is shows seeds that vary more on one log than on another.
+        return "contradicted" if self.strict.high < self.test.margin and not self.test.among else "open"
 
 
 @dataclass(frozen=True)
@@ -262,7 +264,8 @@ def _compared(
     if test.less:
         ours, theirs = theirs, ours
     gain, strict = (_gain(test, ours, theirs, level) for level in (1.0 - alpha, 1.0 - alpha / count))
-    return Comparison(test, rival, on, gain, strict, len(values), 0, 0, 1.0 - alpha)
+    same = () if test.among or test.beside is not None else (log for log in ours if np.ptp(ours[log] - theirs[log]) == 0.0)
+    return Comparison(test, rival, on, gain, strict, len(values), 0, 0, 1.0 - alpha, tuple(same))
 
 
 def _scaled(test: Test, values: np.ndarray) -> np.ndarray:
