@@ -1,7 +1,8 @@
 """From a log to a better policy online in an environment of one's own: the heated room of `examples/own_environment.py`.
 
     python benchmarks/own_online.py [FOLDER]
-    python benchmarks/own_online.py --degrees [FOLDER]   # observed in plain degrees instead of units of five
+    python benchmarks/own_online.py --degrees [FOLDER]                 # observed in plain degrees instead of units of five
+    python benchmarks/own_online.py --degrees --standardise [FOLDER]   # and Cal-QL standardises them, by the log
 
 Cal-QL learns from 10,000 steps of uniform actions and goes on for 6,000 steps of its own, beside SAC from nothing with as many;
 five seeds. Rule: it has risen if the interval of the last return less that of the policy before it acts lies above 0.
@@ -30,7 +31,7 @@ def returns(run: Run) -> np.ndarray:
     return table.groupby(["seed", "step"])["return"].mean().unstack("step").to_numpy()
 
 
-def main(folder: Path, degrees: bool) -> None:
+def main(folder: Path, degrees: bool, standardise: bool) -> None:
     """Runs both and prints a line each."""
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "examples"))
     import own_environment
@@ -42,8 +43,9 @@ def main(folder: Path, degrees: bool) -> None:
     dr.tasks.register(Room("room", "own", DAY, (3,), Box((0.0,), (1.0,)), "own/Room-v0", scale))
     log = dr.read(collect_in_task("room", steps=10_000, out=folder / "room.hdf5", force=True))
     first = dr.train(
-        dr.agents.CalQL(samples=4, **NETS), log, task="room", steps=OFFLINE, seeds=SEEDS, out=folder / "log", episodes=EPISODES
-    )
+        dr.agents.CalQL(samples=4, standardise=standardise, **NETS), log, task="room", steps=OFFLINE, seeds=SEEDS,
+        out=folder / "log", episodes=EPISODES,
+    )  # fmt: skip
     more = {"steps": ONLINE, "evaluate_every": EVERY, "episodes": EPISODES}
     found = {"Cal-QL, from the log": dr.train_online(start=first, task="room", out=folder / "online", **more)}
     found["SAC, from nothing"] = dr.train_online(
@@ -58,5 +60,5 @@ def main(folder: Path, degrees: bool) -> None:
 
 
 if __name__ == "__main__":
-    words = [word for word in sys.argv[1:] if word != "--degrees"]
-    main(Path(words[0]) if words else Path(tempfile.mkdtemp()), "--degrees" in sys.argv)
+    words = [word for word in sys.argv[1:] if not word.startswith("--")]
+    main(Path(words[0]) if words else Path(tempfile.mkdtemp()), "--degrees" in sys.argv, "--standardise" in sys.argv)

@@ -22,17 +22,17 @@ logs = ["hopper-medium-v2", "halfcheetah-medium-v2", "door-human-v1"]
 AWAC = { agent = "awac" }
 "AWAC, other" = { agent = "awac", fields = { temperature = 1.0 } }
 """
-HOPPER, CHEETAH = BEHAVIOUR["hopper-medium-v2"], BEHAVIOUR["halfcheetah-medium-v2"]
+HOPPER, CHEETAH = BEHAVIOUR["hopper-medium-v2", None], BEHAVIOUR["halfcheetah-medium-v2", None]
 
 
 @pytest.fixture
 def row(tmp_path, monkeypatch):
     """A function that gives AWAC's row, from scores by the method and the beginning of the log's name."""
-    (tmp_path / "one.toml").write_text(SUITE)
     monkeypatch.setattr("evidence.improved.SUITES", ["one"])
     monkeypatch.chdir(tmp_path)
 
-    def told(scores):
+    def told(scores, rows=""):
+        (tmp_path / "one.toml").write_text(rows + SUITE)
         suite = read("one.toml")
         store = store_of([suite], tmp_path)
         for job in plan(suite):
@@ -72,6 +72,15 @@ def test_a_part_of_the_seeds_shows_nothing(row):
 
 def test_equal_scores_of_all_seeds_show_nothing(row):
     assert row({("AWAC", "hopper"): [99.0] * 3})[-1] == "not shown; more in `one.toml`"
+
+
+def test_a_part_of_a_log_has_a_mean_of_its_own(row):
+    part = BEHAVIOUR["hopper-medium-v2", 200_000]
+    assert part != HOPPER
+    found = row({("AWAC", "hopper"): [part + x for x in (2.0, 3.0, 4.0)]}, "rows = 200_000")
+    assert found[5:7] == [f"{part:g}", "3.0 [0.5, 5.5]"]
+    found = row({("AWAC", "hopper"): [part + x for x in (2.0, 3.0, 4.0)]}, "rows = 100_000")  # nobody has noted its mean
+    assert found[-1] == "no result on these logs"
 
 
 def test_variants_and_logs_of_people_do_not_count(row):

@@ -165,6 +165,9 @@ def test_warm_start_and_defaults_come_from_the_run():
         BEAR(actor_samples=9).resolve(SPEC, 10)
     with pytest.raises(UserError, match="kernel takes"):
         BEAR(kernel="cosine").resolve(SPEC, 10)
+    for kind in (BEAR, ISBEAR):
+        with pytest.raises(UserError, match="of 2 or more, with mmd_reference='model'"):
+            kind(mmd_estimate="unbiased", mmd_reference="logged").resolve(SPEC, 10)
 
 
 @pytest.fixture(scope="module")

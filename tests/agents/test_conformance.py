@@ -51,6 +51,14 @@ def trained(request):
     return agent, rows, result, seen
 
 
+@pytest.mark.parametrize("name", golden.OFFLINE)
+def test_observations_are_standardised_where_it_is_asked_for(name):
+    agent = agent_class(name)
+    if name != "decision_transformer":  # which always does
+        assert agent(standardise=True).needs(LOG.spec).standardise
+        assert not agent(standardise=False).needs(LOG.spec).standardise
+
+
 def test_trains_with_finite_metrics_under_fixed_names(trained):
     agent, rows, result, seen = trained
     assert result.step == STEPS

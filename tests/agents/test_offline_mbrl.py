@@ -82,6 +82,7 @@ def test_ends_are_known_of_known_logs_and_where_a_task_is_said():
     assert hopper.over == agent("hopper-expert-v2").over == agent("walk", termination="hopper").over
     assert agent("maze2d-umaze-v1").termination == "learned"  # its observations do not tell
     assert agent("hopper").termination == "learned"  # a log that has a task's name is not known to be the task's
+    assert agent("ant") == agent("walk")  # nor has it the task's settings
     assert agent("hopper-medium-v2", termination="learned").over is None
     with pytest.raises(UserError, match=r"termination='hopper': its observations are \(11,\), walk has \(2,\)"):
         agent("walk", shape=(2,), termination="hopper")

@@ -76,13 +76,14 @@ def test_logs_of_one_shape_share_a_program_and_cells_keep_their_names(suite):
     assert mazes.name.startswith("td3_bc-2_logs-")
 
 
-def test_other_suites_share_it_too_and_what_draws_initial_observations_does_not(suite, tmp_path):
+def test_other_suites_share_it_too_and_what_depends_on_more_of_a_log_does_not(suite, tmp_path):
     (other := tmp_path / "other.toml").write_text(SUITE.replace("rows = 600", "rows = 700"))
     assert [each.lanes for each in programs(plan_across([read(suite), read(other)]))] == [16, 8]
     assert [each.lanes for each in programs(plan_across([read(suite)], lanes=3))] == [2] * 6
     head = SUITE.partition("[methods]")[0]
-    (dice := tmp_path / "dice.toml").write_text(head + '[methods]\ndice = { agent = "algae_dice" }\n')
-    assert [each.lanes for each in programs(plan_across([read(dice)]))] == [2, 2, 2]
+    for name in ("algae_dice", "decision_transformer"):  # initial observations, the length of episodes
+        (alone := tmp_path / "alone.toml").write_text(head + f'[methods]\nalone = {{ agent = "{name}" }}\n')
+        assert [each.lanes for each in programs(plan_across([read(alone)]))] == [2, 2, 2], name
 
 
 # ---- rates ---------------------------------------------------------------------------------------------------------

@@ -59,14 +59,26 @@ def test_the_row_itself_is_shown(asked, tmp_path):
     assert kept.results().num_rows == 2
 
 
+def test_a_score_of_nulls_is_nan(asked, tmp_path):
+    """Earlier versions wrote them of studies without a score, and folders that hold such rows are still read."""
+    suite, jobs, row = asked
+    table = pa.Table.from_pylist([row | {"score": None}], schema=store.RESULT)
+    kept = written(tmp_path, table)
+    for name, other in (("some", [row, row | {"score": None}]), ("none", [row | {"score": None}])):
+        parquet.write_table(pa.Table.from_pylist(other), tmp_path / "results" / f"{name}.parquet")
+    assert pa.types.is_null(parquet.read_schema(tmp_path / "results" / "none.parquet").field("score").type)
+    found = kept.results()["score"]
+    assert found.null_count == 0
+    assert sorted(map(str, found.to_pylist())) == ["50.0", "nan", "nan", "nan"]
+
+
 DEEP = "[" * 100_000
 
 
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"score": None}, "column score of its results must have a value in every row, got null"),
-        ({"seconds": None}, "column seconds of its results must have a value"),
+        ({"seconds": None}, "column seconds of its results must have a value in every row, got null"),
         ({"agent": None}, "column agent of its results must have a value"),
         ({"versions": None}, "column versions of its results must have a value"),
         ({"versions": "{"}, "column versions is not valid JSON"),

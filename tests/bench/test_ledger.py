@@ -10,6 +10,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from pyarrow import parquet
 
 from deadreckon.bench.executor import run
 from deadreckon.bench.idle import is_measured, measuring
@@ -43,6 +44,7 @@ value = { words = "a value", digits = 2 }
 seeds = 6
 """
 
+CORE = '{"device": "cpu cpu"}'  # versions of a row that a core has made
 CODE = """
 import os, time
 
@@ -129,6 +131,17 @@ def test_a_log_without_a_simulator_has_no_score(folder):
     assert "no simulator to judge in, so no scores: hopper-medium-v2" in table.notes
 
 
+def test_a_study_without_a_score_is_read_from_a_folder_of_results(folder):
+    (folder / "study.toml").write_text(STUDY.replace('ledger = "ledger"', ""))
+    suite = read("study.toml")
+    store = Store(folder / "store")
+    run(plan(suite, 1), store, lambda event: None, InProcess(store.path))
+    scores = [parquet.read_table(part)["score"] for part in (folder / "store" / "results").iterdir()]
+    assert sum(column.null_count for column in scores) == 0
+    [table] = tables(suite, plan(suite), store)
+    assert table.cells["two"]["b"].scores == pytest.approx([3.0, 3.01, 3.02, 3.03])
+
+
 def test_the_full_size_is_declared_in_the_same_file(folder):
     assert (read("study.toml").seeds, read("study.toml", full=True).seeds) == (4, 6)
     text = STUDY.partition("[full]")[0]
@@ -205,7 +218,7 @@ def test_a_finished_cell_is_not_written_over(folder):
 def test_times_are_of_programs_of_the_same_sizes(folder):
     job = Job("learn", "BC", "bc", {"lr": 1e-3, "hidden": [32]}, "", "a", "a", {"steps": 100, "episodes": 1, "every": 50}, (0,))
     store = Store(folder / "store")
-    row = {"seed": 0, "score": 1.0, "raw": 1.0, "steps": 100, "seconds": 10.0, "failure": "", "versions": "{}"}
+    row = {"seed": 0, "score": 1.0, "raw": 1.0, "steps": 100, "seconds": 10.0, "failure": "", "versions": CORE}
     store.keep(job, JobResult([row], []))
 
     def seconds(**changes):
@@ -216,6 +229,21 @@ def test_times_are_of_programs_of_the_same_sizes(folder):
     assert seconds(on="b", data="b") == 10.0
     assert seconds(settings=job.settings | {"hidden": [256]}) is None
     assert seconds(options=job.options | {"acting": {"updates_per_step": 20.0}}) is None
+
+
+def test_times_of_a_gpu_say_nothing_of_a_core_and_the_other_way_round(folder):
+    options = {"steps": 100, "episodes": 1, "every": 50}
+    job = Job("learn", "BC", "bc", {}, "", "a", "a", options, (0,))
+    [waiting] = programs([dataclasses.replace(job, seeds=(7,))])
+    known = lambda: [forecast([waiting], store, gpu)[waiting.name] for gpu in (False, True)]  # noqa: E731
+    store = Store(folder / "store")
+    row = {"score": 1.0, "raw": 1.0, "steps": 100, "failure": ""}
+    for seed, device, seconds, found in (
+        (0, "gpu NVIDIA H100 80GB HBM3", 4.0, [None, 4.0]), (1, "cpu cpu", 50.0, [50.0, 4.0])
+    ):  # fmt: skip
+        told = {"seed": seed, "seconds": seconds, "versions": json.dumps({"device": device})}
+        store.keep(dataclasses.replace(job, seeds=(seed,)), JobResult([row | told], []))
+        assert known() == found
 
 
 def test_a_run_ends_in_time_and_goes_on(folder, monkeypatch):

@@ -7,6 +7,7 @@ import os
 import re
 import signal
 from pathlib import Path
+from types import SimpleNamespace
 from typing import ClassVar
 
 import numpy as np
@@ -18,7 +19,7 @@ from deadreckon.agents.bc import BC
 from deadreckon.bench.executor import run
 from deadreckon.bench.forms import rendered
 from deadreckon.bench.identity import revisions_of
-from deadreckon.bench.jobs import Program, programs
+from deadreckon.bench.jobs import Job, Program, programs
 from deadreckon.bench.local import Local, shares
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import JobResult, Store
@@ -26,8 +27,10 @@ from deadreckon.bench.suite import read
 from deadreckon.bench.tables import tables
 from deadreckon.bench.times import forecast
 from deadreckon.bench.work import perform
+from deadreckon.cli.lines import Lines
 from deadreckon.cli.main import main
 from deadreckon.errors import UserError
+from tests.bench.in_process import InProcess
 
 SUITE = """
 seeds = 2
@@ -264,10 +267,38 @@ def test_a_suite_of_estimators_has_a_table_a_metric(tmp_path, capsys):
         plan(read(path))
 
 
+def test_what_another_command_has_done_since_is_not_begun(suite, tmp_path, capsys):
+    jobs, store, begun = plan(suite, 1), Store(tmp_path / "out"), []
+
+    def work(program, folder, watch):
+        begun.append(str(program))
+        if len(begun) == 1:
+            store.keep(jobs[1], made(jobs[1], (1.0,)))
+        return [made(job, (2.0,)) for job in program.jobs]
+
+    run(jobs, store, Lines(4), InProcess(store.path, work=work))
+    assert begun == ["BC on maze2d-umaze-v1, seed 0", "TD3 on maze2d-umaze-v1, seed 0", "TD3 on maze2d-umaze-v1, seed 1"]
+    assert "2 of 4: BC on maze2d-umaze-v1, seed 1, done by another command\n3 of 4: TD3" in capsys.readouterr().out
+    assert sorted(store.of(jobs)["score"].to_pylist()) == [1.0, 2.0, 2.0, 2.0]
+
+
+def test_an_estimator_without_sound_estimates_has_no_score(monkeypatch, tmp_path):
+    """NaN, as a null would make the whole folder of results unreadable."""
+    result = SimpleNamespace(estimates=np.array([np.nan]), warnings=["no estimate"])
+    monkeypatch.setattr("deadreckon.ope.dope.evaluate_log", lambda *args, **options: [result])
+    monkeypatch.setattr("deadreckon.ope.dope.to_json", lambda result: {})
+    monkeypatch.setattr("deadreckon.bench.work._log", lambda job: SimpleNamespace(fingerprint="x"))
+    job = Job("ope", "IS", "is", {}, "", "hopper-random-v2", "x", {"budget": "full", "fields": {}}, (0,))
+    job = dataclasses.replace(job, revisions=revisions_of(job))
+    [found] = perform(Program((job,)), tmp_path / "run")
+    assert [(str(row["score"]), row["failure"]) for row in found.rows] == [("nan", "no estimate")]
+
+
 def test_times_come_from_jobs_that_are_done(suite, tmp_path):
     jobs, store = plan(suite), Store(tmp_path)
     assert forecast(programs(jobs), store) == {job.name: None for job in jobs}
-    store.keep(jobs[0], made(jobs[0], (1.0, 2.0)))
+    done = made(jobs[0], (1.0, 2.0))
+    store.keep(jobs[0], JobResult([row | {"versions": '{"device": "cpu cpu"}'} for row in done.rows], []))
     longer = dataclasses.replace(jobs[0], options=jobs[0].options | {"steps": 600})
     assert forecast(programs([longer, jobs[1]]), store) == {longer.name: 300.0, jobs[1].name: None}
 

@@ -264,6 +264,43 @@ def test_histories_of_a_method_make_other_cells(written):
         read(written(HISTORY % 0))
 
 
+STUDY = """kind = "study"
+cases = ["a"]
+[methods]
+A = { agent = "lone:made", fields = { draws = %s } }
+[metrics]
+%s
+"""
+
+
+@pytest.mark.parametrize("value", ["inf", "nan", "[1, [-inf]]", "1979-05-27", "[1979-05-27]", "{ a = 1 }", "[{ a = 1 }]"])
+def test_settings_that_no_file_of_results_can_hold_are_refused(written, value):
+    """Before the first cell is run."""
+    plain = "must be a finite number, a text, a truth value or a list of such, got "
+    with pytest.raises(UserError, match=r"small\.toml: draws of method 'A' " + plain):
+        read(written(STUDY % (value, 'x = { words = "x" }')))
+
+
+def test_settings_may_be_nested_lists_and_large_numbers(written):
+    suite = read(written(STUDY % (f'[1, ["a", true, 1e300], {10**400}]', 'x = { words = "x" }')))
+    assert suite.methods[0].fields == {"draws": [1, ["a", True, 1e300], 10**400]}
+
+
+@pytest.mark.parametrize("name", ["steps", "seconds", "raw", "seed", "more"])
+def test_metrics_that_are_called_as_columns_of_results_are_refused(written, name):
+    """The column would be shown in the place of what the study gives."""
+    with pytest.raises(UserError, match=f"metric '{name}' is called as a column of results"):
+        read(written(STUDY % (1, f'{name} = {{ words = "x" }}')))
+    assert read(written(STUDY % (1, 'score = { words = "x" }'))).metrics[0].column == "score"
+
+
+@pytest.mark.parametrize("digits", ["-1", "13", "true"])
+def test_digits_of_metrics_are_few(written, digits):
+    with pytest.raises(UserError, match="digits of metric 'x' must be a whole number from 0 to 12, got"):
+        read(written(STUDY % (1, f'x = {{ words = "x", digits = {digits} }}')))
+    assert read(written(STUDY % (1, 'x = { words = "x", digits = 12 }'))).metrics[0].digits == 12
+
+
 def test_an_unknown_suite_names_the_nearest():
     with pytest.raises(UserError, match="did you mean quick"):
         read("quik")

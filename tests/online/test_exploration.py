@@ -1,6 +1,7 @@
 """Rows that agents make for themselves, in a world whose every number is known and by an agent that counts."""
 
 import itertools
+import re
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -361,8 +362,7 @@ def test_agents_that_do_not_explore_are_refused(name):
 
 
 @pytest.mark.parametrize("asks", [
-    BatchSpec(n_step=2), BatchSpec(window=3), BatchSpec(initial=4), BatchSpec(standardise=True),
-    BatchSpec(("observation", "return_to_go")),
+    BatchSpec(n_step=2), BatchSpec(window=3), BatchSpec(initial=4), BatchSpec(("observation", "return_to_go")),
 ])  # fmt: skip
 def test_batches_that_rows_in_the_making_do_not_have_are_refused(asks):
     class Asks(Counter):
@@ -371,6 +371,25 @@ def test_batches_that_rows_in_the_making_do_not_have_are_refused(asks):
 
     with pytest.raises(UserError, match="Asks does not learn online"):
         Exploration(TASK, Asks(), [0], 8, SETTINGS)
+
+
+def test_observations_are_not_standardised_where_none_are_known():
+    class Asks(Counter):
+        def needs(self, spec):
+            return BatchSpec(standardise=True)
+
+    with pytest.raises(UserError, match="Asks.standardise: observations are standardised by those of a log, .* leave it out"):
+        Exploration(TASK, Asks(), [0], 8, SETTINGS)
+
+
+@pytest.mark.parametrize("unit", [1.0, 100.0])
+def test_large_observations_are_told_of_once(monkeypatch, recwarn, unit):
+    see = Clocks.see
+    monkeypatch.setattr(Clocks, "see", lambda self: see(self) * np.float32([1.0, unit]))
+    list(fit(updates=16).chunks())
+    told = [str(each.message) for each in recwarn if "networks learn slowly" in str(each.message)]
+    assert len(told) == (unit > 1.0)
+    assert all(re.match(r"ticking: observation 1 is \d+ in size \(root mean square\); .* in other units", text) for text in told)
 
 
 def test_pictures_are_refused():

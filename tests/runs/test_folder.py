@@ -1,10 +1,40 @@
-"""A damaged part of a run or a store of results is told by its name."""
+"""Run folders: damaged parts are told by their names, and what keeps a run from being made longer is told with its remedy."""
+
+from dataclasses import fields, replace
 
 import pytest
 
+from deadreckon.agents import AGENTS, agent_class
 from deadreckon.bench.store import Store
+from deadreckon.data.spec import Box, Spec
 from deadreckon.errors import UserError
 from deadreckon.runs.folder import Folder
+
+
+def test_what_follows_from_the_length_of_a_run_is_told_where_it_is_made_longer(tmp_path):
+    def config(steps, **fields):
+        fields = {"actor_decay_steps": float(steps), "beta": 3.0} | fields
+        evaluation = {"every": 1, "episodes": 1}
+        return {"agent": {"name": "iql", "fields": fields}, "seeds": [0], "steps": steps, "evaluation": evaluation,
+                "data": {"name": "mine", "fingerprint": "f"}, "task": None, "versions": {}, "revisions": {}}  # fmt: skip
+
+    (tmp_path / "r").mkdir()
+    (folder := Folder(tmp_path / "r")).begin(config(3))
+    longer = r"actor_decay_steps was 3.0, now 6.0; it follows from the run's length; --agent.actor-decay-steps 3.0 keeps it, or"
+    with pytest.raises(UserError, match=longer):
+        folder.check(config(6), resume=True)
+    assert folder.check(config(6, actor_decay_steps=3.0), resume=True) == []
+    for other in (config(6, beta=1.0), config(3, actor_decay_steps=6.0)):
+        with pytest.raises(UserError, match=r"actor_decay_steps was 3.0, now 6.0; choose another --out"):
+            folder.check(other, resume=True)
+
+
+@pytest.mark.parametrize("name", AGENTS)
+def test_what_follows_from_the_length_of_a_run_is_named_by_its_agent(name):
+    kind = agent_class(name)
+    log, rows = Spec.empty((4,), Box((-1.0,), (1.0,)), "any"), 100 if kind.offline else 0
+    short, long = (kind().resolve(replace(log, rows=rows), steps) for steps in (100, 200))
+    assert kind.by_length == tuple(f.name for f in fields(kind) if getattr(short, f.name) != getattr(long, f.name))
 
 
 def test_a_damaged_part_is_one_line_that_names_it(tmp_path):

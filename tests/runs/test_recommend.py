@@ -25,7 +25,8 @@ from deadreckon.policies.deployed import history_of
 from deadreckon.report import recommended
 from deadreckon.runs import attempt as work
 from deadreckon.runs import follow as module
-from deadreckon.runs.attempt import Attempt, Candidate, Job
+from deadreckon.runs.attempt import Attempt, Job
+from deadreckon.runs.candidates import Candidate
 from deadreckon.runs.callback import StopTraining
 from deadreckon.runs.durations import in_words, seconds_of
 from deadreckon.runs.recommend import recommend
@@ -340,7 +341,7 @@ def test_warnings_of_the_log_are_lines_and_suspected_leaks_are_for_the_card(tmp_
     assert of(sent, "state") == [{"leaks": leaks(log)}]
     assert leaks(log)[0].startswith("column observation 1 may be the reward by another name: 1e+05 times it")
     assert of(sent, "line") == [f"! {line}" for line in warnings_for(log)]
-    assert any("rewards reach" in line for line in of(sent, "line"))
+    assert any("rewards are" in line for line in of(sent, "line"))
     sent.clear()
     monkeypatch.setattr(work, "DESCRIBED", 599)
     Attempt(job_of("-", tmp_path), lambda what, value: sent.append((what, value)))._warn(log)

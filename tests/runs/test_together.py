@@ -8,6 +8,7 @@ from deadreckon.collect import generate
 from deadreckon.report.entries import read
 from deadreckon.runs.callback import StopTraining
 from deadreckon.training.learner import lift
+from tests.agents.worlds import corridor
 
 SETTINGS = {"steps": 60, "seeds": 2, "seed": 3, "chunk": 20, "evaluate_every": 30, "episodes": 3}
 X = np.random.default_rng(0).uniform(-1, 1, (20, 4)).astype("f4")
@@ -187,6 +188,31 @@ def test_several_logs_are_gone_on_with_after_a_kill(logs, tmp_path):
         assert resumed[name].evaluations.equals(run.evaluations)
         for a, b in zip(resumed[name].policies, run.policies, strict=True):
             np.testing.assert_array_equal(a(X), b(X))
+
+
+def test_each_log_holds_out_what_it_did_when_its_run_is_gone_on_with(tmp_path):
+    agent = dr.agents.BC(hidden=(8,), batch_size=16)
+    logs = {"few": corridor(100), "many": corridor(400)}
+    settings = {"out": tmp_path / "all", "steps": 4, "chunk": 4, "evaluate_every": 4}
+    with pytest.warns(UserWarning, match="5 episodes are too few to hold some out"):
+        first = dr.train_together(dict.fromkeys(logs, agent), logs, **settings)
+    again = dr.train_together(dict.fromkeys(logs, agent), logs, resume=True, **settings)
+    for run, same in ((first[name], again[name]) for name in logs):
+        assert same.config == run.config
+        np.testing.assert_array_equal(same.held, run.held)
+    assert (len(again["few"].held), len(again["many"].held)) == (0, 4)
+
+
+def test_agents_whose_networks_depend_on_the_length_of_episodes_learn_from_one_log(tmp_path):
+    log = corridor(100)
+    short = dr.Dataset.from_arrays(
+        observations=log.observations, actions=log.actions, rewards=log.rewards, timeouts=np.arange(100) % 4 == 3,
+        action_space=log.action_space, name="short",
+    )  # fmt: skip
+    agent = dr.agents.DecisionTransformer(hidden=(8,), layers=1, context_length=2, batch_size=4)
+    with pytest.raises(dr.UserError, match="networks of other sizes on corridor and short, which cannot share a program"):
+        dr.train_together({"a": agent, "b": agent}, {"a": log, "b": short}, out=tmp_path / "all", steps=2, holdout=0)
+    assert not (tmp_path / "all").exists()
 
 
 def test_a_log_is_named_for_every_agent(logs, tmp_path):

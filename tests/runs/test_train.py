@@ -14,6 +14,7 @@ from deadreckon.runs.evaluate import evaluate
 from deadreckon.stats.crossed import mean_interval
 from deadreckon.tasks import task
 from deadreckon.tasks.task import Task
+from tests.agents.worlds import corridor, swinging
 
 
 @pytest.fixture(scope="module")
@@ -110,6 +111,29 @@ def test_a_finished_run_made_longer_equals_one_that_was_long_from_the_beginning(
     assert old.equals(run.evaluations)
     with pytest.raises(dr.UserError, match="holds another run: steps was"):
         dr.train(agent(), log, out=tmp_path / "r", resume=True, **SETTINGS)
+
+
+def test_a_period_beyond_the_end_is_the_same_in_a_run_made_longer(tmp_path):
+    settings = {"out": tmp_path / "r", "chunk": 4, "evaluate_every": 1000, "holdout": 0}
+    little = dr.agents.BC(hidden=(8,), batch_size=16)
+    dr.train(little, corridor(100), steps=4, **settings)
+    longer = dr.train(little, corridor(100), steps=8, resume=True, **settings)
+    assert longer.config["evaluation"]["every"] == longer.config["steps"] == 8
+    assert longer.evaluations["step"].to_pylist() == [4, 8]
+    with pytest.raises(dr.UserError, match="holds another run: evaluation.every was 8, now 2"):
+        dr.train(little, corridor(100), steps=16, resume=True, **settings | {"evaluate_every": 2})
+
+
+def test_a_run_that_a_callback_ends_by_its_evaluations_keeps_trajectories_too(tmp_path):
+    little, log = dr.agents.BC(hidden=(8,), batch_size=16), swinging()
+    settings = {"task": "inverted-pendulum", "evaluate_every": 4, "chunk": 4, "episodes": 2}
+    planned = dr.train(little, log, steps=4, out=tmp_path / "planned", **settings)
+    seen = lambda progress: progress.evaluations.num_rows > 0  # noqa: E731
+    ended = dr.train(little, log, steps=8, out=tmp_path / "ended", callback=seen, **settings)
+    assert ended.config["steps"] == 4
+    assert ended.evaluations.equals(planned.evaluations)
+    kept = [np.load(run.path / "evaluations" / "trajectories.npz")["trajectories"] for run in (planned, ended)]
+    np.testing.assert_array_equal(*kept)
 
 
 @pytest.mark.parametrize(("asked", "words"), [({"encoder": "drq"}, "encoder"), ({"shift": 2}, "shift")])

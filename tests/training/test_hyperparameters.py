@@ -56,6 +56,15 @@ def test_defaults_lie_within_and_what_lies_beyond_is_refused(name):
                 check_fields(type(made)(**{field: wrong}))
 
 
+def test_flags_are_true_or_false_and_no_words():
+    for name in MADE:
+        made = MADE[name]()
+        for field in (field for field, hint in typing.get_type_hints(MADE[name]).items() if hint is bool):
+            for wrong in ("false", "no", 0):
+                with pytest.raises(UserError, match=rf"{type(made).__name__}\.{field} takes true or false, got {wrong!r}"):
+                    check_fields(type(made)(**{field: wrong}))
+
+
 def outside(range_):
     """Numbers that a range leaves out, whole ones where its ends are, so that they are wrong for no other reason."""
     if math.isfinite(range_.ge):

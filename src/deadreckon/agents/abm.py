@@ -27,6 +27,7 @@ from deadreckon.nets.optim import apply_gradients, clip_by_norm, copy, init_opt,
 from deadreckon.policies.kinds import Likelihood, create_imitator, stochastic
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, UnitInterval, static
+from deadreckon.training.later_fields import later
 
 LEAST = -10.0  # log of the smallest temperature: values that differ by less than rounding have no order
 
@@ -66,6 +67,7 @@ class ABM(Agent):
     """likelihood of actions: normal around tanh of a network, or tanh-normal"""
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update), in windows of the length above
+    standardise: bool = later(False)  # whether observations are standardised to mean 0 and standard deviation 1
 
     def resolve(self, spec, steps):
         """See `Agent.resolve`; weights of so many draws must be able to diverge by epsilon."""
@@ -81,7 +83,7 @@ class ABM(Agent):
     def needs(self, spec):
         """Windows of transitions."""
         size = max(self.batch_size // self.window, 1)
-        return BatchSpec((*BatchSpec.columns, "time"), size, window=self.window)
+        return BatchSpec((*BatchSpec.columns, "time"), size, window=self.window, standardise=self.standardise)
 
     def init(self, spec, key):
         """Fresh networks; targets are copies."""

@@ -37,6 +37,9 @@ class Agent(eqx.Module):
             itself, which subclasses do not inherit: they may learn by other losses).
         supports_history: whether observations may be histories of several steps (`data.history`; class attribute).
         own_history: why it takes none, where it does not (class attribute).
+        one_log: whether the sizes of its networks depend on more of a log than the shapes of its columns, so that other logs
+            cannot share its program (class attribute).
+        by_length: fields left to it (None) that follow from the number of updates (class attribute).
         online: whether its policy explores by itself, so that it can learn from what it does (class attribute).
         offline: whether it can learn from a log alone (class attribute).
         fine_tunes: whether it can go on in a simulator with a log in its replay (class attribute).
@@ -53,6 +56,8 @@ class Agent(eqx.Module):
     supports_images: ClassVar[bool] = False
     supports_history: ClassVar[bool] = True
     own_history: ClassVar[str] = ""
+    one_log: ClassVar[bool] = False
+    by_length: ClassVar[tuple[str, ...]] = ()
 
     def needs(self, spec: Spec) -> BatchSpec:
         """What every batch must hold."""

@@ -44,7 +44,7 @@ class AlgaeDICE(SAC):
 
     def needs(self, spec):
         """Transitions, and the first observations of episodes."""
-        return BatchSpec(batch_size=self.batch_size, initial=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size, initial=self.batch_size, standardise=self.standardise)
 
     def target(self, state, batch, key) -> Any:
         """None: critics move both sides of the equation."""

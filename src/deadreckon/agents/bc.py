@@ -15,6 +15,7 @@ from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior
 from deadreckon.policies.kinds import Categorical, Likelihood, TanhMeanGaussian, create_imitator
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
+from deadreckon.training.later_fields import later
 
 
 class State(NamedTuple):
@@ -37,6 +38,7 @@ class BC(Agent):
     """model of the policy: tanh-Gaussian, VAE (thesis A.4), clipped Gaussian, or normal around tanh of a network"""
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
+    standardise: bool = later(False)  # whether observations are standardised to mean 0 and standard deviation 1
 
     def resolve(self, spec, steps):
         """Of discrete actions there is one model."""
@@ -46,7 +48,7 @@ class BC(Agent):
 
     def needs(self, spec):
         """Observations and actions."""
-        return BatchSpec(("observation", "action"), self.batch_size)
+        return BatchSpec(("observation", "action"), self.batch_size, standardise=self.standardise)
 
     def init(self, spec, key):
         """A fresh model."""

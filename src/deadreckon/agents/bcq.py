@@ -22,6 +22,7 @@ from deadreckon.policies.candidates import GreedyQ, PerturbedPolicy, Thresholded
 from deadreckon.policies.kinds import Categorical
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, Fraction, NonNegative, Sizes, UnitInterval, static
+from deadreckon.training.later_fields import later
 
 
 class State(NamedTuple):
@@ -61,10 +62,11 @@ class BCQ(Agent):
     hidden: Sizes = static((400, 300))  # width of each hidden layer
     behavior_hidden: Sizes = static((750, 750))  # width of each hidden layer of the VAE
     batch_size: Count = static(100)  # batch size (transitions per update)
+    standardise: bool = later(False)  # whether observations are standardised to mean 0 and standard deviation 1
 
     def needs(self, spec):
         """Transitions."""
-        return BatchSpec(batch_size=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size, standardise=self.standardise)
 
     def init(self, spec, key):
         """Fresh networks; targets are copies."""

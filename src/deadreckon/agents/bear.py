@@ -25,6 +25,7 @@ from deadreckon.policies.candidates import GreedyQ
 from deadreckon.policies.kinds import TanhGaussian
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Positive, Range, Sizes, UnitInterval, static
+from deadreckon.training.later_fields import later
 from deadreckon.training.learner import Metrics
 
 WARM_STEPS, WARM_SHARE = 40_000, 0.2  # of the run, whichever is smaller (the D4RL version: 40,000 of 500,000 and more)
@@ -48,6 +49,7 @@ class BEAR(Agent):
 
     revision: ClassVar[int] = 2
     supports_images: ClassVar[bool] = True
+    by_length: ClassVar[tuple[str, ...]] = ("warm_start",)
     other_names: ClassVar[dict[str, str]] = {"epsilon": "threshold", "lambda": "min_weight"}
 
     base: Literal["td3", "sac"] = static("td3")  # base algorithm: "td3" has no entropy (Algorithm 1), "sac" a bonus for it
@@ -88,6 +90,7 @@ class BEAR(Agent):
     test_samples: Count = static(10)  # actions sampled for greedy_q (p, 4.3); the D4RL version takes 100
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
+    standardise: bool = later(False)  # whether observations are standardised to mean 0 and standard deviation 1
 
     def resolve(self, spec, steps):
         """Fills in threshold, warm start and the behaviour model's width."""
@@ -95,8 +98,10 @@ class BEAR(Agent):
         if (self.constraint != "mmd" or self.density_weighting) and self.behavior != "gaussian":
             name = "density_weighting" if self.constraint == "mmd" else f"constraint={self.constraint!r}"
             raise UserError(f"BEAR.{name} needs densities: behavior='gaussian', got {self.behavior!r}")
-        if self.mmd_estimate == "unbiased" and min(self.policy_samples, self.behavior_samples) < 2:
-            raise UserError("BEAR.mmd_estimate='unbiased' needs policy_samples and behavior_samples of 2 or more")
+        references = self.behavior_samples if self.mmd_reference == "model" else 1
+        if self.mmd_estimate == "unbiased" and min(self.policy_samples, references) < 2:
+            needed = "policy_samples and behavior_samples of 2 or more, with mmd_reference='model'"
+            raise UserError(f"BEAR.mmd_estimate='unbiased' needs {needed}")
         if self.actor_samples > self.policy_samples:
             raise UserError(f"BEAR.actor_samples ({self.actor_samples}) must not exceed policy_samples ({self.policy_samples})")
         return agent.replace(
@@ -107,7 +112,7 @@ class BEAR(Agent):
 
     def needs(self, spec):
         """Transitions."""
-        return BatchSpec(batch_size=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size, standardise=self.standardise)
 
     def init(self, spec, key) -> Any:
         """Fresh networks; targets are copies."""
@@ -204,8 +209,7 @@ class BEAR(Agent):
         grads, model_metrics = jax.grad(models.loss, has_aux=True)(state.behavior, batch.observation, batch.action, k_model)
         model, opts["behavior"] = apply_gradients(state.behavior, grads, opts["behavior"], self.behavior_lr)
         target = backup(batch, self.discount, self.future(state, batch, k_future))
-        weight = self.bellman_weight(state, batch)
-        grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target, weight)
+        grads, metrics = jax.grad(bellman_loss, has_aux=True)(state.critics, batch, target, self.bellman_weight(state, batch))
         critics, opts["critics"] = apply_gradients(state.critics, grads, opts["critics"], self.critic_lr)
         return state._replace(critics=critics, behavior=model, opts=opts), metrics | model_metrics
 
@@ -214,7 +218,6 @@ class BEAR(Agent):
         k_model, k_future, k_actor = keys(key, "behavior", "target", "actor_loss")
         state, metrics = self.learn_values(state, batch, k_model, k_future)
         opts = dict(state.opts)
-
         grad = jax.value_and_grad(self.actor_loss, has_aux=True)
         (loss, (divergence, log_prob, value)), grads = grad(state.actor, state, batch, step, k_actor)
         actor, opts["actor"] = apply_gradients(state.actor, grads, opts["actor"], self.actor_lr)
@@ -224,9 +227,7 @@ class BEAR(Agent):
             slope = -(log_prob - batch.action.shape[-1])
             stepped = apply_gradients(log_temperature, slope, opts["temperature"], self.temperature_lr)
             # It rests with the multiplier: in the warm start the actor follows the constraint and cannot answer it.
-            rested = (log_temperature, opts["temperature"])
-            log_temperature, opts["temperature"] = self.after_warm_start(stepped, rested, step)
-
+            log_temperature, opts["temperature"] = self.after_warm_start(stepped, (log_temperature, opts["temperature"]), step)
         targets = polyak_update((state.target_actor, state.target_critics), (actor, state.critics), self.tau)
         metrics |= {"actor_loss": loss, "actor_value": value, self.constraint: divergence}
         metrics["multiplier"] = jnp.exp(log_multiplier)
@@ -240,10 +241,8 @@ class BEAR(Agent):
 
     def policy(self, state):
         """The best of `test_samples` draws by Q_1, or the actor itself."""
-        actor = TanhGaussian(state.actor)
-        if self.test_action == "actor":
-            return actor
-        return GreedyQ.of(actor, jax.tree.map(lambda w: w[0], state.critics), self.test_samples)
+        actor, first = TanhGaussian(state.actor), jax.tree.map(lambda w: w[0], state.critics)
+        return actor if self.test_action == "actor" else GreedyQ.of(actor, first, self.test_samples)
 
     def q_value(self, state, observation, action):
         """The mixed value that the targets use."""

@@ -24,6 +24,7 @@ from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import TanhGaussian
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Positive, Sizes, UnitInterval, static
+from deadreckon.training.later_fields import later
 
 WARM_STEPS, WARM_SHARE = 20_000, 0.2  # of the run, whichever is smaller (the D4RL version: 20,000 of 1,000,000)
 
@@ -43,6 +44,7 @@ class BRAC(Agent):
     """Behaviour-regularised actor-critic; the value form is BRAC-v, the other BRAC-p."""
 
     revision: ClassVar[int] = 2
+    by_length: ClassVar[tuple[str, ...]] = ("warm_start",)
     other_names: ClassVar[dict[str, str]] = {"value_form": "value_penalty", "draws": "samples"}
 
     actor_lr: NonNegative = 3e-5  # learning rate of the actor (D4RL version)
@@ -60,6 +62,7 @@ class BRAC(Agent):
     """updates in which the actor minimises the divergence alone; None: min(20,000, 20 % of the run)"""
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
+    standardise: bool = later(False)  # whether observations are standardised to mean 0 and standard deviation 1
 
     def resolve(self, spec, steps):
         """Fills in the warm start."""
@@ -68,7 +71,7 @@ class BRAC(Agent):
 
     def needs(self, spec):
         """Transitions."""
-        return BatchSpec(batch_size=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size, standardise=self.standardise)
 
     def init(self, spec, key):
         """Fresh networks; targets are copies."""

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from deadreckon.agents.agent import backup, imitation_loss
 from deadreckon.agents.sac import SAC
 from deadreckon.agents.scaled_rewards import ScaledRewards
-from deadreckon.data.batch import Batch, BatchSpec
+from deadreckon.data.batch import Batch
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, all_q_values, q_values
 from deadreckon.nets.optim import apply_gradients, init_opt
@@ -46,6 +46,7 @@ class CQL(ScaledRewards, SAC):
     other_names: ClassVar[dict[str, str]] = {
         "conservatism": "cql_weight", "min_q_weight": "cql_weight", "draws": "samples", "weight_lr": "cql_weight_lr",
     }  # fmt: skip
+    told_after: ClassVar[dict[str, str]] = {"standardise": "warm_start"}
 
     actor_lr: NonNegative = 1e-4  # learning rate of the actor
     entropy_backup: bool = static(False)  # whether the critics' targets include the entropy bonus
@@ -67,10 +68,6 @@ class CQL(ScaledRewards, SAC):
     def going_on(self):
         """See `Agent`; the actor does not imitate again at first."""
         return self.replace(warm_start=0)
-
-    def needs(self, spec):
-        """Transitions."""
-        return BatchSpec(batch_size=self.batch_size, standardise=self.standardise)
 
     def init(self, spec, key) -> Any:
         """SAC's state and the multiplier."""

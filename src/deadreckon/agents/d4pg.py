@@ -25,6 +25,7 @@ from deadreckon.nets.return_distributions import cross_entropy, mean, project, s
 from deadreckon.policies.kinds import Deterministic
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Number, Positive, Sizes, TwoOrMore, UnitInterval, static
+from deadreckon.training.later_fields import later
 
 SMALL = 0.01  # of the actor's last weights: it begins near the middle of its actions
 
@@ -62,6 +63,7 @@ class D4PG(Agent):
     hidden: Sizes = static((300, 200))  # width of each hidden layer of the actor
     critic_hidden: Sizes = static((400, 300))  # width of each hidden layer of the critic
     batch_size: Count = static(256)  # batch size (transitions per update)
+    standardise: bool = later(False)  # whether observations are standardised to mean 0 and standard deviation 1
 
     def resolve(self, spec, steps):
         """See `Agent.resolve`; the returns that have a probability must be a range."""
@@ -73,7 +75,7 @@ class D4PG(Agent):
     def needs(self, spec):
         """Rows of `n_step` transitions, with what multiplies the value behind them."""
         columns = ("observation", "action", "reward", "next_observation", "discount")
-        return BatchSpec(columns, self.batch_size, n_step=self.n_step, gamma=self.discount)
+        return BatchSpec(columns, self.batch_size, n_step=self.n_step, standardise=self.standardise, gamma=self.discount)
 
     def init(self, spec, key):
         """Fresh networks; targets are copies."""

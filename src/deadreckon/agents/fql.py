@@ -23,6 +23,7 @@ from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.candidates import OneStep
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitInterval, static
+from deadreckon.training.later_fields import later
 
 
 class State(NamedTuple):
@@ -54,10 +55,11 @@ class FQL(ScaledRewards):
     scale_q: bool = static(True)  # whether the actor loss divides Q by its mean absolute value
     hidden: Sizes = static((512, 512, 512, 512))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
+    standardise: bool = later(False)  # whether observations are standardised to mean 0 and standard deviation 1
 
     def needs(self, spec):
         """Transitions."""
-        return BatchSpec(batch_size=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size, standardise=self.standardise)
 
     def init(self, spec, key):
         """Fresh networks; targets are copies."""

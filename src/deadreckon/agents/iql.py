@@ -40,6 +40,7 @@ class IQL(ScaledRewards):
     supports_discrete: ClassVar[bool] = True
     fine_tunes: ClassVar[bool] = True
     supports_images: ClassVar[bool] = True
+    by_length: ClassVar[tuple[str, ...]] = ("actor_decay_steps",)
     other_names: ClassVar[dict[str, str]] = {"sharpness": "beta"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor

@@ -32,7 +32,7 @@ _OTHERS = {"rollout_length": (1, 1, 1, 2), "retain_steps": 1000, "model_hidden":
 
 
 class ModelBasedAgent(Agent):
-    """An agent with an ensemble of dynamics models. Fields that are None come from the task: see `PRESETS`."""
+    """An agent with an ensemble of dynamics models. Fields that are None come from the task that is acted in: see `PRESETS`."""
 
     revision: ClassVar[int] = 1
     fine_tunes: ClassVar[bool] = False
@@ -55,12 +55,15 @@ class ModelBasedAgent(Agent):
 
     def resolve(self, spec: Spec, steps: int):
         """Fills in the task's preset and the rule that ends episodes."""
-        known = _OTHERS | PRESETS.get(spec.name, {})
+        known = _OTHERS | ({} if spec.rows else PRESETS.get(spec.name, {}))  # a log of this name need not be the task's
         missing = {name: value for name, value in known.items() if getattr(self, name, 0) is None}
         own = terminations.of_spec(spec)
         ends = self.termination or (LEARNED if own is None else own.name)
         if ends != LEARNED and (shape := terminations.termination(ends).observation_shape) != spec.observation_shape:
             raise UserError(f"termination={ends!r}: its observations are {shape}, {spec.name} has {spec.observation_shape}")
+        if ends != LEARNED and getattr(self, "standardise", False):
+            why = f"the rule that ends episodes of {ends} reads observations as they are"
+            raise UserError(f"{type(self).__name__}.standardise: {why}; leave it out, or let the model learn ends, {LEARNED!r}")
         agent = super(ModelBasedAgent, self.replace(**missing, termination=ends)).resolve(spec, steps)
         assert agent.model_hidden is not None
         check_sizes(type(self).__name__, agent.members, agent.elites, agent.model_hidden, agent.model_weight_decay)

@@ -35,6 +35,7 @@ class OfflineMBRL(ModelBasedAgent, SAC):
 
     revision: ClassVar[int] = 2
     supports_discrete: ClassVar[bool] = False
+    by_length: ClassVar[tuple[str, ...]] = ("actor_decay_steps",)
     other_names: ClassVar[dict[str, str]] = {
         "length": "rollout_length", "rollouts": "rollout_batch_size", "keep": "retain_rounds",
         "logged_rows": "real_batch_size",

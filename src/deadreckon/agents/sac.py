@@ -16,6 +16,7 @@ from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Categorical, create_actor, stochastic
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Number, Positive, Sizes, UnitInterval, static
+from deadreckon.training.later_fields import later
 
 
 class State(NamedTuple):
@@ -55,6 +56,7 @@ class SAC(Agent):
     critics: Count = static(2)  # number of Q-networks, of which the minimum is used
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
+    standardise: bool = later(False)  # whether observations are standardised to mean 0 and standard deviation 1
 
     def resolve(self, spec, steps):
         """Fills in the target entropy."""
@@ -72,7 +74,7 @@ class SAC(Agent):
 
     def needs(self, spec):
         """Transitions."""
-        return BatchSpec(batch_size=self.batch_size)
+        return BatchSpec(batch_size=self.batch_size, standardise=self.standardise)
 
     def init(self, spec, key) -> Any:
         """Fresh networks; targets are copies."""

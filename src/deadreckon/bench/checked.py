@@ -24,7 +24,7 @@ OBJECTS = ("settings", "asked", "more", "revisions", "versions")  # JSON
 
 
 def check_part(path: Path | str, kind: str, schema: pa.Schema, found: pa.Table) -> pa.Table:
-    """A part of a table of results, if it is one.
+    """A part of a table of results, if it is one. A null score, as earlier versions wrote where there was none, is NaN.
 
     Args:
         path: of its file, for errors.
@@ -42,6 +42,9 @@ def check_part(path: Path | str, kind: str, schema: pa.Schema, found: pa.Table) 
         got = found.schema.field(field.name).type  # a column without any value may have the type of nulls
         if not (got.equals(field.type) or pa.types.is_null(got)):
             raise UserError(f"{path}: column {field.name} of its {kind} must be of type {field.type}, got {got}")
+    if kind == "results" and "score" in names and found["score"].null_count:
+        scores = found["score"].cast(pa.float64()).fill_null(math.nan)
+        found = found.set_column(names.index("score"), "score", scores)
     for name in NEEDED[kind]:
         if name not in names:
             raise UserError(f"{path}: its {kind} lack the column {name}")

@@ -19,8 +19,8 @@ TRIES = 3  # of a program whose process dies; what went on until then is on disk
 
 class Event(NamedTuple):
     """What happens to a program: `begun`, `progress` (done, total), `done` (what was found, one per job), `failed` (why),
-    `elsewhere` (another command is at it), `split` (it failed for a reason, and its jobs go on one by one) or `died` (and is
-    begun again)."""
+    `elsewhere` (another command is at it), `skipped` (another command has done it since), `split` (it failed for a reason, and
+    its jobs go on one by one) or `died` (and is begun again)."""
 
     what: str
     program: Program
@@ -84,7 +84,7 @@ def run(
 ) -> None:
     """Does what is not done yet, and keeps results as they come. A program that fails is noted, and the others go on.
 
-    What another command is doing in the same folder is told and left to it.
+    What another command is doing in the same folder, or has done since this one began, is told and left to it.
 
     Args:
         jobs: of a suite or several, in the order in which they are begun.
@@ -103,6 +103,9 @@ def run(
                 if chosen is None:
                     break
                 waiting.remove(chosen)
+                if not store.undone(chosen.jobs):
+                    on_event(Event("skipped", chosen))
+                    continue
                 executor.begin(chosen)
                 running += 1
             if not running:

@@ -1,5 +1,6 @@
 """The methods of a suite: what a line of `[methods]` may say."""
 
+import math
 from dataclasses import dataclass, field, fields
 from typing import Any, get_args
 
@@ -78,8 +79,9 @@ def method(where: str, kind: str, name: str, table: Any) -> Method:
         if history > MOST_HISTORY:
             raise UserError(f"{where}: history of method {name!r} must be <= {MOST_HISTORY:,}, got {history:,}")
     for key, value in table.get("fields", {}).items():
-        if not isinstance(value, bool | int | float | str | list):
-            raise UserError(f"{where}: {key} of method {name!r} must be a number, text, truth value or list, got {value!r}")
+        if not _is_plain(value):
+            plain = "a finite number, a text, a truth value or a list of such"
+            raise UserError(f"{where}: {key} of method {name!r} must be {plain}, got {value!r}")
     if table.get("preset") and kind not in ("learn", "online"):
         has = "only agents have published settings, in suites of kind learn or online"
         raise UserError(f"{where}: preset of method {name!r}: {has}")
@@ -92,6 +94,13 @@ def method(where: str, kind: str, name: str, table: Any) -> Method:
     # A cell is the same in whatever order its settings are written.
     given: dict[str, Any] = {key: dict(sorted(v.items())) if isinstance(v, dict) else v for key, v in table.items()}
     return Method(name, **given)
+
+
+def _is_plain(value: Any) -> bool:
+    """Whether JSON can hold a value of TOML, which has dates, infinities and NaN too, and a field can be it."""
+    if isinstance(value, list):
+        return all(map(_is_plain, value))
+    return math.isfinite(value) if isinstance(value, float) else isinstance(value, bool | int | str)
 
 
 def _check_encoder(where: str, whose: str, name: str) -> None:

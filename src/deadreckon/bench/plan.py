@@ -16,6 +16,7 @@ from deadreckon.bench.suite import Method, Suite
 from deadreckon.errors import UserError, unknown
 from deadreckon.imports import trusted
 from deadreckon.training.field_names import with_field_names
+from deadreckon.training.later_fields import told
 
 MOST = 64  # lanes of a program where nobody says how many: no more were measured (benchmarks/lanes.py)
 
@@ -109,7 +110,7 @@ def _shape(job: Job, across: bool) -> str | None:
     except UserError:
         return None
     # A number left to the agent (None) may leave a term out, so it is not the same program as one that is given.
-    given = [(f, job.settings[f.name]) for f in dataclasses.fields(agent)]
+    given = [(f, job.settings[f.name]) for f in told(agent)]
     fixed = {f.name: value for f, value in given if f.metadata.get("static") or value is None}
     log = (across and _log_shape(agent, job)) or [job.on, job.data]
     return json.dumps([job.agent, fixed, log, job.options, job.seeds])
@@ -121,15 +122,15 @@ def _log_shape(agent: Any, job: Job) -> list[Any] | None:
     from deadreckon.tasks.registry import of_log
 
     task = of_log(job.on)
-    if task is None or agent.needs(Spec.empty(task.observation_shape, task.action_space, "any")).initial:
+    if task is None or agent.one_log or agent.needs(Spec.empty(task.observation_shape, task.action_space, "any")).initial:
         return None
     return [*task.observation_shape, repr(task.action_space)]
 
 
 def _fields(made: Any) -> dict[str, Any]:
-    found = json.loads(json.dumps({f.name: getattr(made, f.name) for f in dataclasses.fields(made)}))
+    found = json.loads(json.dumps({f.name: getattr(made, f.name) for f in told(made)}))
     # Fields that are not static are numbers, and 1 is 1.0 there: the same cell.
-    numbers = [f.name for f in dataclasses.fields(made) if not f.metadata.get("static") and found[f.name] is not None]
+    numbers = [f.name for f in told(made) if not f.metadata.get("static") and found[f.name] is not None]
     return found | {name: float(found[name]) for name in numbers if isinstance(found[name], int)}
 
 

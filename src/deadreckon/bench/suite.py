@@ -51,6 +51,7 @@ SIZES = {"seeds", "steps", "offline", "episodes", "evaluations", "rows", "design
 _ELSEWHERE = re.compile(r"^[/\\~]|^[A-Za-z]:|(^|[/\\])\.\.($|[/\\])")  # beginnings and parts of paths, on any system
 _SEED = 1_000_000  # the first one at most: programs take their seeds as 32-bit numbers
 _CELLS = 1_000_000  # of a suite at most, as all are planned before the first is run
+_DIGITS = 12  # that a table shows at most
 STEPS = 100_000  # where a suite says nothing
 
 
@@ -271,12 +272,18 @@ def _metrics(where: str, kind: str, table: Any) -> dict[str, tuple[Metric, ...]]
     """Of a study, from `[metrics]`: NAME = { words = "...", higher = false, digits = 2 }."""
     if kind != "study":
         return {}
+    from deadreckon.bench.store import RESULT  # which loads Arrow
+
     kinds = {"words": str, "higher": bool, "digits": int}
     if not isinstance(table, dict) or not table:
         raise UserError(f"{where}: a study must say its [metrics], such as error = {{ words = 'mean error', higher = false }}")
     for name, one in table.items():
         if not isinstance(one, dict) or "words" not in one or any(not isinstance(one[k], kinds.get(k, ())) for k in one):
             raise UserError(f"{where}: metric {name!r} must say its words, and may say higher (true or false) and digits")
+        if name != "score" and name in RESULT.names:
+            raise UserError(f"{where}: metric {name!r} is called as a column of results, which would be shown; rename it")
+        if isinstance(digits := one.get("digits", 1), bool) or not 0 <= digits <= _DIGITS:
+            raise UserError(f"{where}: digits of metric {name!r} must be a whole number from 0 to {_DIGITS}, got {digits!r}")
     return {"metrics": tuple(Metric(name, joint=False, **one) for name, one in table.items())}
 
 

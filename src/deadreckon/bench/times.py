@@ -9,16 +9,23 @@ from deadreckon.bench.jobs import Program
 from deadreckon.bench.store import Store
 
 
-def forecast(waiting: Sequence[Program], store: Store) -> dict[str, float | None]:
+def forecast(waiting: Sequence[Program], store: Store, accelerated: bool = False) -> dict[str, float | None]:
     """Seconds of each program by its name, or None where none like it is done.
 
     By the median seconds a step of programs of the same agent, the same sizes and as many lanes: of those on the same data
     where there are some.
+
+    Args:
+        waiting: the programs.
+        store: where those lie that are done.
+        accelerated: whether an accelerator does them, so that times on such count, and not those of a core.
     """
     if not waiting:
         return {}
     done: dict[str, list[dict[str, Any]]] = {}
     for row in store.results().to_pylist():
+        if json.loads(row["versions"]).get("device", "").startswith("cpu") == accelerated:
+            continue
         done.setdefault(row["job"].partition("/")[0], []).append(row)
     same: dict[tuple[str, str, str, int, str], list[float]] = {}
     for first, *others in done.values():
@@ -41,4 +48,3 @@ def _sizes(settings: dict[str, Any], options: dict[str, Any]) -> str:
     shape = {name: value for name, value in settings.items() if not isinstance(value, float)}
     rest = {name: value for name, value in options.items() if name not in ("steps", "episodes", "every")}
     return json.dumps([shape, rest], sort_keys=True)
-

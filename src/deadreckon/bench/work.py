@@ -247,7 +247,8 @@ def _ope(job: Job, folder: Path, watch: Progress) -> JobResult:
         found = {name: getattr(result.metrics(), name).value if sound else None for name in METRICS}
         rows.append(
             {
-                "seed": seed, "score": found["rank_correlation"], "raw": None, "steps": 0, "log": log.fingerprint,
+                "seed": seed, "score": found["rank_correlation"] if sound else math.nan, "raw": None, "steps": 0,
+                "log": log.fingerprint,
                 "more": json.dumps(found | {"result": to_json(result)}), "versions": json.dumps(versions()),
                 "failure": "" if sound else " ".join(result.warnings) or "its estimates are not finite",
             }
@@ -265,7 +266,7 @@ def _study(job: Job, folder: Path, watch: Progress) -> JobResult:
         bad = [name for name, value in numbers.items() if not math.isfinite(value)]
         rows.append(
             {
-                "seed": seed, "score": numbers.get("score"), "raw": None, "steps": 0, "more": json.dumps(numbers),
+                "seed": seed, "score": numbers.get("score", math.nan), "raw": None, "steps": 0, "more": json.dumps(numbers),
                 "versions": json.dumps(versions()), "failure": f"{bad[0]} is not finite" if bad else "",
             }
         )  # fmt: skip

@@ -160,7 +160,7 @@ def announce(name, jobs, store, executor, each: bool):
     waiting = programs(store.undone(jobs))
     cells, missing = len({cell for job in jobs for cell in job.cells}), sum(program.lanes for program in waiting)
     print(f"{name}: {cells:,} cells, {cells - missing:,} of them done; results in {store.place}")
-    seconds = forecast(waiting, store)
+    seconds = forecast(waiting, store, accelerated=executor.lanes is None)
     for program in waiting if each else ():
         took = seconds[program.name]
         print(f"  {program}: {'no job like it yet' if took is None else f'about {in_words(took)}'}")

@@ -15,6 +15,9 @@ class Lines:
             print(f"{self.done} of {self.total}: {event.program}, {seconds:,.0f} s", flush=True)
         elif event.what == "failed":
             print(f"FAILED: {event.program}: {event.payload[0]}", flush=True)
+        elif event.what == "skipped":
+            self.done += 1
+            print(f"{self.done} of {self.total}: {event.program}, done by another command", flush=True)
         elif event.what == "elsewhere":
             print(f"{event.program}: another command is at it, and it is left to that one", flush=True)
         elif event.what == "split":

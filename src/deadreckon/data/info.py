@@ -8,6 +8,7 @@ import numpy as np
 from deadreckon.data.copies import Copies, about_copies, copies
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.propensities import about_propensities
+from deadreckon.data.sizes import about_observations, about_rewards, reward_scale
 from deadreckon.data.spec import Box
 from deadreckon.data.told import action_names, observation_names
 
@@ -135,7 +136,7 @@ def warnings_for(log: Dataset, info: Info | None = None) -> tuple[str, ...]:
         info: what `describe` gave, if it was called already.
     """
     info = info or describe(log)
-    return (*log.warnings, *_ends(log, info), *_rewards(info), *_columns(log, info))
+    return (*log.warnings, *_ends(log, info), *_rewards(log, info), *_columns(log, info))
 
 
 def render(info: Info, warnings: tuple[str, ...] = ()) -> str:
@@ -184,7 +185,7 @@ def _ends(log: Dataset, info: Info) -> list[str]:
     return out
 
 
-def _rewards(info: Info) -> list[str]:
+def _rewards(log: Dataset, info: Info) -> list[str]:
     """Advice on rewards."""
     out = []
     largest = max(abs(info.rewards[0]), abs(info.rewards[-1]))
@@ -197,10 +198,8 @@ def _rewards(info: Info) -> list[str]:
         out.append(f"rewards are sparse: {share:.2%} of the rows have one; prefer methods that stay close to the data")
     elif info.reward_zero_share > 0.5:
         out.append(f"rewards are mostly zero ({info.reward_zero_share:.0%} of the rows)")
-    if largest > 1_000:
-        out.append(f"rewards reach {largest:.3g} in size: scale them to about 1, or raise the critics' tolerance")
-    elif 0 < largest < 1e-3:
-        out.append(f"rewards are at most {largest:.3g} in size: scale them to about 1")
+    if told := about_rewards(log.spec):
+        out.append(f"{told}; agents are made for about 1: scale them (--agent.reward-scale {reward_scale(log.spec):g})")
     return out
 
 
@@ -211,13 +210,8 @@ def _columns(log: Dataset, info: Info) -> list[str]:
         names = observation_names(log)
         shown = _shortened([names[i].removeprefix("observation ") for i in info.constant_observations])
         out.append(f"observation dimensions that never change: {shown}; they carry nothing and may be left out")
-    low, high = info.observation_scales
-    if low > 0 and high / low > 1_000 and not pictures:
-        std, names = log.spec.observation.std.ravel(), observation_names(log)
-        least, most = (names[int(i)] for i in (np.argmin(np.where(std > 0, std, np.inf)), np.argmax(std)))
-        deviations = f"standard deviations {low:.2g} of {least} .. {high:.2g} of {most}"
-        text = f"observation scales differ by a factor of {high / low:.0f} ({deviations})"
-        out.append(f"{text}: normalise observations")
+    if told := about_observations(log):
+        out.append(f"{told}; networks learn best from numbers of about 1: standardise observations (--agent.standardise)")
     if info.saturated_share > 0.3:
         text = f"{info.saturated_share:.0%} of the action entries are at the bounds ({_shortened(action_names(log))})"
         out.append(f"{text}: log-probabilities of tanh policies are uncertain there; check that the bounds are right")

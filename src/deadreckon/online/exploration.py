@@ -15,7 +15,8 @@ from deadreckon.agents.agent import Agent
 from deadreckon.data.batch import BatchSpec
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
-from deadreckon.data.spec import Spec
+from deadreckon.data.sizes import about_dimensions, large
+from deadreckon.data.spec import Spec, Statistics
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.online.rows import row_columns, row_width, unpacked
@@ -104,6 +105,9 @@ class Exploration:
         plain = (sums or needs.n_step == 1) and not (needs.window or needs.initial)
         if set(needs.columns) - {*fields, *(["discount"] * sums)} or not plain or not self._fits(agent):
             raise UserError(f"{type(agent).__name__} does not {self._learning}")
+        if needs.standardise and self._as_it_is:
+            why = "observations are standardised by those of a log, and nothing is known of a task"
+            raise UserError(f"{type(agent).__name__}.standardise: {why}; leave it out, or go on from a run on a log")
         self.view = Normalizer.of(self.spec, needs.standardise)
         self.block = settings.updates_per_block
         self.copies = settings.copies
@@ -122,6 +126,7 @@ class Exploration:
         self._begin(agent)
 
     _learning = "learn online"  # what an agent that is refused does not
+    _as_it_is = True  # whether agents see observations as the task shows them
     _sums = True  # whether it can give transitions of several steps; kinds of experience with other rows say that they cannot
 
     def _spec(self) -> Spec:
@@ -135,7 +140,7 @@ class Exploration:
 
     def _fits(self, agent: Agent) -> bool:
         """Whether an agent can learn from such rows."""
-        return agent.online and not self.needs.standardise
+        return agent.online
 
     def _further(self, needs: BatchSpec) -> dict[str, tuple[int, ...]]:
         """Columns that are known of a row later than the row, as learners see them."""
@@ -186,7 +191,17 @@ class Exploration:
         """Acts until there are so many rows."""
         rows = [self._step(learner, states, roots, at) for at in range(self.replay.count, due, self.copies)]
         if rows:
-            self._keep(np.concatenate(rows, 1))
+            made = np.concatenate(rows, 1)
+            if self._as_it_is and self.replay.count == 0:
+                self._tell(made[0, :, : self.spec.observation_size])
+            self._keep(made)
+
+    def _tell(self, observed: Float[np.ndarray, "n o"]) -> None:
+        """Warns of large observations; whether they stay small is not known after a few steps."""
+        seen = Statistics.of(observed)
+        if told := about_dimensions(seen, large(seen), [f"observation {i}" for i in range(observed.shape[1])]):
+            do = "observe it in other units, by `gymnasium.wrappers.TransformObservation` for example"
+            warnings.warn(f"{self.task.name}: {told}; networks learn slowly from large numbers: {do}", stacklevel=2)
 
     def _keep(self, rows: Float[np.ndarray, "l n w"]) -> None:
         """Adds the lanes' new rows to those that are learned from."""

@@ -41,6 +41,7 @@ class MixedReplay(Exploration):
     """
 
     revision: ClassVar[int] = 1
+    _as_it_is = False
     _sums = False
     _learning = "learn from rows of a log and of its own alone"
 

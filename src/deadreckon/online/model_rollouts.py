@@ -23,6 +23,7 @@ class ModelRollouts(ModelLearning):
     """Real steps, a model fitted to them, and what the policy has just done in that model, as `PPO.digest` sees it."""
 
     revision: ClassVar[int] = 1
+    _as_it_is = False
 
     def _begin(self, agent: Any) -> None:
         super()._begin(agent)

@@ -19,6 +19,7 @@ class OnPolicy(Exploration):
     """
 
     revision: ClassVar[int] = 1
+    _as_it_is = False
     _sums = False
 
     def _begin(self, agent: Any) -> None:

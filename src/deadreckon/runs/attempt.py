@@ -22,7 +22,6 @@ from typing import Any, Self
 
 import numpy as np
 
-from deadreckon.agents import agent_class
 from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
 from deadreckon.data.batch import TransitionSource
@@ -41,6 +40,7 @@ from deadreckon.ope.linear import TAUGHT, LinearFQE
 from deadreckon.ope.settings import EvidenceSettings
 from deadreckon.runs import offline
 from deadreckon.runs.callback import StopTraining
+from deadreckon.runs.candidates import CONTINUOUS, DISCRETE, Candidate, agent_of, units
 from deadreckon.runs.durations import in_words
 from deadreckon.runs.holdout import divided, too_few, usual
 from deadreckon.runs.settings import JudgeSettings, RecommendSettings
@@ -49,47 +49,6 @@ from deadreckon.runs.train import Run, train
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Chunk, Fit
 
-
-@dataclass(frozen=True)
-class Candidate:
-    """An agent with settings that is worth a try.
-
-    Attributes:
-        name: in tables and of its run folder.
-        agent: its registered name.
-        fields: settings that differ from its defaults.
-        why: in a few words.
-        deterministic: its policy draws nothing, so that no logged reward can correct its estimate where actions are continuous.
-    """
-
-    name: str
-    agent: str
-    fields: dict[str, Any]
-    why: str
-    deterministic: bool = False
-
-
-# In the order in which they are worth their time; more time tries more of them. All are cheap: an hour is better spent on
-# more updates of these than on agents that draw ten actions per row. The settings are those that their papers vary. Those that
-# draw their actions come first: importance weights can check them by logged rewards.
-CONTINUOUS = (
-    Candidate("bc", "bc", {}, "copies the log; what the others must beat"),
-    Candidate("iql", "iql", {}, "weighs logged actions by their advantage; joins parts of episodes"),
-    Candidate("awac", "awac", {}, "advantage-weighted imitation with a policy's own values"),
-    Candidate("iql-bold", "iql", {"expectile": 0.9, "beta": 10.0}, "for rewards that are rare"),
-    Candidate("td3_bc", "td3_bc", {}, "stays near the logged actions, improves where the values are sure", True),
-    Candidate("td3_bc-loose", "td3_bc", {"alpha": 10.0}, "for logs of poor or varied behaviour", True),
-    Candidate("td3_bc-close", "td3_bc", {"alpha": 1.0}, "for narrow logs of good behaviour", True),
-    Candidate("rebrac", "rebrac", {"batch_size": 256}, "TD3+BC with penalised targets and normalised critics", True),
-)
-DISCRETE = (
-    Candidate("bc", "bc", {}, "copies the log; what the others must beat"),
-    Candidate("iql", "iql", {}, "weighs logged actions by their advantage"),
-    Candidate("cql", "cql", {"cql_weight": 1.0}, "values of actions that the log lacks are pushed down"),
-    Candidate("bcq", "bcq", {}, "takes the best among actions that the log takes often enough"),
-    Candidate("iql-bold", "iql", {"expectile": 0.9, "beta": 10.0}, "for rewards that are rare"),
-    Candidate("cql-strict", "cql", {"cql_weight": 5.0}, "for logs that show few actions per state"),
-)
 LARGE, SMALL = (256, 256), (64, 64)  # networks
 DEARER = 10.0  # so many times as long as an update of the first candidate, an imitator, takes one of the others, roughly
 MOST = 100_000  # updates of a candidate
@@ -171,6 +130,7 @@ class Attempt:
         self.job, self.settings, self.send = job, job.settings, send
         self.out = Path(job.out)
         self.told: list[dict[str, Any]] = []  # of each candidate: what `recommend` knows of it
+        self.units: dict[str, Any] = {}  # settings of all candidates that follow from the log's
 
     def left(self) -> float:
         """Seconds until all must be written."""
@@ -180,6 +140,9 @@ class Attempt:
         """From the log to the card."""
         log, judge_in, holdout = self._log()
         learning = stacked(divided(log, holdout, None, None).learning, self.settings.history)  # the rest is the card's
+        self.units = units(learning.spec)
+        if told := _changed(self.units):
+            self.send("line", told)
         self._stage("pilots")
         candidates, hidden, pilots = self._pilots(learning)
         if not candidates:
@@ -267,7 +230,7 @@ class Attempt:
         """The first updates of a candidate; None: it diverges. The same program then learns, without the compiler."""
         self.send("watch", [f"pilot of {candidate.name}", 0, 1])
         begun = time.perf_counter()
-        agent = _agent(candidate, hidden, self.settings.discount).resolve(log.spec, MOST)
+        agent = self._agent(candidate, hidden).resolve(log.spec, MOST)
         fit = Fit([agent], TransitionSource(log, agent.needs(log.spec)), [self.settings.seed], MOST, chunk=TRIED)
         first: float | None = None
         rate = 1.0
@@ -280,6 +243,9 @@ class Attempt:
             if now - first > LONGEST:
                 fit.steps = progress.step  # which ends it
         return None if any(fit.failures) or first is None else Pilot(first - begun, rate)
+
+    def _agent(self, candidate: Candidate, hidden: tuple[int, ...]) -> Agent:
+        return agent_of(candidate, hidden=hidden, discount=self.settings.discount, **self.units)
 
     def _steps(self, seconds: float, rates: Sequence[float]) -> int:
         """Updates of each that fit into some time."""
@@ -365,7 +331,7 @@ class Attempt:
                 raise StopTraining
 
         return train(
-            _agent(candidate, hidden, self.settings.discount), log, steps=steps, seed=self.settings.seed, task=False,
+            self._agent(candidate, hidden), log, steps=steps, seed=self.settings.seed, task=False,
             out=self.out / candidate.name, evaluate_every=steps, episodes=1, holdout=holdout, watch=look,
             chunk=min(max(int(LOOKS * rate), 1), steps), history=self.settings.history,
         )  # fmt: skip
@@ -453,11 +419,12 @@ def _number(value: Any) -> Any:
     raise TypeError(f"got {type(value).__name__}")
 
 
-def _agent(candidate: Candidate, hidden: tuple[int, ...], discount: float) -> Agent:
-    kind = agent_class(candidate.agent)
-    own = {f.name for f in dataclasses.fields(kind)}
-    common = {name: value for name, value in {"hidden": hidden, "discount": discount}.items() if name in own}
-    return kind(**common | candidate.fields)
+def _changed(units: dict[str, Any]) -> str:
+    """What is told of the units that candidates learn in; empty where they are the log's."""
+    parts = ["with standardised observations"] if "standardise" in units else []
+    if scale := units.get("reward_scale"):
+        parts.append(f"from rewards times {scale:g} where agents can scale them")
+    return f"candidates learn {' and '.join(parts)}, as numbers of this log are far from 1 in size" if parts else ""
 
 
 def attempt(job: Job, send: Callable[[str, Any], None]) -> None:

@@ -133,11 +133,9 @@ class Folder:
     def read_config(self) -> Any:
         """The configuration in run.json, with hyperparameters under the present names of their fields."""
         config = read_run(self.config)
-        name, fields = config["agent"]["name"], config["agent"]["fields"]
-        module, colon, _ = ("", "", "") if name in AGENTS else str(plugins().get(name, name)).partition(":")
-        if name not in AGENTS and not (colon and module in sys.modules):  # a folder must not name code that is then run
+        if (kind := _agent_of(config)) is None:
             return config
-        return config | {"agent": {**config["agent"], "fields": with_field_names(agent_class(name), fields)}}
+        return config | {"agent": {**config["agent"], "fields": with_field_names(kind, config["agent"]["fields"])}}
 
     def period(self, resume: bool) -> int | None:
         """Updates between the evaluations of the run that is gone on with, which it keeps where nobody names others."""
@@ -161,12 +159,12 @@ class Folder:
         if not resume:
             raise UserError(f"{self.path} holds a run already; --resume goes on with it, or choose another --out")
         before = self.read_config()
-        longer = before.get("steps", 0) < config["steps"]
-        asked = config | {"steps": before.get("steps")} if longer else config
+        asked = _at_length(config, before)
         kept = ("together", "agent", "online", "demonstrations", "start", "log", "data", "task", "seeds", "steps", "evaluation",
                 "history", "encoder", "shift")  # fmt: skip
         if different := differences(before, asked, kept):
-            raise UserError(f"{self.path} holds another run: {different[0]}; choose another --out")
+            do = "choose another --out" if asked is config else _remedy(before, different)
+            raise UserError(f"{self.path} holds another run: {different[0]}; {do}")
         if "revisions" not in before:  # from before they were noted: random streams have changed since
             why = "was begun by code of other revisions, which learns otherwise"
             raise UserError(f"{self.path} {why}; begin anew with another --out")
@@ -192,7 +190,36 @@ class Folder:
         if before["steps"] < config["steps"]:
             for number in config["seeds"]:
                 self.policy(number).unlink(missing_ok=True)  # with it, the run is no longer finished
-            write_json(self.config, before | {"steps": config["steps"]})
+            write_json(self.config, before | {name: config[name] for name in ("steps", "evaluation")})
+
+
+def _at_length(config: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
+    """What is asked for now, as it was at the length of an earlier run that had fewer updates; else just that.
+
+    A period of evaluations beyond the end is cut to it, and two of them are the same.
+    """
+    steps = before.get("steps", 0)
+    if steps >= config["steps"]:
+        return config
+    asked, old, new = config | {"steps": steps}, (before.get("evaluation") or {}).get("every"), config["evaluation"]["every"]
+    return asked | {"evaluation": config["evaluation"] | {"every": old}} if old and min(old, new) >= steps else asked
+
+
+def _agent_of(config: dict[str, Any]) -> type[Any] | None:
+    """The class of a run's agent; None where it is not imported: a folder must not name code that is then run."""
+    name = config["agent"]["name"]
+    module, colon, _ = ("", "", "") if name in AGENTS else str(plugins().get(name, name)).partition(":")
+    return agent_class(name) if name in AGENTS or (colon and module in sys.modules) else None
+
+
+def _remedy(before: dict[str, Any], different: Sequence[str]) -> str:
+    """What to do where these lines differ from a run that is to be made longer."""
+    names, fields = [text.partition(" was ")[0] for text in different], before["agent"]["fields"]
+    kept = [each for each in getattr(_agent_of(before), "by_length", ()) if f"agent.fields.{each}" in names]
+    if len(kept) < len(names):
+        return "choose another --out"
+    options = " ".join(f"--agent.{each.replace('_', '-')} {fields[each]}" for each in kept)
+    return f"it follows from the run's length; {options} keeps it, or choose another --out"
 
 
 def _part(path: Path, kind: str) -> pa.Table:

@@ -7,6 +7,7 @@ from typing import Any
 from deadreckon.agents import agent_class, known_agent
 from deadreckon.agents.agent import Agent
 from deadreckon.errors import UserError
+from deadreckon.training.later_fields import told
 
 
 def lanes_of(agent: Agent | str | Sequence[Agent], seeds: int) -> list[Agent]:
@@ -23,9 +24,9 @@ def lanes_of(agent: Agent | str | Sequence[Agent], seeds: int) -> list[Agent]:
 
 
 def fields_of(lanes: Sequence[Agent]) -> dict[str, Any]:
-    """Hyperparameters by name; those that differ between lanes as a list."""
+    """Hyperparameters by name, as `told` has them; those that differ between lanes as a list."""
     out = {}
-    for f in dataclasses.fields(lanes[0]):
+    for f in told(*lanes):
         values = [getattr(lane, f.name) for lane in lanes]
         out[f.name] = values[0] if all(v == values[0] for v in values) else values
     return out

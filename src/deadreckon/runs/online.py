@@ -25,6 +25,7 @@ from deadreckon.runs.lanes import agents_of, fields_of, lanes_of
 from deadreckon.runs.reading import Read
 from deadreckon.runs.recorder import Recorder, follow
 from deadreckon.runs.settings import OnlineOptions, OnlineSettings
+from deadreckon.runs.sizes import about_sizes
 from deadreckon.runs.started import Beside, Start, beside, start_of
 from deadreckon.runs.trackers.feed import tracked
 from deadreckon.runs.trackers.tracker import trackers_of
@@ -113,6 +114,8 @@ def _train_online(
     log = beside(asked.data, before, read, task, asked.log_share)
     if log is not None:
         check_agent(lanes[0])
+        for text in about_sizes(log.log, lanes[0]):
+            warnings.warn(text, stacklevel=3)
     if shown is not None and log is not None:
         raise UserError("demonstrations are what DAPG learns from first, data is a log in the replay: give one of them")
     job = _job(lanes, task, numbers, updates, folder, dataclasses.replace(asked, settings=turns), every, shown, log)

@@ -234,6 +234,8 @@ class Recorder:
             folder.shorten(step)
         if step not in self._kept():
             self.judge_now(step)
+        elif self.judge is not None:  # once more, now as the last one, of which trajectories are kept
+            self._submit(step)
 
     def close(self) -> None:
         """Lets evaluations that have begun end, and forgets the others: `catch_up` does them."""

@@ -22,6 +22,7 @@ from deadreckon.runs.holdout import Divided, divided
 from deadreckon.runs.lanes import fields_of
 from deadreckon.runs.recorder import Recorder, follow
 from deadreckon.runs.settings import TrainSettings
+from deadreckon.runs.sizes import about_sizes
 from deadreckon.runs.trackers.feed import tracked
 from deadreckon.runs.trackers.tracker import trackers_of
 from deadreckon.tasks.registry import of_log
@@ -73,7 +74,6 @@ def train_lanes(
         logs[key] = log
         grouped.setdefault(key, {})[path] = own
     first = Folder(next(iter(asked)))
-    before = first.read_config() if resume and first.config.exists() else None
     learned: list[_Learned] = []
     for key, runs in grouped.items():
         log, agents = logs[key], list(runs.values())
@@ -82,6 +82,8 @@ def train_lanes(
             raise UserError(f"{log.name}: its only action is {levels[0]}, so there is nothing to choose between")
         judge = judge_of(log, task)
         log = log.with_action_space(log.action_space if judge is None else judge.action_space, settings.strict)
+        begun = Folder(next(iter(runs)))  # runs on one log hold out the same
+        before = begun.read_config() if resume and begun.config.exists() else None
         part = divided(log, settings.holdout, judge, before)
         seen = stacked(part.learning, settings.history)
         for each in agents:
@@ -90,6 +92,8 @@ def train_lanes(
         lanes = [lane.resolve(seen.spec, steps) for each in agents for lane in each]
         rows = TransitionSource(seen, lanes[0].needs(seen.spec))
         learned.append(_Learned(log, judge, part, rows, [Folder(path) for path in runs], lanes))
+        for text in about_sizes(log, lanes[0]):
+            warnings.warn(text, stacklevel=3)
 
     lanes = [lane for one in learned for lane in one.lanes]
     folders = [folder for one in learned for folder in one.folders]

@@ -110,6 +110,8 @@ def check_fields(learner: eqx.Module) -> None:
             continue
         if typing.get_origin(kind) is typing.Literal and value not in typing.get_args(kind):
             raise UserError(f"{name} takes {' or '.join(map(repr, typing.get_args(kind)))}, got {value!r}")
+        if kind is bool and not isinstance(value, bool):
+            raise UserError(f"{name} takes true or false, got {value!r}")
         if typing.get_origin(kind) is tuple:
             if not isinstance(value, tuple):
                 raise UserError(f"{name} takes a tuple of numbers, got {value!r}")

@@ -16,6 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, PRNGKeyArray
 
 from deadreckon.data.batch import Batch
 from deadreckon.data.spec import Spec
+from deadreckon.errors import UserError
 from deadreckon.randomness import key_for
 from deadreckon.training import pictures
 from deadreckon.training.learner import stack, unstack
@@ -229,12 +230,21 @@ def begin(learner: Any, specs: Sequence[Spec], roots: Key[Array, "lanes"], sight
         specs: of the log of each lane.
         roots: keys of the lanes.
         sight: how pictures are seen, where there are any.
+
+    Raises:
+        UserError: states of lanes differ in their sizes, as their logs do.
     """
     # Not compiled as a whole: what draws a layer is compiled once a shape, and serves all lanes, agents and logs. One
     # program an agent and log gives the same bits and takes half a second to ten seconds to compile.
     keys = [key_for(jax.random.wrap_key_data(root), "init") for root in np.asarray(jax.random.key_data(roots))]
     made = zip(unstack(learner, len(specs)), specs, keys)
-    return stack([pictures.first_state(own, spec, key, sight) for own, spec, key in made])
+    states = [pictures.first_state(own, spec, key, sight) for own, spec, key in made]
+    sizes = [[np.shape(leaf) for leaf in jax.tree.leaves(state)] for state in states]
+    for spec, own in zip(specs, sizes):
+        if own != sizes[0]:
+            kind, logs = type(learner).__name__, f"{specs[0].name} and {spec.name}"
+            raise UserError(f"{kind} has networks of other sizes on {logs}, which cannot share a program: train on each alone")
+    return stack(states)
 
 
 @jax.jit

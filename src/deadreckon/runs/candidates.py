@@ -1,0 +1,68 @@
+"""Agents that `recommend` tries, and with which settings: those of their papers, in units that are the log's own or about 1."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+from deadreckon.agents import agent_class
+from deadreckon.agents.agent import Agent
+from deadreckon.data.sizes import reward_scale, usual_observations
+from deadreckon.data.spec import Spec
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An agent with settings that is worth a try.
+
+    Attributes:
+        name: in tables and of its run folder.
+        agent: its registered name.
+        fields: settings that differ from its defaults.
+        why: in a few words.
+        deterministic: its policy draws nothing, so that no logged reward can correct its estimate where actions are continuous.
+    """
+
+    name: str
+    agent: str
+    fields: dict[str, Any]
+    why: str
+    deterministic: bool = False
+
+
+# In the order in which they are worth their time; more time tries more of them. All are cheap: an hour is better spent on
+# more updates of these than on agents that draw ten actions per row. The settings are those that their papers vary. Those that
+# draw their actions come first: importance weights can check them by logged rewards.
+CONTINUOUS = (
+    Candidate("bc", "bc", {}, "copies the log; what the others must beat"),
+    Candidate("iql", "iql", {}, "weighs logged actions by their advantage; joins parts of episodes"),
+    Candidate("awac", "awac", {}, "advantage-weighted imitation with a policy's own values"),
+    Candidate("iql-bold", "iql", {"expectile": 0.9, "beta": 10.0}, "for rewards that are rare"),
+    Candidate("td3_bc", "td3_bc", {}, "stays near the logged actions, improves where the values are sure", True),
+    Candidate("td3_bc-loose", "td3_bc", {"alpha": 10.0}, "for logs of poor or varied behaviour", True),
+    Candidate("td3_bc-close", "td3_bc", {"alpha": 1.0}, "for narrow logs of good behaviour", True),
+    Candidate("rebrac", "rebrac", {"batch_size": 256}, "TD3+BC with penalised targets and normalised critics", True),
+)
+DISCRETE = (
+    Candidate("bc", "bc", {}, "copies the log; what the others must beat"),
+    Candidate("iql", "iql", {}, "weighs logged actions by their advantage"),
+    Candidate("cql", "cql", {"cql_weight": 1.0}, "values of actions that the log lacks are pushed down"),
+    Candidate("bcq", "bcq", {}, "takes the best among actions that the log takes often enough"),
+    Candidate("iql-bold", "iql", {"expectile": 0.9, "beta": 10.0}, "for rewards that are rare"),
+    Candidate("cql-strict", "cql", {"cql_weight": 5.0}, "for logs that show few actions per state"),
+)
+
+
+def units(spec: Spec) -> dict[str, Any]:
+    """Settings that bring what agents learn from to about 1 in size, where the numbers of a log are far from that.
+
+    Agents learn little, or worse than nothing, from people's units: see docs/recommend.md.
+    """
+    found: dict[str, Any] = {} if usual_observations(spec) else {"standardise": True}
+    return found if (scale := reward_scale(spec)) == 1.0 else found | {"reward_scale": scale}
+
+
+def agent_of(candidate: Candidate, **common: Any) -> Agent:
+    """A candidate with such settings of all candidates as its agent has."""
+    kind = agent_class(candidate.agent)
+    own = {f.name for f in dataclasses.fields(kind)}
+    return kind(**{name: value for name, value in common.items() if name in own} | candidate.fields)

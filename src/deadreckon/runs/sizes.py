@@ -1,0 +1,25 @@
+"""What is told of a log whose numbers are far from 1 in size, where an agent learns from them as they are."""
+
+from deadreckon.agents.agent import Agent
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.sizes import about_observations, about_rewards, reward_scale
+from deadreckon.tasks.registry import of_log
+
+
+def about_sizes(log: Dataset, agent: Agent) -> list[str]:
+    """A line each on observations and rewards that an agent had better see in other units.
+
+    Nothing on the logs of known tasks, which agents learn from as their authors did, nor on what the settings change.
+    """
+    if of_log(log.name) is not None:
+        return []
+    own, needs, lines = vars(agent), agent.needs(log.spec), []
+    if not needs.standardise and (told := about_observations(log)):
+        do = "standardise them (--agent.standardise, in Python standardise=True)"
+        do = do if "standardise" in own else "change the units"
+        lines.append(f"{log.name}: {told}; networks learn best from observations of about 1: {do}")
+    if "reward" in needs.columns and own.get("reward_scale", 1.0) == 1.0 and (told := about_rewards(log.spec)):
+        scale = f"{reward_scale(log.spec):g}"
+        do = f"give --agent.reward-scale {scale}" if "reward_scale" in own else f"multiply the column by {scale}"
+        lines.append(f"{log.name}: {told}; {type(agent).__name__} is made for rewards of about 1: {do}")
+    return lines
