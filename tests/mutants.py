@@ -2168,6 +2168,35 @@ MUTANTS = (
         '    return ["--holdout", told["share"], "--holdout-by", told["by"]]', "    return []",
         "the command that makes a run again holds other episodes out", ("report/test_page.py",),
     ),
+    Mutant(
+        "constant-decides", "bench/claims.py", "self.undefined or self.constant or not", "self.undefined or not",
+        "a log on which all seeds differ by the same is taken as certain", ("bench/test_claims.py",),
+    ),
+    Mutant(
+        "offsets-are-usual", "data/sizes.py", "return _size(seen) > LARGE", "return seen.std > LARGE",
+        "observations with a large offset are of usual size", ("data/test_sizes.py",),
+    ),
+    Mutant(
+        "rare-flags-are-small", "data/sizes.py", "np.maximum(np.abs(seen.min), np.abs(seen.max)) < SMALL",
+        "_size(seen) < SMALL",
+        "flags that are rare are taken for small numbers", ("data/test_sizes.py",),
+    ),
+    Mutant(
+        "units-as-they-are", "runs/candidates.py", 'else {"standardise": True}', "else {}",
+        "candidates of `recommend` learn from degrees as they are", ("runs/test_sizes.py",),
+    ),
+    Mutant(
+        "later-fields-tell", "training/later_fields.py", 'if not f.metadata.get("later") or own(f)', "if f.init",
+        "a new field of an agent renames all cells of before", ("training/test_later_fields.py",),
+    ),
+    Mutant(
+        "one-hold-out-for-all", "runs/together.py", "begun = Folder(next(iter(runs)))", "begun = first",
+        "all logs of a program hold out what the first does when they are gone on with", ("runs/test_together.py",),
+    ),
+    Mutant(
+        "others-work-again", "bench/executor.py", "if not store.undone(chosen.jobs):", "if not chosen.jobs:",
+        "what another command has done since is done again", ("bench/test_runner.py",),
+    ),
 )
 
 

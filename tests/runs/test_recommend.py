@@ -26,8 +26,8 @@ from deadreckon.report import recommended
 from deadreckon.runs import attempt as work
 from deadreckon.runs import follow as module
 from deadreckon.runs.attempt import Attempt, Job
-from deadreckon.runs.candidates import Candidate
 from deadreckon.runs.callback import StopTraining
+from deadreckon.runs.candidates import Candidate
 from deadreckon.runs.durations import in_words, seconds_of
 from deadreckon.runs.recommend import recommend
 from deadreckon.runs.settings import RecommendSettings
