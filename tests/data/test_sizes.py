@@ -21,7 +21,8 @@ def log(observations, rewards=NOISE):
     ("column", "odd"),
     [
         (NOISE, False), (9.0 * NOISE, False), (11.0 * NOISE, True), (20.0 + NOISE, True), (0.05 * NOISE, False),
-        (0.01 * NOISE, True), (RARE, False), (0.05 * RARE, True), (np.zeros(ROWS), False), (np.full(ROWS, 0.01), False), (np.full(ROWS, -40.0), True),
+        (0.01 * NOISE, True), (RARE, False), (0.05 * RARE, True), (np.zeros(ROWS), False), (np.full(ROWS, 0.01), False),
+        (np.full(ROWS, -40.0), True),
     ],
 )  # fmt: skip
 def test_large_offsets_and_small_changes_are_unusual(column, odd):

@@ -14,8 +14,8 @@ def later(default: Any) -> Any:
 def told(*learners: Any) -> list[dataclasses.Field]:
     """Fields that tell learners of one class from others: all but later ones that have their defaults.
 
-    In the order in which they are declared, but for those of the class's `told_after`, which had a field before a class did that
-    it inherits from, and says behind which other it stood.
+    In the order in which they are declared, but for those of the class's `told_after`: it had them before a class did that it
+    inherits from, and says behind which others they stood.
     """
     own = lambda f: any(getattr(each, f.name) != f.default for each in learners)  # noqa: E731
     found = {f.name: f for f in dataclasses.fields(learners[0]) if not f.metadata.get("later") or own(f)}
