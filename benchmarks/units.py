@@ -21,7 +21,7 @@ from deadreckon.collect.in_task import collect_in_task
 from deadreckon.data.spec import Box
 from deadreckon.runs.candidates import units
 
-AGENTS = "bc", "iql", "awac", "td3_bc", "bear", "cql"
+AGENTS = "bc", "iql", "awac", "td3_bc", "bear"
 STEPS, SEEDS, EPISODES = 3_000, 3, 20
 SIZES = {"hidden": (64, 64), "critic_hidden": (64, 64), "behavior_hidden": (64, 64)}
 

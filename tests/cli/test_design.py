@@ -22,9 +22,10 @@ def table(tmp_path, monkeypatch):
         rows.append([f"{heat:.3f}", layers, colour, f"{(heat - 4) ** 2 + (layers - 3) ** 2 + (colour == 'red'):.3f}"])
     with open("alloys.csv", "w", newline="") as file:
         csv.writer(file).writerows([["heat", "layers", "colour", "cost"], *rows])
-    for name, scores in (("few", range(9)), ("same", [1] * 12), ("hole", [0, 1, 2, "", *range(8)])):
+    for name, scores in (("few", range(9)), ("same", [1] * 12), ("hole", [0, 1, 2, 3, *range(8)])):
         with open(f"{name}.csv", "w", newline="") as file:
-            csv.writer(file).writerows([["a", "y"], *([i / 2, y] for i, y in enumerate(scores))])
+            inputs = ["" if name == "hole" and i == 3 else i / 2 for i in range(len(scores))]
+            csv.writer(file).writerows([["a", "y"], *zip(inputs, scores)])
     return tmp_path
 
 
@@ -90,6 +91,7 @@ def test_with_a_judge(table, capsys):
         (["--method", "best", "--data", "nothing.csv", "--target", "cost"], "no file nothing.csv"),
         (["--method", "best", "--problem", "brannin"], "unknown problem 'brannin': did you mean branin or "),
         (["--method", "best", "--problem", "branin", "--apart", "1"], "--apart is about a table of your own (--data)"),
+        (["--method", "best", "--problem", "branin", "--sheet", "2"], "--sheet is about a table of your own (--data)"),
         (["--method", "best", "--problem", "branin", "--path", "x"], "unknown option of branin 'path'"),
         (["--method", "best", "--data", "alloys.csv", "--target", "cost", "--path", "x"], "--path is the file of a --problem"),
         (["--method", "best", "--data", "alloys.csv", "--target", "cost", "-n", "0"], "n must be 1 or more, got 0"),
@@ -103,7 +105,7 @@ def test_with_a_judge(table, capsys):
          "alloys: column colour has the unknown level 'blue' in row "),
         (["--method", "best", "--data", "few.csv", "--target", "y"], "few: 9 rows are too few to learn from"),
         (["--method", "best", "--data", "same.csv", "--target", "y"], "same: y is 1 in all rows, so nothing"),
-        (["--method", "best", "--data", "hole.csv", "--target", "y"], "hole: column y is empty in row 3"),
+        (["--method", "best", "--data", "hole.csv", "--target", "y"], "hole: column a is empty in row 3, counted from 0; fill"),
         (["bench", "--seeds", "0"], "--seeds must be 1 or more, got 0"),
         (["bench", "--problems", "nk", "--paths", "gfp", "x"], "--paths names gfp, which is not among --problems"),
     ],

@@ -10,7 +10,8 @@ from pyarrow import csv
 
 from deadreckon.cli.main import main
 from deadreckon.errors import UserError
-from deadreckon.mbo.design_schema import DesignColumn, DesignSchema, describe
+from deadreckon.mbo.design_draft import describe
+from deadreckon.mbo.design_schema import DesignColumn, DesignSchema
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.front import targets_of
 from tests.mbo.practice import TABLES

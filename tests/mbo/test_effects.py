@@ -13,7 +13,7 @@ from deadreckon.mbo.first_choice import first_choice, shown_interval
 from deadreckon.mbo.fitted import BLOCK, Fitted, covariance_of_members, in_blocks
 from deadreckon.mbo.forward import Forward, believed
 from deadreckon.mbo.nn_distance import neighbours, usual_distance
-from deadreckon.mbo.proposal_table import about, added_columns
+from deadreckon.mbo.proposal_table import about, added_columns, rounded
 from deadreckon.mbo.validation import cross_validated, judged
 from deadreckon.nets.mlp import MLP, ensemble
 from deadreckon.training.learner import unstack
@@ -230,8 +230,8 @@ def test_columns_beside_proposals_are_in_the_targets_sign():
         "predicted", "predicted_std", "predicted_low", "predicted_high", "distance_", "nearest_row", "nearest_score",
     ]  # fmt: skip
     assert more["predicted"] == [4.0, -1.0]
-    assert more["predicted_low"] == pytest.approx([4 - 1.959964, -1 - 2 * 1.959964])
-    assert more["predicted_high"] == pytest.approx([4 + 1.959964, -1 + 2 * 1.959964])
+    assert more["predicted_low"] == pytest.approx([4 - 1.959964, -1 - 2 * 1.959964], rel=1e-5)
+    assert more["predicted_high"] == pytest.approx([4 + 1.959964, -1 + 2 * 1.959964], rel=1e-5)
     assert more["nearest_row"] == [10, 22]
     assert more["nearest_score"] == [5.0, -1.0]
     np.testing.assert_array_equal(data.part(np.arange(12)[::-1]).numbered(np.array([8, 11])), [6, 0])
@@ -239,6 +239,20 @@ def test_columns_beside_proposals_are_in_the_targets_sign():
     assert np.isnan([low, high]).all()
     said = about(data, made)
     assert said["value"][said["what"].index("target")] == "cost, to be made small"
+
+
+def test_predictions_are_written_with_six_digits_and_scores_without_the_noise_of_sums():
+    third = 200 / 3
+    assert rounded(np.array([third, 0.0, np.nan, 1e-9 / 3]), 5.0)[:2] == [66.6667, 0.0]
+    assert rounded(np.array([-1e-9 / 3]), 5.0) == [-3.33333e-10]
+    assert rounded(np.array([1064.00123456]), 1e-3) == [1064.001235]  # scores that differ by little beside their size
+    a = np.arange(12.0)
+    data = Designs.from_frame({"a": a, "y": a + 0.1 + 0.2}, "y")  # 0.1 + 0.2 is 0.30000000000000004
+    made = Proposals("m", np.array([[0.2]], np.float32), np.array([third]), np.array([third]), 0)
+    more = added_columns(data, made)
+    assert more["nearest_score"] == [0.3]
+    assert more["predicted"] == more["predicted_std"] == [66.6667]
+    assert len(str(more["distance"][0])) <= 8
 
 
 def test_levels_that_are_numbers_count_in_sums_by_their_values():

@@ -131,8 +131,13 @@ def test_a_front_from_the_command_line(tmp_path, monkeypatch, capsys):
     assert "from the reference point gain 0, cost 2; the 3 proposals are expected to add" in out
     with open("f/proposals.csv", newline="") as file:
         found = list(csv.DictReader(file))
-    ends = [f"{what}_{target}" for target in ("gain", "cost") for what in ("predicted", "predicted_std", "mean_std")]
-    assert list(found[0]) == ["a", "b", *ends, "distance"]
+    kinds = ("predicted", "predicted_std", "predicted_low", "predicted_high", "mean_std")
+    ends = [f"{what}_{target}" for target in ("gain", "cost") for what in kinds]
+    near = ["nearest_row", "nearest_score_gain", "nearest_score_cost"]
+    assert list(found[0]) == ["a", "b", *ends, "distance", *near]
+    row = rows[int(found[0]["nearest_row"])]
+    assert [float(found[0][name]) for name in near[1:]] == pytest.approx(row[2:], rel=1e-11)
+    assert float(found[0]["predicted_low_cost"]) < float(found[0]["predicted_cost"]) < float(found[0]["predicted_high_cost"])
     assert float(found[0]["predicted_gain"]) == pytest.approx(float(found[0]["a"]) + float(found[0]["b"]), abs=0.3)
     sheets = calamine.CalamineWorkbook.from_path("f/proposals.xlsx")
     head, *cells = sheets.get_sheet_by_name("proposals").to_python()

@@ -1,22 +1,26 @@
 """What is said of a model out of fold, where the table is an awkward one."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.stats
 
 from deadreckon.errors import UserError
 from deadreckon.mbo import designer
-from deadreckon.mbo.designer import DesignInput
+from deadreckon.mbo.designer import DesignInput, Proposals
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.first_choice import interval
+from deadreckon.mbo.fitted import Fitted
 from deadreckon.mbo.forward import Forward, on_held_out
 from deadreckon.mbo.front import propose_front
 from deadreckon.mbo.gp import GP
 from deadreckon.mbo.proposal_table import about, about_front
-from deadreckon.mbo.validation import checkable
+from deadreckon.mbo.validation import checkable, judged
 from deadreckon.mbo.variables import Variable
 from deadreckon.report.design_advice import rule_note
-from deadreckon.report.design_front import _table
+from deadreckon.report.design_front import _observed
 
 AB = (Variable("a", low=0.0, high=1.0), Variable("b", low=0.0, high=1.0))
 
@@ -114,6 +118,62 @@ def test_what_was_not_tested_is_told_of_several_targets_and_in_spreadsheets_too(
     assert all("was not tested" in line for line in front.warnings)
     assert {"warning, y", "warning, z"} <= set(about_front(front)["what"])
     assert "warning" in about(front.data[0], front.made[0])["what"]
-    shown = re.findall(r'scope="row">(\d+)<', str(_table(front, front.data[0].x, front.observed, np.ones(12, bool))))
+    shown = re.findall(r'scope="row">(\d+)<', str(_observed(front)))
     assert set(map(int, shown)) <= set(range(0, 24, 2))  # rows of the table, of which every other one is pooled
     assert max(map(int, shown)) > 11
+
+
+# ---- models that rank no better than chance ---------------------------------------------------------------------------
+
+
+def quality(observed, predicted, **more):
+    """Of given predictions out of fold, none of them skilled unless it is said."""
+    fold = np.arange(len(observed)) % 5
+    return replace(judged(observed, predicted, np.ones(len(observed)), fold, "GP"), crossed=True, **more)
+
+
+def test_what_predictions_out_of_fold_are_worth_is_their_regression():
+    rng = np.random.default_rng(0)
+    m = rng.normal(size=30)
+    y = 5.0 + 0.6 * m + 0.5 * rng.normal(size=30)
+    line = scipy.stats.linregress(m, y)
+    a, b, std = quality(y, m).left
+    assert (a, b) == pytest.approx((line.intercept, line.slope))
+    error = np.sqrt(np.square(y - a - b * m).sum() / 28 * (1 + 1 / 30))
+    assert 1.959964 * std == pytest.approx(error * scipy.stats.t.ppf(0.975, 28), rel=1e-5)
+    assert quality(y, -m).left[:2] == (pytest.approx(y.mean() - 0.0), 0.0)  # a false order is worth nothing
+    assert quality(5.0 * m, m).left[1] == 1.0  # nor does it widen predictions
+    assert quality(y, np.full(30, 2.0)).left[:2] == (pytest.approx(y.mean()), 0.0)
+
+
+def test_a_model_without_skill_keeps_what_its_predictions_were_worth():
+    rng = np.random.default_rng(1)
+    noise = quality(60.0 + 8.0 * rng.normal(size=40), 60.0 + rng.normal(size=40))
+    assert not noise.skilled
+    a, b, std = noise.left
+    x = np.zeros((3, 2), np.float32)
+    averages = lambda x: (np.full(x.shape[:2], 76.0), np.eye(len(x)))  # noqa: E731
+    fitted = Fitted(lambda x: (np.full(len(x), 76.0), np.full(len(x), 0.5)), averages)
+    made = Proposals("GP", x, np.full(3, 76.0), np.full(3, 0.5), 0, fitted=fitted, mean_std=np.full(3, 0.3))
+    found = made.calibrated(noise)
+    assert found.predicted == pytest.approx(a + 76.0 * b)
+    assert found.predicted_std == pytest.approx(std)
+    assert found.mean_std == pytest.approx(std)
+    assert found.fitted.predict(x)[0] == pytest.approx(a + 76.0 * b)
+    assert found.fitted.predict(x)[1] == pytest.approx(std)
+    assert found.fitted.average(np.zeros((2, 3, 2)))[1] == pytest.approx((b**2 + std**2) * np.eye(2))
+    # Pooled scores vary less than one measurement, of which the model knows the noise.
+    noisy = replace(made, predicted_std=np.full(3, 20.0)).calibrated(noise)
+    assert noisy.predicted_std == pytest.approx(np.sqrt(20.0**2 - 0.3**2))
+
+
+def test_intervals_hold_new_measurements_of_what_is_proposed_from_noise():
+    """The process is surest beside rows it has seen, and proposes what lies beside those that were lucky."""
+    shares = []
+    for seed in (1000, 1001):
+        rng = np.random.default_rng(seed)
+        variables = [Variable(f"x{i}", low=0.0, high=1.0) for i in range(4)]
+        made = GP().propose(Designs.from_arrays(rng.uniform(size=(40, 4)), 60.0 + 8.0 * rng.normal(size=40), variables), 4)
+        low, high = interval(made.predicted, made.predicted_std)
+        shares.append((scipy.stats.norm.cdf(high, 60.0, 8.0) - scipy.stats.norm.cdf(low, 60.0, 8.0)).mean())
+    assert min(shares) > 0.8

@@ -7,12 +7,20 @@ import numpy as np
 import pytest
 from test_browser import PHONE
 
+from deadreckon.cli.design_front import told
 from deadreckon.mbo import designer
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.fitted import Fitted
-from deadreckon.mbo.nn_distance import nn_distance
+from deadreckon.mbo.front import Front, targets_of
+from deadreckon.mbo.nn_distance import neighbours, nn_distance
+from deadreckon.mbo.proposal_table import about_front
+from deadreckon.mbo.validation import judged
+from deadreckon.report.axes import Axis
 from deadreckon.report.design import write_design
+from deadreckon.report.design_asked import broken_rule
+from deadreckon.report.design_edges import at_rules
+from deadreckon.report.design_front import write_front
 from deadreckon.report.effects import _ticks_of_log
 
 SOLVENTS = ["water", "<oil & co>", "acetonitrile"]
@@ -79,6 +87,8 @@ def test_of_noise_nothing_is_praised(tmp_path):
     assert "The model ranks unseen designs no better than chance" in said
     assert "None of the proposals is preferred" in said
     assert "What it shows of the effects of variables cannot be told from none either" in said
+    assert said.count("changes the average by") == said.count("; not told from no effect") == len(data.variables)
+    assert "The best predicted score" not in said
     assert not re.search(r"Proposal \d|Around proposal|is the highest\b", said)
 
 
@@ -97,7 +107,7 @@ def test_an_order_and_predictions_without_deviation_are_told_as_such(tmp_path):
     order = Fitted(lambda x: (x[:, 3], None), is_order=True)
     _, said = page(data, Proposals("RaM", x, nan, nan, 0, fitted=order), tmp_path)
     assert "learns an order and predicts no scores" in said
-    assert "Upright: the order by the model" in said
+    assert "Vertical axis: the order by the model" in said
     assert "Whether effects of variables differ from none is not known" in said
     value = Fitted(lambda x: (x[:, 3], None))
     _, said = page(data, Proposals("COMs", x, x[:, 3].astype(float), nan, 0, fitted=value), tmp_path)
@@ -118,6 +128,106 @@ def test_what_lies_at_an_end_far_away_or_together_is_told(tmp_path):
     assert re.search(r"Of 3 proposals, in 3 b is at its upper end \([\d.]+\) of what is allowed", said)
     assert "1 of 3 proposals have a value beyond the data" in said
     assert "a and b (correlation 1.00)" in said
+
+
+def test_the_page_says_what_was_asked_and_which_rules_bind(tmp_path):
+    rng = np.random.default_rng(0)
+    a, b = rng.uniform(0, 1, (2, 24)).round(3)
+    a[:3], b[:3] = 0.9, 0.8  # replicates of one design, the best, which breaks a rule
+    frame = {"a": a, "b": b, "temp": 40 + 10 * (np.arange(24) % 4), "kind": ["x", "y"] * 12, "y": a + b}
+    frame["kind"][:3] = ["x"] * 3
+    frame["temp"][:3] = 50
+    frame["y"][:3] += [0.1, 0.0, -0.1]
+    rules = {"constraints": ["a + b <= 1.2"], "forbidden": ["kind = x & temp > 60"], "fixed": ["kind = x"], "apart": 0.5}
+    with pytest.warns(UserWarning, match="3 rows are replicates of 1 design and are pooled"):
+        data = Designs.from_frame(frame, "y", steps={"temp": 10}, **rules)
+    x = np.array([[0.5, 0.7, 60, 0], [0.6, 0.6, 60, 0], [0.2, 0.3, 50, 0]], np.float32)
+    _, said = page(data, Proposals("m", x, np.ones(3), np.ones(3), 0, fitted=Fitted(lambda x: (x[:, 0], None))), tmp_path)
+    for part in (
+        "3 proposals: y is to be made large.", "Always: a + b <= 1.2.", "Never: kind = x & temp > 60.", "fixed: x",
+        "At least 0.5 usual distances from each other.", "in steps of 10", "Learned from 24 rows, 22 different designs",
+        "3 rows are replicates of 1 design and are pooled; the standard deviation of y between replicates is 0.1.",
+        "The best of the data, row 0 (mean of 3), breaks a rule itself: always a + b <= 1.2.",
+        "row 0 (mean of 3), breaks a rule",
+        'Of 3 proposals, 2 stand at the edge of the rule "always a + b <= 1.2" and 2 stand at the edge of the rule '
+        '"never kind = x & temp > 60": better values may lie beyond.',
+    ):  # fmt: skip
+        assert part in said, part
+
+
+def test_rules_that_do_not_bind_are_not_told():
+    frame = {"a": np.linspace(0, 1, 12), "n": np.arange(12), "kind": ["x", "y"] * 6, "y": np.arange(12.0)}
+    rules = {"constraints": ["a + n <= 9"], "forbidden": ["kind = x & n >= 5"]}
+    data = Designs.from_frame(frame, "y", **rules)
+    rows = lambda *each: np.array(each, np.float32)  # noqa: E731
+    assert at_rules(data, rows([0.5, 8, 0])) == []
+    assert at_rules(data, rows([0.5, 4, 1])) == []  # the other kind is not kept out
+    assert at_rules(data, rows([0.5, 4, 0])) == ['1 stand at the edge of the rule "never kind = x & n >= 5"']
+    assert at_rules(data, rows([1, 8, 1])) == ['1 stand at the edge of the rule "always a + n <= 9"']
+    assert broken_rule(data, 8) == "never kind = x & n >= 5"
+    assert broken_rule(data, 4) is None
+
+
+def skill(skilled, rows):
+    """What was found of a model out of fold."""
+    observed = np.arange(float(rows))
+    predicted = observed if skilled else np.tile([0.0, 1.0], rows // 2)
+    return judged(observed, predicted, np.ones(rows), np.arange(rows) % 5, "GP")
+
+
+def two_targets(skilled):
+    """A front of two targets, of which the first model always has skill."""
+    rng = np.random.default_rng(0)
+    a, b = rng.uniform(0, 1, (2, 30)).round(3)
+    frame = {"a": a, "b": b, "gain": a, "Cost / EUR": a * b}
+    data = targets_of(lambda target, **more: Designs.from_frame(frame, target, **more), ["gain", "Cost / EUR"], ["Cost / EUR"])
+    x = np.array([[0.9, 0.1], [0.7, 0.05]], np.float32)
+    made = tuple(
+        Proposals("GP", x, np.array([0.8, 0.7]) * sign, np.array([0.1, 0.2]), 0, quality=skill(known, 30), mean_std=np.ones(2))
+        for sign, known in ((1, True), (-1, skilled))
+    )
+    return Front(tuple(data), made, np.array([0.1, -0.9]), 34.6, 14.2)
+
+
+def front_page(front, tmp_path):
+    text = write_front(front, tmp_path / "front.html").read_text()
+    return text, re.sub(r"\s+", " ", html.unescape(re.sub(r"<(style|script).*?</\1>|<[^>]+>", " ", text, flags=re.S)))
+
+
+def test_the_page_of_several_targets_says_what_that_of_one_does(tmp_path):
+    front = two_targets(True)
+    text, said = front_page(front, tmp_path)
+    assert "measured from gain 0.100, Cost / EUR 0.900: the area of outcomes, better than this point" in said
+    assert "The proposals are expected to add 14.2." in said
+    near = int(front.data[0].numbered(neighbours(front.data[0], front.made[0].x, 1)[1][0])[0])
+    for part in (
+        "What the models do not know The model of gain Rows that it had not seen (30 rows)", "The model of Cost / EUR",
+        "The proposals", "What was asked", "gain is to be made large and Cost / EUR is to be made small",
+        "0.800 0.604 to 0.996 0.800 0.604 to 0.996", f"{near}: ", "nearest rows", "Triangles: the other designs of the data",
+    ):  # fmt: skip
+        assert part in said, part
+    assert re.search(r'<div class="charts two"><figure>', text)
+
+
+def test_where_a_model_has_no_skill_no_gain_is_stated(tmp_path):
+    front = two_targets(False)
+    text, said = front_page(front, tmp_path)
+    lead = re.search(r'<p class="lead">(.*?)</p>', text)[1]
+    assert lead.startswith("The model of Cost / EUR ranks unseen designs no better than chance: in Cost / EUR the proposals")
+    assert "what they would gain is not known" in lead
+    assert "14.2" not in said
+    assert about_front(front)["value"][about_front(front)["what"].index("expected to be added")] == "not known"
+    assert "what the 2 proposals add to it is not known" in told(front)[1]
+
+
+def test_an_axis_has_two_ticks_at_least():
+    assert Axis(2.0, 98.0, 0, 1, most=4).ticks == [25, 50, 75]
+    rng = np.random.default_rng(0)
+    for low, span in zip(rng.normal(size=300), 10 ** rng.uniform(-3, 3, 300)):
+        for most in (3, 4, 5, 6):
+            assert 2 <= len(Axis(low, low + span, 0, 1, most=most).ticks) <= most + 2
+    assert len(Axis(-0.3, 0.4, 0, 1, symlog=True).ticks) > 1
+    assert _ticks_of_log(np.array([1.5, 4.9])) == [1.5, 4.9]
 
 
 def test_ticks_of_a_log_axis():

@@ -11,7 +11,8 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from deadreckon.cli import design_front
-from deadreckon.cli.design_asked import asked, check_problem, designs
+from deadreckon.cli.data import Reading
+from deadreckon.cli.design_asked import asked, check_problem, designs, reading
 from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar, Watch
 from deadreckon.cli.sheets import write_beside
@@ -40,6 +41,7 @@ class Design:
     bounds: dict[str, tuple[float, float]] = dataclasses.field(default_factory=dict)
     """bounds of columns, as COLUMN LOW HIGH; default: the range of the data"""
     ignore: tuple[str, ...] = ()  # columns that are not inputs
+    file: Annotated[Reading, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Reading)  # how the table is read
     targets: tuple[str, ...] = ()  # columns of several scores at once, for a front of designs, instead of --target
     minimise: tuple[str, ...] | None = None
     """whether to minimise the target instead; with --targets the names of those to minimise"""
@@ -254,15 +256,16 @@ class Describe:
 
     data: Annotated[str, tyro.conf.Positional]  # table of scored designs
     target: str | None = None  # column of the scores; None: the last column of numbers
+    file: Annotated[Reading, tyro.conf.arg(name="")] = dataclasses.field(default_factory=Reading)  # how the table is read
     save: str | None = None  # path of the TOML file to write; None: print the schema
 
 
 def describe(args: Sequence[str]) -> None:
     """Drafts a schema."""
-    from deadreckon.mbo.design_schema import describe as drafted
+    from deadreckon.mbo.design_draft import describe as drafted
 
     options = parse(Describe, args, "design describe")
-    schema, told = drafted(options.data, options.target)
+    schema, told = drafted(options.data, options.target, **reading(options))
     for line in told:
         print(f"! {line}", file=sys.stderr)
     if options.save is None:

@@ -16,8 +16,9 @@ def check_problem(options: Any) -> None:
     Raises:
         UserError: one line, with the option.
     """
-    for name in OF_TABLES:
-        if getattr(options, name) not in (None, (), {}):
+    said = {name: getattr(options, name) for name in OF_TABLES} | reading(options)
+    for name, value in said.items():
+        if value not in (None, (), {}):
             raise UserError(f"--{name.replace('_', '-')} is about a table of your own (--data); leave it out with --problem")
 
 
@@ -41,14 +42,19 @@ def designs(options: Any) -> Any:
     return Designs.from_csv(options.data or "", options.target or "", **more)
 
 
+def reading(options: Any) -> dict[str, Any]:
+    """Keywords of the reader of tables that were given."""
+    return {key: value for key, value in vars(options.file).items() if value is not None}
+
+
 def asked(options: Any) -> dict[str, Any]:
-    """Keywords of `Designs.from_frame` but for those of the scores."""
+    """Keywords of `Designs.from_csv` but for those of the scores."""
     return {
         "kinds": options.kinds, "bounds": options.bounds, "ignore": options.ignore,
         "levels": {column: _listed(text) for column, text in options.levels.items()}, "steps": options.steps,
         "logs": options.logs, "fixed": options.fix,
         "constraints": options.constraints, "mixtures": tuple(map(_listed, options.mixtures)), "forbidden": options.forbid,
-        "max_distance": options.max_distance, "apart": options.apart,
+        "max_distance": options.max_distance, "apart": options.apart, **reading(options),
     }  # fmt: skip
 
 

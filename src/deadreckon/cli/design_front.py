@@ -1,7 +1,6 @@
 """`deadreckon design --targets A B`: proposals, lines, CSV and page for several targets at once."""
 
 import sys
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -49,17 +48,17 @@ def check_schema(path: Any, schema: Any) -> None:
         )
 
 
-def added_names(data: Any) -> list[str]:
-    """What columns of the proposals are called: prediction, deviation and that of the true score, for one target after another.
+def check_names(data: Any) -> None:
+    """Refuses targets of which columns of the proposals would be called the same.
 
     Raises:
         UserError: two targets would have a column in common.
     """
-    from deadreckon.mbo.proposal_table import free_name
+    from deadreckon.mbo.proposal_table import OF_TARGET, free_name
 
     owners: dict[str, str] = {}
     for each in data:
-        for what in ("predicted", "predicted_std", "mean_std"):
+        for what in OF_TARGET:
             name = free_name(f"{what}_{each.target}", data[0])
             if name in owners:
                 raise UserError(
@@ -67,7 +66,6 @@ def added_names(data: Any) -> list[str]:
                     "proposals; rename one of them in the table"
                 )
             owners[name] = each.target
-    return list(owners)
 
 
 def write_proposals(options: Any, asked: dict[str, Any]) -> None:
@@ -78,8 +76,7 @@ def write_proposals(options: Any, asked: dict[str, Any]) -> None:
     from deadreckon.mbo.design_schema import DesignSchema
     from deadreckon.mbo.designs import Designs
     from deadreckon.mbo.front import propose_front, targets_of
-    from deadreckon.mbo.nn_distance import nn_distance
-    from deadreckon.mbo.proposal_table import about_front, free_name
+    from deadreckon.mbo.proposal_table import about_front, added_columns_of_front
     from deadreckon.report.design_front import write_front
 
     schema = None if options.schema is None else DesignSchema.load(options.schema)
@@ -87,7 +84,7 @@ def write_proposals(options: Any, asked: dict[str, Any]) -> None:
         check_schema(options.schema, schema)
     read = Designs.from_csv if schema is None else schema.read
     data = targets_of(lambda **more: read(options.data, **more), options.targets, options.minimise or (), **asked)
-    names = added_names(data)
+    check_names(data)
     point = None
     if options.reference:
         if set(options.reference) != set(options.targets):
@@ -97,16 +94,14 @@ def write_proposals(options: Any, asked: dict[str, Any]) -> None:
     with alone(out, what=str(out)):
         with Watch() as watch:
             front = propose_front(data, options.n, seed=options.seed, reference=point, repeat=options.repeat, watch=watch)
-        x = front.made[0].x
-        more = [(each.shown(made.predicted), made.predicted_std, made.mean_std) for each, made in zip(data, front.made)]
-        named: dict[str, Any] = dict(zip(names, chain(*more))) | {free_name("distance", data[0]): nn_distance(data[0], x)}
-        written = data[0].write(out / "proposals.csv", x, named)
+        x, more = front.made[0].x, added_columns_of_front(front)
+        written = data[0].write(out / "proposals.csv", x, more)
         for line in told(front):
             print(line)
         for line in front.warnings:
             print(f"! {line}", file=sys.stderr)
         print(written)
-        write_beside(data[0].decode(x) | named, about_front(front), out / "proposals.xlsx")
+        write_beside(data[0].decode(x) | more, about_front(front), out / "proposals.xlsx")
         print(write_front(front, out / "report.html"))
 
 
@@ -118,9 +113,11 @@ def told(front: Any) -> list[str]:
     names = ", ".join(f"{'least' if each.minimise else 'greatest'} {each.target}" for each in front.data)
     point = ", ".join(f"{each.target} {value:,.4g}" for each, value in zip(front.data, front.shown(front.reference)))
     size, best, n = f"{len(data):,} designs, {len(data.variables):,} variables", non_dominated(y).sum(), len(front.made[0])
+    gain = f"what the {n:,} proposals add to it is not known"
+    if not front.unskilled:
+        gain = f"the {n:,} proposals are expected to add {front.gain:,.4g}"
     lines = [
         f"{data.name}: {size}; {names}; {best:,} designs are on the front of the data",
-        f"hypervolume of the data {front.before:,.4g} from the reference point {point}; the {n:,} proposals are expected "
-        f"to add {front.gain:,.4g}",
+        f"hypervolume of the data {front.before:,.4g} from the reference point {point}; {gain}",
     ]
     return lines + [str(made.quality) for made in front.made if made.quality is not None]

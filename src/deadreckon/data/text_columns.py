@@ -1,6 +1,6 @@
 """Texts of dates and flags in tables whose columns have types (data frames, Parquet), read as they are in text files."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import pyarrow as pa
@@ -13,22 +13,27 @@ from deadreckon.data.formats.dates import dates_of
 _WRITTEN = r"^(?:\d{1,2}[./-]\d{1,2}[./-]\d{4}|\d{4}[./]\d{1,2}[./]\d{1,2})(?:[ ,T].*)?$"
 
 
-def with_dates(table: pa.Table, asked: str | None = None) -> tuple[pa.Table, str | None, list[str]]:
+def with_dates(
+    table: pa.Table, asked: str | None = None, texts: Collection[str] = ()
+) -> tuple[pa.Table, str | None, list[str]]:  # fmt: skip
     """The table, where columns of texts or categories such as 03.04.2024 hold timestamps.
 
     Args:
         table: of any columns.
         asked: `iso`, `day-first` or `month-first`, or None; see `dates_of`.
+        texts: columns that stay as they are.
 
     Returns:
         The table, the order that was taken (None: there was none to take), and what to tell.
     """
-    texts = {}
+    written = {}
     for name in (name for name, kind in zip(table.column_names, table.schema.types, strict=True) if is_text(kind)):
+        if name in texts:
+            continue
         values = table.column(name)
         if all_match(_texts(values[:SAMPLE]), _WRITTEN) and all_match(found := _texts(values), _WRITTEN):
-            texts[name] = found
-    done, order, told = dates_of(texts, asked, european=False)
+            written[name] = found
+    done, order, told = dates_of(written, asked, european=False)
     for name, moments in done.items():
         table = table.set_column(table.column_names.index(name), name, moments)
     return table, order, told

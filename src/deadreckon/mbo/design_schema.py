@@ -11,21 +11,20 @@
     step = 5.0
 """
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
-from deadreckon.data.formats.any_table import read_table
 from deadreckon.data.formats.kind import READING
 from deadreckon.data.schema import toml_value
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml, replacing
 from deadreckon.foreign.shapes import checked, wrong
 from deadreckon.mbo.constraints import quoted
+from deadreckon.mbo.design_table import name_of, read_designs, warn
 from deadreckon.mbo.design_values import DesignValues
-from deadreckon.mbo.designs import Designs, name_of
+from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.variables import KINDS
 from deadreckon.names import shown
 
@@ -132,22 +131,23 @@ class DesignSchema:
 
         Args:
             path: of the file.
-            more: keywords of `Designs.from_frame` that add to the schema's: entries of mappings and lists; others replace.
+            more: keywords of `Designs.from_frame` that add to the schema's, entries of mappings and lists, others replace; and
+                those of the reader, which replace the schema's.
 
         Raises:
             UserError: there is no target, a column is not in the file, or what `Designs.from_frame` refuses.
         """
-        table, _, told = read_table(path, **self.table)
-        for line in told:
-            warnings.warn(f"{path}: {line}", stacklevel=2)
+        ways = {**self.table, **{key: more.pop(key) for key in READING if key in more}}
         asked = together(self.called(more).options(), more)
+        table, _, told = read_designs(path, ways, set(asked["ignore"]) - set(more.get("targets", ())))
+        warn(path, told)
         target = asked.pop("target")
         if target is None:
             raise UserError(f'{path}: no column is the target; give one the role "target" in the schema, or name it (--target)')
         known = {*self.columns, target, asked["std_error"], *asked["weights"], *asked["ignore"]}
         strangers = [name for name in table.column_names if name not in known and name.strip()]
         if strangers:
-            warnings.warn(f"{path}: not in the schema and left out: {', '.join(strangers)}", stacklevel=2)
+            warn(path, [f"not in the schema and left out: {', '.join(strangers)}"])
         asked["ignore"] = [*asked["ignore"], *strangers]
         return Designs.from_frame(table, target, name=name_of(path), **asked)
 
@@ -247,55 +247,3 @@ def together(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, A
         elif value is not None and (value is not False or key not in first):
             out[key] = value
     return out
-
-
-def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[DesignSchema, list[str]]:
-    """Drafts a schema for a table: the target, and for all other columns the kind, the range or the levels.
-
-    Args:
-        path: of the file.
-        target: its column of scores; None: the last column of numbers.
-        ways: options of the reader of tables.
-
-    Returns:
-        The schema, and one line for each choice that should be checked.
-    """
-    from deadreckon.data.arrow import is_number
-    from deadreckon.data.describe import pinned
-    from deadreckon.data.kinds import check_column
-    from deadreckon.data.roles import row_numbers
-    from deadreckon.mbo.variables import variable_of
-
-    table, dialect, told = read_table(path, **ways)
-    name = name_of(path)
-    names = table.column_names
-    if target is not None:
-        check_column(table, target, name)
-    columns: dict[str, DesignColumn] = {}
-    left = row_numbers(names)
-    for column in names:
-        if column in left:
-            columns[column] = DesignColumn("ignore", about="looks like a row number")
-            continue
-        try:
-            _, v = variable_of(name, table, column, None, None, None)
-        except UserError as error:  # what must be mended in the table, or said in the schema
-            columns[column] = DesignColumn("ignore", about=str(error).removeprefix(f"{name}: "))
-            told.append(f"{columns[column].about}: ignored so far")
-            continue
-        if v.leveled:
-            numbers = all(isinstance(level, int | float) or is_number(str(level)) for level in v.levels)
-            more = "" if numbers else "; if they are in order, make it ordinal"
-            columns[column] = DesignColumn("input", v.kind, levels=v.levels, about=f"{len(v.levels)} levels{more}")
-        else:
-            values = table.column(column).to_numpy()
-            about = f"{len(set(values.tolist())):,} different values"
-            columns[column] = DesignColumn("input", v.kind, v.low, v.high, about=about)
-    if target is None:
-        found = [each for each, column in columns.items() if column.role == "input" and column.low is not None]
-        if not found:
-            raise UserError(f"{name}: no column holds numbers that could be the target")
-        target = found[-1]
-        told.append(f"the last column of numbers, {target}, is taken as the target (--target)")
-    columns[target] = DesignColumn("target", about=columns[target].about)
-    return DesignSchema(columns, table=pinned(dialect) | ways), told

@@ -94,9 +94,23 @@ class Proposals(Shown):
         return "how well the method predicts designs that it has not seen was not tested; its predictions may rest on nothing"
 
     def calibrated(self, quality: Quality) -> "Proposals":
-        """The same with deviations, of the model too, times the factor that was found out of fold."""
-        fitted = self.fitted and self.fitted.calibrated(quality.factor)
-        return dataclasses.replace(self, predicted_std=quality.factor * self.predicted_std, quality=quality, fitted=fitted)
+        """The same with deviations, of the model too, times the factor that was found out of fold.
+
+        A model that ranks no better than chance keeps of its predictions what they were worth out of fold (`Quality.left`): it
+        is surest beside rows that it has seen, and proposes what lies beside those that were lucky.
+        """
+        if quality.skilled or not quality.scored:
+            fitted = self.fitted and self.fitted.calibrated(quality.factor)
+            return dataclasses.replace(self, predicted_std=quality.factor * self.predicted_std, quality=quality, fitted=fitted)
+        a, b, std = quality.left
+        if self.mean_std is not None:  # pooled scores vary less than one measurement
+            noise = np.square(self.predicted_std) - np.square(self.mean_std)
+            std = max(std, float(np.sqrt(np.maximum(noise, 0.0).mean())))
+        every = np.full(len(self.x), std)
+        return dataclasses.replace(
+            self, predicted=a + b * self.predicted, predicted_std=every, quality=quality,
+            mean_std=None if self.mean_std is None else every, fitted=self.fitted and self.fitted.shrunk(a, b, std),
+        )  # fmt: skip
 
 
 class DesignInput(NamedTuple):

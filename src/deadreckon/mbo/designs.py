@@ -1,6 +1,5 @@
 """Scored designs: inputs x with one score y each, what every variable may be, and the coordinates that methods see."""
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -10,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from deadreckon.data.arrow import to_arrow
-from deadreckon.data.encode import numbers
-from deadreckon.data.formats.any_table import read_table
 from deadreckon.data.formats.csv_out import write_table
 from deadreckon.data.formats.kind import READING
 from deadreckon.data.kinds import check_column
 from deadreckon.data.roles import row_numbers
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
+from deadreckon.mbo import doubts
 from deadreckon.mbo.coordinates import Coordinates
+from deadreckon.mbo.design_table import check_filled, name_of, numbers_of, read_designs, scored, trimmed, warn
 from deadreckon.mbo.repair import Repair
 from deadreckon.mbo.replicates import pooled
 from deadreckon.mbo.rules import NO_RULES, Rules
@@ -43,6 +42,7 @@ class Designs(Shown):
         replicates: (rows,) how many measurements a row is the mean of; None: one each.
         std_error: (rows,) standard error of `y`; None: not known.
         table_rows: (rows,) the first row of the table that each is, counted from 0; None: they are the table's own.
+        pooling: what was done with rows of the same design (`mbo.replicates.pooled`), in words; None: nothing.
     """
 
     x: np.ndarray
@@ -55,6 +55,7 @@ class Designs(Shown):
     replicates: np.ndarray | None = None
     std_error: np.ndarray | None = None
     table_rows: np.ndarray | None = None
+    pooling: str | None = None
 
     def __post_init__(self):
         object.__setattr__(self, "x", np.asarray(self.x, np.float32))
@@ -68,10 +69,12 @@ class Designs(Shown):
             raise UserError(f"{self.name}: x must have shape {asked}, got {self.x.shape}")
         self.check(self.x)
         if not np.isfinite(self.y).all():
-            raise UserError(f"{self.name}: {self.target} is not finite in row {int(np.argmin(np.isfinite(self.y)))}")
+            row = int(self.numbered(np.array(np.isfinite(self.y).argmin())))
+            raise UserError(f"{self.name}: {self.target} is not finite in row {row}")
         if np.abs(self.y).max(initial=0.0) > LARGEST:
             most = int(np.abs(self.y).argmax())
-            raise UserError(f"{self.name}: {self.target} is {self.y[most]:g} in row {most}, and may be {LARGEST:g} at most")
+            where = f"in row {int(self.numbered(np.array(most)))}, and may be {LARGEST:g} at most"
+            raise UserError(f"{self.name}: {self.target} is {self.y[most]:g} {where}")
         if len(self.y) < FEWEST:
             raise UserError(f"{self.name}: {len(self.y)} rows are too few to learn from, {FEWEST} or more are needed")
         if np.ptp(self.y) == 0:
@@ -108,9 +111,9 @@ class Designs(Shown):
             options: as for `from_frame`, and those of the reader (`data.formats.any_table.read_table`).
         """
         ways = {key: options.pop(key) for key in READING if key in options}
-        table, _, told = read_table(path, **ways)
-        for line in told:
-            warnings.warn(f"{path}: {line}", stacklevel=2)
+        ignored = set(options.get("ignore", ())) - set(options.get("targets", ()))
+        table, _, told = read_designs(path, ways, ignored)
+        warn(path, told)
         options.setdefault("name", name_of(path))
         return cls.from_frame(table, target, **options)
 
@@ -131,9 +134,10 @@ class Designs(Shown):
         std_error: str | None = None,
         weights: Mapping[str, float] | None = None,
         pool: bool = True,
+        targets: Sequence[str] = (),
         **rules: Any,
     ) -> "Designs":
-        """Designs of a table, a row each.
+        """Designs of a table, a row each, without blanks at ends of texts. Rows without a score are left out, and told.
 
         Args:
             frame: a pandas, polars or pyarrow table, or a mapping of column names to values.
@@ -151,6 +155,7 @@ class Designs(Shown):
             std_error: column with the standard error of the target.
             weights: further columns that count, such as a cost: the score is the target plus the sum of weight times column.
             pool: whether rows of the same design become one, with the mean score (`mbo.replicates.pooled`).
+            targets: all scores that are asked for of this table, one after the other: a row with none of them is left out.
             rules: that proposals must satisfy; see `mbo.rules.Rules.of`.
 
         Raises:
@@ -169,29 +174,35 @@ class Designs(Shown):
             raise UserError(f"{name}: the table has no rows")
         inputs = [column for column in table.column_names if column not in outputs and column not in ignore]
         if index := row_numbers(inputs):
-            warnings.warn(f"{name}: column {index[0]!r} looks like a row number and is left out", stacklevel=2)
+            warn(name, [f"column {index[0]!r} looks like a row number and is left out"])
             inputs = [column for column in inputs if column not in index]
         if not inputs:
             raise UserError(f"{name}: there is no column beside the target {target!r}")
-        y, columns, variables = numbers(name, table, target), [], []
+        table = trimmed(table, inputs)
+        rows, planned = scored(name, table, targets or [target])
+        warn(name, [planned] if planned else [])
+        check_filled(name, table, inputs, outputs, rows)
+        y, columns, variables = numbers_of(name, table, target, rows), [], []
+        told = doubts.of_target(target, y, rows)
         for column, weight in (weights or {}).items():
-            y = y + weight * numbers(name, table, column)
+            y = y + weight * numbers_of(name, table, column, rows)
         for column in inputs:
             values, variable = variable_of(
-                name, table, column, (kinds or {}).get(column), (bounds or {}).get(column), (levels or {}).get(column)
+                name, table, column, (kinds or {}).get(column), (bounds or {}).get(column), (levels or {}).get(column), rows
             )
             columns.append(values)
             variables.append(replace(variable, step=(steps or {}).get(column), log=column in logs))
-        error = None if std_error is None else numbers(name, table, std_error)
+        error = None if std_error is None else numbers_of(name, table, std_error, rows)
         if error is not None and (error < 0).any():
             row = int(error.argmin())
-            raise UserError(f"{name}: column {std_error} is {error[row]:g} in row {row}, standard errors are 0 or more")
-        x, scores = np.stack(columns, 1).astype(np.float32), -y if minimise else y
+            raise UserError(f"{name}: column {std_error} is {error[row]:g} in row {rows[row]}, standard errors are 0 or more")
+        x, scores = np.stack(columns, 1), -y if minimise else y
         made = cls(
             x, scores, tuple(variables), name, score_name(target, weights), minimise,
-            Rules.of(variables, name=name, **rules), std_error=error,
+            Rules.of(variables, name=name, **rules), std_error=error, table_rows=rows if planned else None,
         )  # fmt: skip
         made.repair.check_possible()
+        warn(name, doubts.of_inputs(variables, x, rows, tuple(bounds or ()), made.rules) + told)
         return pooled(made) if pool else made
 
     def shown(self, scores: Any) -> Any:
@@ -252,14 +263,15 @@ class Designs(Shown):
         Raises:
             UserError: a column is missing, a value is out of bounds, or a level is not known.
         """
-        table = to_arrow(frame, self.name)
-        columns = []
+        table, columns = to_arrow(frame, self.name), []
+        rows = np.arange(table.num_rows)
         for v in self.variables:
             check_column(table, v.name, self.name)
             if v.leveled:
-                columns.append(codes(self.name, v.name, filled(self.name, table, v.name), v.levels))
+                values = filled(self.name, trimmed(table, [v.name]), v.name, rows)
+                columns.append(codes(self.name, v.name, values, v.levels, rows))
             else:
-                columns.append(numbers(self.name, table, v.name))
+                columns.append(numbers_of(self.name, table, v.name, rows))
         x = np.stack(columns, 1)
         self.check(x)
         return x.astype(np.float32)
@@ -286,9 +298,3 @@ class Designs(Shown):
 def score_name(target: str, weights: Mapping[str, float] | None) -> str:
     """What a score is called: the target, with the columns that count beside it."""
     return target + "".join(f" {'-' if weight < 0 else '+'} {abs(weight):g} {key}" for key, weight in (weights or {}).items())
-
-
-def name_of(path: Path | str) -> str:
-    """What data is called: its file without endings."""
-    name = Path(path).name.removesuffix(".gz")
-    return name.rpartition(".")[0] or name

@@ -50,6 +50,15 @@ class Fitted:
         """The same with another factor on standard deviations."""
         return replace(self, factor=factor)
 
+    def shrunk(self, a: float, b: float, std: float) -> "Fitted":
+        """A model that says a + b m where this one says m, all with the same deviation."""
+
+        def averages(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            mean, covariance = self.average(x)
+            return a + b * mean, std**2 * np.eye(len(x)) if covariance is None else b**2 * covariance + std**2 * np.eye(len(x))
+
+        return Fitted(lambda x: (a + b * self.predictions(x)[0], np.full(len(x), std)), averages)
+
     @classmethod
     def of(cls, data: Designs, believed: Callable[[Any], tuple[Any, Any]], *, is_order: bool = False) -> "Fitted":
         """Of a function from coordinates to standardised means and deviations (or None), such as `Designer.decoded` takes."""

@@ -64,6 +64,12 @@ class Front:
         return np.stack([each.shown(scores[..., k]) for k, each in enumerate(self.data)], -1)
 
     @property
+    def unskilled(self) -> list[str]:
+        """Targets whose models rank unseen designs no better than chance, so that the gain is not known."""
+        qualities = [made.quality for made in self.made]
+        return [each.target for each, quality in zip(self.data, qualities) if quality is not None and not quality.skilled]
+
+    @property
     def warnings(self) -> list[str]:
         """What should be known before anybody tries the proposals, by target."""
         return [f"{each.target}: {made.warning}" for each, made in zip(self.data, self.made) if made.warning]
@@ -155,8 +161,8 @@ def propose_front(
 
 def _predicted(process: Process, x: np.ndarray, seed: int, quality: Quality | None) -> Proposals:
     mean, std = process.posterior(x)
-    measured = (quality.factor if quality else 1.0) * np.hypot(std, process.noise)
-    return Proposals(LABEL, x, mean, measured, seed, quality=quality, mean_std=std)
+    made = Proposals(LABEL, x, mean, np.hypot(std, process.noise), seed, mean_std=std)
+    return made.calibrated(quality) if quality else made
 
 
 def _range(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -249,7 +255,7 @@ def targets_of(read: Callable[..., Designs], targets: Sequence[str], minimise: S
     """The same designs with the scores of each target.
 
     Args:
-        read: of one target (`target`, `minimise`, `ignore` and more), such as `Designs.from_frame` of a table.
+        read: of one target (`target`, `minimise`, `ignore`, `targets` and more), such as `Designs.from_frame` of a table.
         targets: columns of the scores.
         minimise: those of them that are to be made small.
         options: keywords of `read`.
@@ -263,4 +269,5 @@ def targets_of(read: Callable[..., Designs], targets: Sequence[str], minimise: S
         raise UserError(f"{strangers[0]} is to be made small and is no target; targets are {', '.join(targets)}")
     ignore = tuple(options.pop("ignore", ()))
     others = lambda target: (*ignore, *(name for name in targets if name != target))  # noqa: E731
-    return [read(target=name, minimise=name in minimise, ignore=others(name), **options) for name in targets]
+    each = lambda name: {"target": name, "minimise": name in minimise, "ignore": others(name), "targets": targets}  # noqa: E731
+    return [read(**each(name), **options) for name in targets]

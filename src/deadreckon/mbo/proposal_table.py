@@ -1,5 +1,6 @@
 """What is written beside proposals in their table: predictions, intervals, distances, and the nearest scored designs."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,10 @@ MEAN = "what the model predicts"
 ONE = "standard deviation of one new measurement, noise included"
 TRUE = "standard deviation of the true score, by the model, not calibrated"
 DISTANCE = "to the nearest scored row; 1 is the median distance of a scored row to its nearest neighbour"
+NEAREST = "row of the data that is nearest, counted from 0 without the line of names"
+# Columns that each of several targets has.
+OF_TARGET = ("predicted", "predicted_std", "predicted_low", "predicted_high", "mean_std", "nearest_score")
+DIGITS, EXACT = 6, 12  # significant ones of predictions, and of scores that were measured
 
 
 def added_columns(data: Designs, made: Proposals, true: np.ndarray | None = None) -> dict[str, list[Any]]:
@@ -33,13 +38,47 @@ def added_columns(data: Designs, made: Proposals, true: np.ndarray | None = None
         there is an oracle. What the method does not give is NaN.
     """
     far, rows = neighbours(data, made.x, 1)
+    more = _predictions(data, made)
+    more |= {"distance": rounded(far[:, 0], 1.0), "nearest_row": data.numbered(rows[:, 0]).tolist()}
+    more["nearest_score"] = _measured(data, rows[:, 0])
+    if true is not None:
+        more["true"] = np.asarray(data.shown(true)).tolist()
+    return {free_name(name, data): values for name, values in more.items()}
+
+
+def added_columns_of_front(front: Front) -> dict[str, list[Any]]:
+    """The same for several targets, whose names stand behind those of `OF_TARGET`; distance and nearest row are of all."""
+    first, x = front.data[0], front.made[0].x
+    far, rows = neighbours(first, x, 1)
+    more: dict[str, list[Any]] = {}
+    for data, made in zip(front.data, front.made):
+        more |= {f"{name}_{data.target}": values for name, values in _predictions(data, made).items()}
+    more |= {"distance": rounded(far[:, 0], 1.0), "nearest_row": first.numbered(rows[:, 0]).tolist()}
+    more |= {f"nearest_score_{data.target}": _measured(data, rows[:, 0]) for data in front.data}
+    return {free_name(name, first): values for name, values in more.items()}
+
+
+def _predictions(data: Designs, made: Proposals) -> dict[str, list[Any]]:
     low, high = shown_interval(data, made.predicted, made.predicted_std)
     more = {"predicted": data.shown(made.predicted), "predicted_std": made.predicted_std}
     more |= {"predicted_low": low, "predicted_high": high} | ({} if made.mean_std is None else {"mean_std": made.mean_std})
-    more |= {"distance": far[:, 0], "nearest_row": data.numbered(rows[:, 0]), "nearest_score": data.shown(data.y[rows[:, 0]])}
-    if true is not None:
-        more["true"] = data.shown(true)
-    return {free_name(name, data): np.asarray(values).tolist() for name, values in more.items()}
+    spread = float(data.y.std())
+    return {name: rounded(np.asarray(values), spread) for name, values in more.items()}
+
+
+def rounded(values: np.ndarray, spread: float) -> list[float]:
+    """Numbers to `DIGITS` significant digits, or to more where they are large beside their spread."""
+    # To a thousandth of the spread at least, as where scores between 1064.001 and 1064.005 are told apart.
+    size = np.minimum(np.where(values == 0, spread, np.abs(values)), 100 * spread)
+    return [
+        round(float(value), DIGITS - 1 - math.floor(math.log10(each))) if math.isfinite(value) else float(value)
+        for value, each in zip(values, size)
+    ]  # fmt: skip
+
+
+def _measured(data: Designs, rows: np.ndarray) -> list[float]:
+    """Scores of rows, without the last digits, which means and sums leave behind."""
+    return [float(f"{score:.{EXACT}g}") for score in data.shown(data.y[rows])]
 
 
 def about(data: Designs, made: Proposals) -> dict[str, list[Any]]:
@@ -59,7 +98,7 @@ def about(data: Designs, made: Proposals) -> dict[str, list[Any]]:
         "predicted_low, predicted_high": f"the {PERCENT} interval of {made.of_what}",
         **({} if made.mean_std is None else {"mean_std": TRUE}),
         "distance": DISTANCE,
-        "nearest_row": "row of the data that is nearest, counted from 0 without the line of names",
+        "nearest_row": NEAREST,
     }
     return {"what": list(lines), "value": list(lines.values())}
 
@@ -73,11 +112,15 @@ def about_front(front: Front) -> dict[str, list[Any]]:
         **{f"target {each.target}": f"to be made {'small' if each.minimise else 'large'}" for each in front.data},
         **{f"out of fold, {d.target}": str(m.quality) for d, m in zip(front.data, front.made) if m.quality is not None},
         **{f"warning, {d.target}": m.warning for d, m in zip(front.data, front.made) if m.warning},
-        "hypervolume of the data": front.before, "expected to be added": front.gain,
+        "hypervolume of the data": front.before,
+        "expected to be added": "not known" if front.unskilled else front.gain,
         "predicted_TARGET": MEAN,
         "predicted_std_TARGET": ONE,
+        "predicted_low_TARGET, predicted_high_TARGET": f"the {PERCENT} interval of {front.made[0].of_what}",
         "mean_std_TARGET": TRUE,
         "distance": DISTANCE,
+        "nearest_row": NEAREST,
+        "nearest_score_TARGET": "what was measured there",
     }  # fmt: skip
     return {"what": list(lines), "value": list(lines.values())}
 

@@ -37,18 +37,21 @@ def pooled(data: "Designs") -> "Designs":
     freedom = len(data) - len(first)
     plain = np.bincount(which, data.y) / count
     scatter = float(np.sqrt(np.square(data.y - plain[which]).sum() / freedom))
-    repeated = f"{data.name}: {int(count[count > 1].sum())} rows are replicates of {int((count > 1).sum())} designs"
+    repeated, of = int(count[count > 1].sum()), int((count > 1).sum())
+    told = f"{repeated} rows are replicates of {of} design{'s' * (of > 1)}"
     if all((each == each[first][which]).all() for each in (data.y, *([] if given is None else [given]))):
-        told = f"{repeated} with the same {data.target} to the last digit; one of each is kept, as if the others were copies"
-        warnings.warn(told, stacklevel=3)
+        told += f" with the same {data.target} to the last digit; one of each is kept, as if the others were copies"
+        warnings.warn(f"{data.name}: {told}", stacklevel=3)
         error = None if given is None else given[first]
-        return replace(data, x=data.x[first], y=data.y[first], std_error=error, table_rows=data.numbered(first))
+        kept = {"table_rows": data.numbered(first), "pooling": told}
+        return replace(data, x=data.x[first], y=data.y[first], std_error=error, **kept)
     if given is None:
         error = scatter / np.sqrt(count)
     else:
         error = np.sqrt(np.bincount(which, np.square(weight * given))) / np.bincount(which, weight)
-    warnings.warn(
-        f"{repeated} and are pooled; the standard deviation of {data.target} between replicates is {scatter:.3g}",
-        stacklevel=3,
-    )
-    return replace(data, x=data.x[first], y=y, replicates=count, std_error=error, table_rows=data.numbered(first))
+    told += f" and are pooled; the standard deviation of {data.target} between replicates is {scatter:.3g}"
+    warnings.warn(f"{data.name}: {told}", stacklevel=3)
+    return replace(
+        data, x=data.x[first], y=y, pooling=told,
+        replicates=count, std_error=error, table_rows=data.numbered(first),
+    )  # fmt: skip

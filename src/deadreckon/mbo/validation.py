@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from statistics import NormalDist
 
 import numpy as np
+from scipy.special import stdtrit
 
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.variables import FEWEST
@@ -66,6 +67,20 @@ class Quality:
         limit = NormalDist().inv_cdf(1 - CHANCE / self.tried)  # the best of several is greater by chance (Bonferroni)
         variance = (2.12 if self.crossed else 1.06) / max(len(self.observed) - 3, 1)
         return self.rank_correlation > float(np.tanh(limit * variance**0.5))
+
+    @property
+    def left(self) -> tuple[float, float, float]:
+        """What predictions out of fold are worth, as (a, b, s): y = a + b m, and the deviation s of a new score around it.
+
+        The regression of scores on predictions, whose b is kept between 0, where predictions say nothing, and 1. The deviation
+        is such that 1.96 times it holds 95 % of normal errors, with Student's t for the two numbers that are fitted.
+        """
+        y, m = self.observed, self.predicted
+        spread = float(np.square(m - m.mean()).sum())
+        b = float(np.clip((m - m.mean()) @ (y - y.mean()) / spread, 0.0, 1.0)) if spread else 0.0
+        a, freedom = float(y.mean() - b * m.mean()), max(len(y) - 2, 1)
+        error = np.sqrt(np.square(y - a - b * m).sum() / freedom * (1.0 + 1.0 / len(y)))
+        return a, b, float(error * stdtrit(freedom, (1.0 + SHARE) / 2) / NORMAL)
 
     @property
     def warning(self) -> str | None:

@@ -9,8 +9,9 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.arrow import category_codes, is_category, is_number, numbers
+from deadreckon.data.arrow import category_codes, flat, is_category, is_number
 from deadreckon.errors import UserError, unknown
+from deadreckon.mbo.design_table import numbers_of
 
 KINDS = ("continuous", "integer", "categorical", "ordinal")
 FEWEST = 10  # rows below which no model is worth fitting
@@ -81,9 +82,9 @@ class Variable:
 
 
 def variable_of(
-    name: str, table: pa.Table, column: str, kind: str | None, bounds: tuple[float, float] | None, levels: Any
+    name: str, table: pa.Table, column: str, kind: str | None, bounds: tuple[float, float] | None, levels: Any, rows: np.ndarray
 ) -> tuple[np.ndarray, Variable]:
-    """A column's numbers, and what it may be."""
+    """A column's numbers in the rows that count, and what it may be."""
     stored, given = table.column(column).type, kind
     if pa.types.is_temporal(stored):
         raise UserError(f"{name}: column {column} holds times; make numbers of them, or ignore the column")
@@ -92,41 +93,41 @@ def variable_of(
     if kind not in KINDS:
         raise UserError(f"{name}: column {column}: {unknown('kind', kind, KINDS)}")
     if kind not in ("categorical", "ordinal"):
-        return _number(name, table, column, kind, bounds)
+        return _number(name, table, column, kind, bounds, rows)
     if bounds is not None:
         raise UserError(f"{name}: column {column} is {kind} and has levels, not bounds")
     if kind == "ordinal" and not levels and is_category(stored):
         raise UserError(f"{name}: column {column} is ordinal: give its levels in their order, such as low,medium,high")
-    values, variable = _category(name, table, column, levels, told=given is not None or bool(levels))
+    values, variable = _category(name, table, column, levels, rows, told=given is not None or bool(levels))
     return values, replace(variable, kind=kind)  # type: ignore[arg-type]
 
 
 def _category(
-    name: str, table: pa.Table, column: str, levels: Sequence[Any] | None, *, told: bool
+    name: str, table: pa.Table, column: str, levels: Sequence[Any] | None, rows: np.ndarray, *, told: bool
 ) -> tuple[np.ndarray, Variable]:
     """Codes of a column and the variable; unless somebody `told` that it is categorical, likely mistakes are refused."""
-    stored, values = table.column(column).type, filled(name, table, column)
+    stored, values = table.column(column).type, filled(name, table, column, rows)
     if not told and pa.types.is_string(stored):
-        _check_texts(name, column, values)
+        _check_texts(name, column, values, rows)
     if levels:
         known = _typed(levels, stored)
     elif is_category(stored) and not pa.types.is_boolean(stored):
-        known = tuple(category_codes(name, column, table.column(column).combine_chunks())[1])
+        known = tuple(category_codes(name, column, flat(table, column).take(pa.array(rows)))[1])
     else:
         known = tuple(sorted(set(values)))
-    if not told and len(known) == table.num_rows >= FEWEST:
+    if not told and len(known) == len(rows) >= FEWEST:
         raise UserError(
             f"{name}: column {column} holds another text in every row, from which nothing is learned; ignore it, or say "
             "kind categorical"
         )
-    return codes(name, column, values, known), Variable(column, "categorical", levels=known)
+    return codes(name, column, values, known, rows), Variable(column, "categorical", levels=known)
 
 
 def _number(
-    name: str, table: pa.Table, column: str, kind: str, bounds: tuple[float, float] | None
+    name: str, table: pa.Table, column: str, kind: str, bounds: tuple[float, float] | None, rows: np.ndarray
 ) -> tuple[np.ndarray, Variable]:
     """Values of a column of numbers, and the variable within its bounds."""
-    values = numbers(name, table, column)
+    values = numbers_of(name, table, column, rows)
     low, high = bounds if bounds is not None else (values.min(), values.max())
     if not low <= high:
         raise UserError(f"{name}: column {column}: bounds must be low and high, got {low:g} and {high:g}")
@@ -139,7 +140,7 @@ def _number(
         )
     if kind == "integer" and (values != np.round(values)).any():
         row = int(np.argmax(values != np.round(values)))
-        raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, whole numbers are needed")
+        raise UserError(f"{name}: column {column} has {values[row]:g} in row {rows[row]}, whole numbers are needed")
     spread, fineness = values.std() if np.ptp(values) else 0.0, float(np.spacing(np.float32(np.abs(values).max())))
     if kind == "continuous" and fineness > FINE * spread > 0:
         raise UserError(
@@ -149,7 +150,8 @@ def _number(
     outside = (values < low) | (values > high)
     if outside.any():
         row = int(np.argmax(outside))
-        raise UserError(f"{name}: column {column} has {values[row]:g} in row {row}, outside the bounds [{low:g}, {high:g}]")
+        where = f"in row {rows[row]}, outside the bounds [{low:g}, {high:g}]"
+        raise UserError(f"{name}: column {column} has {values[row]:g} {where}")
     if bounds is not None and low == high:  # a constant, which 32 bits hold as its nearest number
         low = high = float(str(np.float32(low)))
     elif bounds is not None:
@@ -175,48 +177,50 @@ def _typed(levels: Sequence[Any], stored: pa.DataType) -> tuple[Any, ...]:
     def typed(level: Any) -> Any:
         if not isinstance(level, str):
             return level
+        level = level.strip()
         if pa.types.is_boolean(stored):
             return truths.get(level.lower(), level)
         if not (pa.types.is_integer(stored) or pa.types.is_floating(stored)) or not is_number(level):
             return level
-        return int(level) if level.strip().lstrip("-").isdigit() else float(level)
+        return int(level) if level.lstrip("-").isdigit() else float(level)
 
     return tuple(map(typed, levels))
 
 
-def filled(name: str, table: pa.Table, column: str) -> list[Any]:
-    """The values of a column, none of which may be missing.
+def filled(name: str, table: pa.Table, column: str, rows: np.ndarray) -> list[Any]:
+    """The values of a column in the rows that count, none of which may be missing.
 
     Raises:
         UserError: one is.
     """
-    values = table.column(column).to_pylist()
-    for row, value in enumerate(values):
+    found = table.column(column).to_pylist()
+    values = [found[row] for row in rows]
+    for row, value in zip(rows, values):
         if value is None or (isinstance(value, float) and math.isnan(value)):
             raise UserError(f"{name}: column {column} is empty in row {row}")
     return values
 
 
-def _check_texts(name: str, column: str, values: Sequence[str]) -> None:
+def _check_texts(name: str, column: str, values: Sequence[str], rows: np.ndarray) -> None:
     """Refuses texts that are numbers in most rows: one bad cell would make a category of each."""
     bad = [row for row, value in enumerate(values) if not is_number(value)]
     if bad and len(bad) < len(values) / 2:
         row = bad[0]
         raise UserError(
-            f"{name}: column {column} holds {values[row]!r} in row {row}, where most rows hold numbers; "
+            f"{name}: column {column} holds {values[row]!r} in row {rows[row]}, where most rows hold numbers; "
             "mend it, or say kind categorical"
         )
 
 
-def codes(name: str, column: str, values: Sequence[Any], levels: Sequence[Any]) -> np.ndarray:
-    """Indices of values in the levels of a categorical variable.
+def codes(name: str, column: str, values: Sequence[Any], levels: Sequence[Any], rows: np.ndarray) -> np.ndarray:
+    """Indices of values, which stand in these rows, in the levels of a categorical variable.
 
     Raises:
         UserError: a value is none of them.
     """
     index = {level: i for i, level in enumerate(levels)}
     out = []
-    for row, value in enumerate(values):
+    for row, value in zip(rows, values):
         if value not in index:
             shown = ", ".join(map(str, levels[:8])) + (", ..." if len(levels) > 8 else "")
             raise UserError(f"{name}: column {column} has the unknown level {value!r} in row {row}; known are {shown}")

@@ -24,7 +24,9 @@ class Axis:
         a, b = float(self._bend(low)), float(self._bend(high))
         pad = 0.04 * (b - a)
         self.low, self.high = a - (pad if low else 0.0), b + pad
-        self.ticks = _decades(low, high) if symlog else _nice(low, high, most)
+        self.ticks = _decades(low, high) if symlog else []
+        if len(self.ticks) < 2:  # of one alone no scale is read
+            self.ticks = _nice(low, high, most)
 
     def _bend(self, value: np.ndarray | float) -> np.ndarray:
         value = np.asarray(value, float)
@@ -39,6 +41,8 @@ def _nice(low: float, high: float, most: int) -> list[float]:
     raw = (high - low) / (most - 1)
     size = 10.0 ** math.floor(math.log10(raw))
     step = next(m * size for m in (1, 2, 2.5, 5, 10) if m * size >= raw * 0.999)
+    if math.floor(high / step + 1e-9) <= math.ceil(low / step - 1e-9):
+        step /= 2  # 10, 5 or 2, of which one multiple would be within
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return [round(i * step, 12) for i in range(first, last + 1)]
 

@@ -8,22 +8,21 @@ from deadreckon.files import replacing
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.effects import averages
-from deadreckon.mbo.first_choice import FAR, first_choice, shown_interval
-from deadreckon.mbo.nn_distance import neighbours
+from deadreckon.mbo.first_choice import FAR, first_choice
 from deadreckon.mbo.problems.problem import Scores
 from deadreckon.report import charts
-from deadreckon.report.design_advice import doubts, one_to_try, rule_note, shown_value
+from deadreckon.report.design_advice import one_to_try, rule_note
+from deadreckon.report.design_asked import asked, learned_from
+from deadreckon.report.design_doubts import doubts, ranked
 from deadreckon.report.design_effects import around, on_average
+from deadreckon.report.design_table import proposals_table
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import document
 from deadreckon.report.parts import figure, heads_of, note, scroll
 from deadreckon.report.text import number
 from deadreckon.stats.interval import NORMAL, PERCENT
 
-SHOWN = 25  # proposals in the table
-COLUMNS = 10  # variables in the table
 POINTS = 300  # designs in the chart of quality
-NEAREST = 3  # scored rows beside each proposal
 MANY = 500  # variables beyond which their effects are not looked at
 
 
@@ -43,14 +42,15 @@ def write_design(data: Designs, made: Proposals, far: np.ndarray, out: Path | st
     sections: list[tuple[str, str, Markup | None]] = [
         ("one", "If only one is tried", join(one_to_try(data, made, far), None if chosen is None else rule_note(made))),
         ("doubts", "What the model does not know", doubts(data, made, far, effects)),
-        ("designs", "Designs", _table(data, made, far, scores)),
+        ("asked", "What was asked", asked([data], len(made))),
+        ("designs", "Designs", proposals_table([data], [made], far, scores)),
         ("predicted", title, _chart(data, made, far, scores)),
         ("quality", "Predicted and observed scores, out of fold", _quality(data, made)),
         ("variables", "What each variable does, by the model", on_average(data, made, effects)),
         ("around", f"Around proposal {chosen}", None if chosen is None else around(data, made, chosen, effects)),
     ]
-    counts = f"{len(data):,} designs, {len(data.variables):,} variables"
-    facts = [("method", made.method), ("data", data.name), ("learned from", counts), ("seed", str(made.seed))]
+    counts = ("learned from", learned_from(data))
+    facts = [("method", made.method), ("data", data.name), counts, ("seed", str(made.seed))]
     text = document(f"{len(made):,} designs for {data.target}", _lead(data, made, far, scores), facts, sections)
     with replacing(out) as temporary:
         temporary.write_text(text, encoding="utf-8")
@@ -63,7 +63,7 @@ def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None
     warning = made.warning if scores is None else None
     parts = [f"{warning.capitalize()}."] if warning else []
     parts.append(f"The best of the data has {data.target} {best}.")
-    if made.predicts:
+    if made.predicts and ranked(made):
         parts.append(f"The best predicted score is {number(float(data.shown(made.predicted.max())))}.")
     if scores is not None:
         best_true, middle = (number(data.shown(scores.percentile(q))) for q in (100, 50))
@@ -112,9 +112,9 @@ def _quality(data: Designs, made: Proposals) -> Markup | None:
     drawn = charts.scatter(points, f"{data.target}, observed", f"{data.target}, predicted", diagonal=True)
     text = (
         f"{quality}. Each design was predicted by a model that was fitted without it ({len(observed):,} in all, {len(rows):,} "
-        f"are shown). Standard deviations, of proposals too, are multiplied by {number(quality.factor)}, so that the {PERCENT} "
-        "interval holds its share of these. It is an interval for a new measurement, not for the true score, which nobody has "
-        "seen. Proposals lie at the edge of the data or beyond, where errors may be larger."
+        f"are shown). Standard deviations{', of proposals too,' * quality.skilled} are multiplied by {number(quality.factor)}, "
+        f"so that the {PERCENT} interval holds its share of these. It is an interval for a new measurement, not for the true "
+        "score, which nobody has seen. Proposals lie at the edge of the data or beyond, where errors may be larger."
     )
     return join(tag("div", figure(drawn), class_="charts two"), note(text), _compared(made))
 
@@ -131,38 +131,3 @@ def _compared(made: Proposals) -> Markup:
     head = heads_of(["method", "R2", "rank correlation", "in the interval"])
     text = f"Out of fold, by method: {made.reason}. The best of several looks better than it is."
     return join(scroll(tag("table", head, tag("tbody", rows))), note(text))
-
-
-def _table(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None) -> Markup:
-    """The proposals with the highest predictions, or the first, in the columns of the data."""
-    order = np.argsort(-made.predicted, kind="stable")[:SHOWN]
-    table = data.decode(made.x[order])
-    names = list(table)[:COLUMNS]
-    heads = ["proposal", "predicted", *(["true"] if scores else []), "distance", "nearest rows", *names]
-    low, high = shown_interval(data, made.predicted, made.predicted_std)
-    _, near = neighbours(data, made.x[order], NEAREST)
-    rows = []
-    for k, i in enumerate(order):
-        interval = None if np.isnan(low[i]) else tag("small", f"{number(float(low[i]))} to {number(float(high[i]))}")
-        values = [*([data.shown(scores.true)[i]] if scores else []), far[i]]
-        said = tag("b", number(float(data.shown(made.predicted)[i])))
-        cells = [tag("th", str(i), scope="row"), tag("td", said, interval)]
-        cells += [tag("td", number(float(value))) for value in values]
-        cells.append(tag("td", [tag("small", _scored(data, int(row))) for row in near[k]]))
-        cells += [tag("td", shown_value(table[name][k])) for name in names]
-        rows.append(tag("tr", cells))
-    head = heads_of(heads)
-    left = len(table) - len(names)
-    more = f" {left:,} more variables are in the CSV." if left else ""
-    which = f"{len(order)} with the highest predictions" if made.predicts else f"first {len(order)}"
-    shown = f"The {which}, of {len(made):,}." if len(made) > len(order) else "All of them."
-    meaning = (
-        f" Below a prediction is its {PERCENT} interval. Distance: to the nearest scored row, in usual distances. Nearest "
-        f"rows: row of the data (counted from 0) and its {data.target}."
-    )
-    return join(scroll(tag("table", head, tag("tbody", rows), class_="proposals")), note(f"{shown}{more}{meaning}"))
-
-
-def _scored(data: Designs, row: int) -> str:
-    """A row of the data with its score."""
-    return f"{int(data.numbered(np.array([row]))[0])}: {number(float(data.shown(data.y)[row]))}"

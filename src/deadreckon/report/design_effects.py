@@ -6,6 +6,7 @@ from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.effects import MOST, ROWS, Effect, cuts
 from deadreckon.mbo.first_choice import shown_interval
+from deadreckon.report.design_doubts import ranked
 from deadreckon.report.effects import Panel, panel
 from deadreckon.report.forest import robust
 from deadreckon.report.markup import Markup, join, tag
@@ -22,12 +23,12 @@ def on_average(data: Designs, made: Proposals, effects: list[Effect]) -> Markup 
     if made.fitted is None or not effects:
         return None
     drawn = _panels(data, made, effects, None)
-    captions = [_caption(data, each, len(effects)) for each in effects]
+    captions = [_caption(data, each, len(effects), ranked(made)) for each in effects]
     warning = None if made.quality is None else made.quality.warning
     parts = [
         f"Each curve is the prediction averaged over {min(len(data), ROWS):,} rows of the data in which the variable has the "
         "value shown and the others are as they are (partial dependence).",
-        f"Upright: {'the order by the model' if made.fitted.is_order else f'predicted {data.target}'}, the same axis for all.",
+        f"Vertical axis: {'the order by the model' if made.fitted.is_order else f'predicted {data.target}'}, the same for all.",
     ]
     if any(each.std is not None for each in effects):
         parts.append(f"Bands and whiskers: {PERCENT} interval of this average by the model's own standard deviation.")
@@ -92,17 +93,16 @@ def _panels(
     return drawn
 
 
-def _caption(data: Designs, effect: Effect, variables: int) -> Markup:
-    """The name, and the change in words."""
-    distinct = effect.distinct(variables)
+def _caption(data: Designs, effect: Effect, variables: int, ranks: bool) -> Markup:
+    """The name, and the change in words; of a model that does not rank unseen designs no change is told from none."""
     text = f"changes the average by {number(effect.change)}"
     if effect.change_std is not None:
         text += f" \N{PLUS-MINUS SIGN} {number(NORMAL * effect.change_std)}"
     if effect.rows is not None:
         low, high = (number(end) for end in effect.rows)
         text += f", single rows by {low} to {high}"
-    if distinct is False:
-        text += "; depends on other variables" if effect.depends(variables) else "; not told from no effect"
+    if not ranks or effect.distinct(variables) is False:
+        text += "; depends on other variables" if ranks and effect.depends(variables) else "; not told from no effect"
     return join(breakable(data.variables[effect.column].name), tag("small", text))
 
 

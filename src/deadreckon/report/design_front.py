@@ -1,4 +1,4 @@
-"""The page about designs for several targets: the front of the data, the predicted one, and the hypervolume of both."""
+"""The page about designs for several targets: fronts, hypervolume, and what is asked, predicted and not known."""
 
 from pathlib import Path
 
@@ -7,11 +7,16 @@ import numpy as np
 from deadreckon.files import replacing
 from deadreckon.mbo.front import Front
 from deadreckon.mbo.hypervolume import non_dominated
+from deadreckon.mbo.nn_distance import nn_distance
 from deadreckon.report import charts
+from deadreckon.report.design_asked import asked, learned_from
+from deadreckon.report.design_doubts import doubts_of_several
+from deadreckon.report.design_edges import shown_value
+from deadreckon.report.design_table import proposals_table
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import document
 from deadreckon.report.parts import figure, heads_of, note, scroll
-from deadreckon.report.text import number
+from deadreckon.report.text import number, words
 from deadreckon.stats.interval import NORMAL, PERCENT
 
 SHOWN = 50  # designs in a table
@@ -20,28 +25,47 @@ POINTS = 300  # designs of the data in the chart
 
 def write_front(front: Front, out: Path | str) -> Path:
     """Writes one self-contained HTML page; an old one is replaced."""
-    data, n = front.data[0], len(front.made[0])
-    names = " and ".join(each.target for each in front.data)
-    point = ", ".join(f"{each.target} {number(float(v))}" for each, v in zip(front.data, front.shown(front.reference)))
-    lead = (
-        f"The hypervolume of the data is {number(front.before)}, measured from {point}. The proposals are expected to add "
-        f"{number(front.gain)}. {' '.join(f'{line.capitalize()}.' for line in front.warnings)}"
-    )
-    counts = f"{len(data):,} designs, {len(data.variables):,} variables"
+    data, made = front.data, front.made
+    n, far = len(made[0]), nn_distance(data[0], made[0].x)
     facts = [
-        ("method", front.made[0].method), ("data", data.name), ("learned from", counts), ("seed", str(front.made[0].seed)),
-        *((each.target, "to be made small" if each.minimise else "to be made large") for each in front.data),
+        ("method", made[0].method), ("data", data[0].name), ("learned from", learned_from(data[0])),
+        ("seed", str(made[0].seed)),
+        *((each.target, "to be made small" if each.minimise else "to be made large") for each in data),
     ]  # fmt: skip
     sections: list[tuple[str, str, Markup | None]] = [
-        ("front", "Fronts", _chart(front) if len(front.data) == 2 else None),
-        ("observed", "Front of the data", _table(front, data.x, front.observed, non_dominated(front.observed))),
-        ("designs", "Designs", _table(front, front.made[0].x, front.predicted, np.ones(n, bool), predicted=True)),
+        ("front", "Fronts", _chart(front) if len(data) == 2 else None),
+        ("doubts", "What the models do not know", doubts_of_several(data, made, far)),
+        ("asked", "What was asked", asked(data, n)),
+        ("designs", "Designs", proposals_table(data, made, far, shown=SHOWN)),
+        ("observed", "Front of the data", _observed(front)),
         ("quality", "Quality of the models, out of fold", _quality(front)),
     ]
-    text = document(f"{n:,} designs for {names}", lead.strip(), facts, sections)
+    text = document(f"{n:,} designs for {words([each.target for each in data])}", _lead(front), facts, sections)
     with replacing(out) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return Path(out)
+
+
+def _lead(front: Front) -> str:
+    """What is not known first, then the hypervolume, and what is expected to be gained where the models have any skill."""
+    parts, bad = [], front.unskilled
+    if bad:
+        models = f"models of {words(bad)} rank" if len(bad) > 1 else f"model of {bad[0]} ranks"
+        parts.append(
+            f"The {models} unseen designs no better than chance: in {words(bad)} the proposals rest on nothing that the table "
+            "shows, and what they would gain is not known."
+        )
+    elif front.warnings:
+        parts.append(f"{str(front.made[0].warning).capitalize()}.")
+    point = ", ".join(f"{each.target} {number(float(v))}" for each, v in zip(front.data, front.shown(front.reference)))
+    both, size = ("both targets", "area") if len(front.data) == 2 else ("all targets", "volume")
+    parts.append(
+        f"The hypervolume of the data is {number(front.before)}, measured from {point}: the {size} of outcomes, better than "
+        f"this point, that some row of the data already reaches in {both} at once."
+    )
+    if not bad:
+        parts.append(f"The proposals are expected to add {number(front.gain)}.")
+    return " ".join(parts)
 
 
 def _chart(front: Front) -> Markup:
@@ -60,32 +84,24 @@ def _chart(front: Front) -> Markup:
     drawn = charts.scatter(points, front.data[0].target, front.data[1].target, diagonal=False)
     text = (
         f"Circles with whiskers: proposals as they are predicted, with the {PERCENT} interval for a new measurement of "
-        f"{front.data[1].target}. The others are designs of the data: squares the {int(best.sum()):,} on its front, which no "
-        "other is at least as good as in both and better in one."
+        f"{front.data[1].target}. Squares: the {int(best.sum()):,} designs on the front of the data, which no other is at "
+        "least as good as in both and better in one. Triangles: the other designs of the data."
     )
-    return join(figure(drawn), note(text))
+    return join(tag("div", figure(drawn), class_="charts two"), note(text))
 
 
-def _table(front: Front, x: np.ndarray, scores: np.ndarray, rows: np.ndarray, predicted: bool = False) -> Markup:
-    """Designs by their first target, the best first."""
-    chosen = np.flatnonzero(rows)
-    chosen = chosen[np.argsort(-scores[chosen, 0], kind="stable")][:SHOWN]
-    shown, table = front.shown(scores), front.data[0].decode(x[chosen])
-    heads = ["design" if predicted else "row"]
-    for each in front.data:
-        heads += [f"{each.target}{', predicted' if predicted else ''}", *([f"{each.target}, std"] if predicted else [])]
+def _observed(front: Front) -> Markup:
+    """The front of the data by the first target, the best first."""
+    first, best = front.data[0], np.flatnonzero(non_dominated(front.observed))
+    rows = best[np.argsort(-front.observed[best, 0], kind="stable")][:SHOWN]
+    scores, table = front.shown(front.observed[rows]), first.decode(first.x[rows])
     lines = []
-    for k, i in enumerate(chosen):
-        cells = [tag("th", str(i if predicted else front.data[0].numbered(i)), scope="row")]
-        for j, made in enumerate(front.made):
-            cells.append(tag("td", tag("b", number(float(shown[i, j])))))
-            cells += [tag("td", number(float(made.predicted_std[i])))] if predicted else []
-        cells += [tag("td", number(v) if isinstance(v, float) else str(v)) for v in (table[name][k] for name in table)]
-        lines.append(tag("tr", cells))
-    text = f"{len(chosen):,} of {int(rows.sum()):,}."
-    if predicted:
-        text += " The standard deviations are of a new measurement."
-    return join(scroll(tag("table", heads_of([*heads, *table]), tag("tbody", lines))), note(text))
+    for k, row in enumerate(first.numbered(rows)):
+        cells = [tag("td", tag("b", number(float(score)))) for score in scores[k]]
+        cells += [tag("td", shown_value(values[k])) for values in table.values()]
+        lines.append(tag("tr", tag("th", str(row), scope="row"), cells))
+    heads = heads_of(["row", *(each.target for each in front.data), *table])
+    return join(scroll(tag("table", heads, tag("tbody", lines))), note(f"{len(rows):,} of {len(best):,}."))
 
 
 def _quality(front: Front) -> Markup | None:

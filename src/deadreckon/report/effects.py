@@ -132,11 +132,13 @@ def _with_ends(of: Panel, i: int) -> str:
 
 
 def _ticks_of_log(values: np.ndarray) -> list[float]:
-    """Powers of ten within a range, or where there are fewer than two of them, also their double and fivefold."""
+    """Powers of ten within a range, or where there are fewer than two of them, also their double and fivefold, or its ends."""
     low, high = math.log10(values[0]), math.log10(values[-1])
     powers = [10.0**k for k in range(math.floor(low), math.ceil(high) + 1)]
     inside = lambda ticks: [t for t in ticks if values[0] * 0.999 <= t <= values[-1] * 1.001]  # noqa: E731
     found = inside(powers)
     if len(found) < 2:
-        found = inside([m * p for p in powers for m in (1, 2, 5)]) or [float(values[0]), float(values[-1])]
+        found = inside([m * p for p in powers for m in (1, 2, 5)])
+    if len(found) < 2:
+        found = [float(values[0]), float(values[-1])]
     return found[:: max(1, math.ceil(len(found) / 5))]

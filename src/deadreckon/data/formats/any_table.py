@@ -79,9 +79,8 @@ def table_of_kind(
         from deadreckon.data.text_columns import with_dates
 
         stored = read_parquet(path)
-        found, order, told = with_dates(stored, asked.dates)
-        for index, name in enumerate(found.column_names):
-            found = found.set_column(index, name, stored[name]) if name in known.texts else found
+        found, order, told = with_dates(stored, asked.dates, known.texts)
+        for name in stored.column_names:
             known.keep(name, stored[name])
         return found, None if order is None else Dialect(dates=order), told
     if kind == "excel":

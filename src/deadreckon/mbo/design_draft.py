@@ -1,0 +1,75 @@
+"""A draft of the schema of a table of experiments, for people to check and change."""
+
+import contextlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from deadreckon.data.arrow import flat, is_missing, is_number
+from deadreckon.data.describe import pinned
+from deadreckon.data.kinds import check_column
+from deadreckon.data.roles import row_numbers
+from deadreckon.errors import UserError
+from deadreckon.mbo.design_schema import DesignColumn, DesignSchema
+from deadreckon.mbo.design_table import name_of, read_designs, scored, trimmed
+from deadreckon.mbo.doubts import of_inputs, of_target
+from deadreckon.mbo.variables import variable_of
+
+
+def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[DesignSchema, list[str]]:
+    """Drafts a schema for a table: the target, and for all other columns the kind, the range or the levels.
+
+    Args:
+        path: of the file.
+        target: its column of scores; None: the last column of numbers.
+        ways: options of the reader of tables.
+
+    Returns:
+        The schema, and one line for each choice that should be checked.
+    """
+    table, dialect, told = read_designs(path, ways)
+    table, name, names = trimmed(table, table.column_names), name_of(path), table.column_names
+    left = row_numbers(names)
+    if target is not None:
+        check_column(table, target, name)
+    else:
+        target = _last_of_numbers(name, table, [column for column in names if column not in left])
+        told.append(f"the last column of numbers, {target}, is taken as the target (--target)")
+    rows, planned = scored(name, table, [target])
+    told += [planned] if planned else []
+    columns: dict[str, DesignColumn] = {}
+    for column in names:
+        if column in left:
+            columns[column] = DesignColumn("ignore", about="looks like a row number")
+            continue
+        try:
+            values, v = variable_of(name, table, column, None, None, None, rows)
+        except UserError as error:  # what must be mended in the table, or said in the schema
+            columns[column] = DesignColumn("ignore", about=str(error).removeprefix(f"{name}: "))
+            told.append(f"{columns[column].about}{': ignored so far' * (column != target)}")
+            continue
+        if v.leveled:
+            numbers = all(isinstance(level, int | float) or is_number(str(level)) for level in v.levels)
+            more = "" if numbers else "; if they are in order, make it ordinal"
+            columns[column] = DesignColumn("input", v.kind, levels=v.levels, about=f"{len(v.levels)} levels{more}")
+        else:
+            about = f"{len(set(values.tolist())):,} different values"
+            columns[column] = DesignColumn("input", v.kind, v.low, v.high, about=about)
+        told += of_inputs([v], values[:, None], rows) if column != target else of_target(target, values, rows)
+    columns[target] = DesignColumn("target", about=columns[target].about)
+    return DesignSchema(columns, table=pinned(dialect) | ways), told
+
+
+def _last_of_numbers(name: str, table: pa.Table, names: Sequence[str]) -> str:
+    """The last of the columns that holds numbers in half of the rows or more."""
+    for column in reversed(names):
+        rows = np.flatnonzero(~is_missing(flat(table, column, ignored=True)))
+        if 2 * len(rows) < max(table.num_rows, 1):
+            continue
+        with contextlib.suppress(UserError):
+            if not variable_of(name, table, column, None, None, None, rows)[1].leveled:
+                return column
+    raise UserError(f"{name}: no column holds numbers that could be the target")

@@ -1,0 +1,116 @@
+"""A table of experiments before it becomes designs: how its file is read, and which of its rows have a score and all inputs."""
+
+import shlex
+import warnings
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from deadreckon.data.arrow import compute, decoded, flat, is_missing, is_text, some_numbers
+from deadreckon.data.formats.any_table import table_of_kind
+from deadreckon.data.formats.cells import Known
+from deadreckon.data.formats.dialect import Dialect
+from deadreckon.data.formats.kind import sniff
+from deadreckon.errors import UserError
+
+_SHOWN = 5  # runs of rows, and columns, that one message names
+
+
+def read_designs(
+    path: Path | str, ways: Mapping[str, Any], ignored: Collection[str] = ()
+) -> tuple[pa.Table, Dialect | None, list[str]]:
+    """What `data.formats.any_table.read_table` gives, with no line on columns that are ignored: these stay texts.
+
+    Args:
+        path: of the file.
+        ways: keywords of `read_table`.
+        ignored: columns that are no part of the designs.
+    """
+    return table_of_kind(path, sniff(path, ways.get("separator")), ways, Known(texts=frozenset(ignored)))
+
+
+def name_of(path: Path | str) -> str:
+    """What data is called: its file without endings."""
+    name = Path(path).name.removesuffix(".gz")
+    return name.rpartition(".")[0] or name
+
+
+def trimmed(table: pa.Table, columns: Sequence[str]) -> pa.Table:
+    """The table, where the texts of these columns have no blanks at their ends, and cells of blanks alone are missing."""
+    for column in columns:
+        if not is_text(table.column(column).type):
+            continue
+        texts = decoded(flat(table, column))
+        plain = compute.utf8_trim_whitespace(texts)
+        if compute.all(compute.equal(plain, texts)).as_py() is False:
+            blank = compute.and_(compute.equal(plain, ""), compute.not_equal(texts, ""))
+            kept = compute.if_else(blank, pa.scalar(None, plain.type), plain)
+            table = table.set_column(table.column_names.index(column), column, kept)
+    return table
+
+
+def scored(name: str, table: pa.Table, targets: Sequence[str]) -> tuple[np.ndarray, str]:
+    """The rows that have a score of one of the targets, counted from 0, and the line that tells of the others, or nothing.
+
+    Raises:
+        UserError: no row has one.
+    """
+    absent = np.all([is_missing(flat(table, target)) for target in targets], axis=0)
+    if not absent.any():
+        return np.arange(table.num_rows), ""
+    if absent.all():
+        raise UserError(f"{name}: {' and '.join(targets)} is empty in all rows, so nothing tells good from bad")
+    gone = np.flatnonzero(absent)
+    count = f"{len(gone):,} row{'s' * (len(gone) > 1)}"
+    return np.flatnonzero(~absent), f"{count} left out, as planned and without {' or '.join(targets)} yet: {rows_told(gone)}"
+
+
+def check_filled(name: str, table: pa.Table, inputs: Sequence[str], others: Sequence[str], rows: np.ndarray) -> None:
+    """Refuses columns that are empty in some of the rows that count.
+
+    Raises:
+        UserError: one line with all such columns and rows, and what can be done.
+    """
+    found = {column: rows[is_missing(flat(table, column))[rows]] for column in (*inputs, *others)}
+    holes = {column: gone for column, gone in found.items() if len(gone)}
+    if not holes:
+        return
+    named = list(holes)[:_SHOWN]
+    listed = ", ".join(f"{column} is empty in {rows_told(holes[column], '')}" for column in named)
+    more = f" and {len(holes) - _SHOWN} more columns" if len(holes) > _SHOWN else ""
+    remedy = "fill the cells in or leave the rows out"
+    if not set(holes) & set(others):
+        one = "column" if len(holes) == 1 else "columns"
+        remedy = f"fill the cells in, leave the rows out, or ignore the {one} (--ignore {shlex.join(named)})"
+    raise UserError(f"{name}: column {listed}{more}, counted from 0; {remedy}")
+
+
+def numbers_of(name: str, table: pa.Table, column: str, rows: np.ndarray) -> np.ndarray:
+    """(rows,) float64 of a column that must hold finite numbers, or truth values, in the rows that count.
+
+    Raises:
+        UserError: it does not, with the row.
+    """
+    values = some_numbers(name, column, flat(table, column))[0][rows]
+    if (wrong := ~np.isfinite(values)).any():
+        row = int(np.argmax(wrong))
+        what = "is empty" if np.isnan(values[row]) else f"has {values[row]}"
+        raise UserError(f"{name}: column {column} {what} in row {rows[row]}")
+    return values
+
+
+def rows_told(rows: np.ndarray, how: str = ", counted from 0") -> str:
+    """Rows as a message names them, ascending: row 3; rows 3, 5 to 9."""
+    runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    named = [f"{run[0]}" if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs[:_SHOWN]]
+    rest = sum(map(len, runs[_SHOWN:]))
+    return f"row{'s' * (len(rows) > 1)} {', '.join(named)}{f' and {rest:,} more' if rest else ''}{how}"
+
+
+def warn(name: Path | str, lines: Sequence[str]) -> None:
+    """A warning for each line on a file or a table, from the caller of whoever calls this."""
+    for line in lines:
+        warnings.warn(f"{name}: {line}", stacklevel=3)

@@ -1,0 +1,75 @@
+"""Proposals at the edge of what is allowed: at the ends of variables, at constraints and at forbidden combinations."""
+
+import numpy as np
+
+from deadreckon.mbo.constraints import Forbidden, Linear
+from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.variables import Variable
+from deadreckon.report.text import number
+
+NEAR = 1e-3  # of the range of the data within which a proposal stands at the edge of a rule
+SHOWN = 5  # ends and rules at most that are told of
+
+
+def shown_value(value: object) -> str:
+    """A value of a variable as tables show it."""
+    return number(value) if isinstance(value, float) else str(value)
+
+
+def data_value(v: Variable, value: float) -> object:
+    """A value that a design holds as tables have it: of a variable with levels its level."""
+    return v.levels[int(value)] if v.levels else int(value) if v.kind == "integer" else float(value)
+
+
+def at_ends(data: Designs, x: np.ndarray, idle: set[int]) -> list[str]:
+    """Variables that stand at an end of what is allowed in half or more of (n, variables) designs; `idle` do not count."""
+    found = []
+    for i, v in enumerate(data.variables):
+        if i in idle or v.low == v.high or v.kind == "categorical":
+            continue
+        slack = 1e-5 * max(float(np.ptp(data.x[:, i])), 1e-30)
+        for end, name in ((v.low, "lower"), (v.high, "upper")):
+            count = int((np.abs(x[:, i] - end) <= slack).sum()) if np.isfinite(end) else 0
+            if 2 * count >= len(x):
+                found.append((count, f"in {count:,} {v.name} is at its {name} end ({shown_value(data_value(v, end))})"))
+    return [text for _, text in sorted(found, key=lambda each: -each[0])[:SHOWN]]
+
+
+def at_rules(data: Designs, x: np.ndarray) -> list[str]:
+    """Inequalities and forbidden combinations at whose edge half or more of (n, variables) designs stand."""
+    fixed = {column for column, _ in data.rules.fixed}
+    found = []
+    for each in data.rules.linear:
+        if not each.equal and not {column for column, _ in each.weights} <= fixed:
+            found.append((int(_at_linear(data, each, x).sum()), f"always {each.text}"))
+    for each in data.rules.forbidden:
+        found.append((int(_at_forbidden(data, each, x, fixed).sum()), f"never {each.text}"))
+    found = sorted((each for each in found if 2 * each[0] >= len(x)), key=lambda each: -each[0])
+    return [f'{count:,} stand at the edge of the rule "{text}"' for count, text in found[:SHOWN]]
+
+
+def _at_linear(data: Designs, rule: Linear, x: np.ndarray) -> np.ndarray:
+    """(n,) which designs cannot come nearer to the bound of an inequality, but for `NEAR` of its range or a step."""
+    seen, sums = (sum(float(w) * data.repair.measured(of)[:, c] for c, w in rule.weights) for of in (data.x, x))
+    steps = [float(abs(w)) * _step(data.variables[c]) for c, w in rule.weights]
+    return np.asarray(float(rule.bound) - sums) < max(NEAR * float(np.ptp(seen)), (1 - NEAR) * min(steps))
+
+
+def _at_forbidden(data: Designs, rule: Forbidden, x: np.ndarray, fixed: set[int]) -> np.ndarray:
+    """(n,) which designs are kept out of a forbidden combination by one number alone that stands at its threshold."""
+    met = np.stack([each.met(x[:, each.column]) for each in rule.clauses])
+    at = np.zeros(len(x), bool)
+    for k, each in enumerate(rule.clauses):
+        if each.levels is not None or each.column in fixed:
+            continue
+        step = _step(data.variables[each.column])
+        # The nearest value that is allowed is the threshold itself, or a step beside it where that is forbidden.
+        reach = max(NEAR * float(np.ptp(data.x[:, each.column])), step * (1 + NEAR if "=" in each.relation else 1 - NEAR))
+        others = np.delete(met, k, 0).all(0)
+        at |= others & ~met[k] & (np.abs(x[:, each.column] - float(each.value)) < reach)
+    return at
+
+
+def _step(v: Variable) -> float:
+    """Between values that may be proposed; 0 where all may."""
+    return 0.0 if v.leveled else float(v.step or v.kind == "integer")
