@@ -2197,6 +2197,14 @@ MUTANTS = (
         "others-work-again", "bench/executor.py", "if not store.undone(chosen.jobs):", "if not chosen.jobs:",
         "what another command has done since is done again", ("bench/test_runner.py",),
     ),
+    Mutant(
+        "no-skill-as-it-is", "mbo/designer.py", "if quality.skilled or not quality.scored:", "if quality.scored:",
+        "intervals of a model without skill are those beside the rows that were lucky", ("mbo/test_validation.py",),
+    ),
+    Mutant(
+        "blanks-make-levels", "mbo/design_table.py", "plain = compute.utf8_trim_whitespace(texts)", "plain = texts",
+        "a blank at a text's end makes another level", ("mbo/test_design_tables.py",),
+    ),
 )
 
 
