@@ -114,12 +114,12 @@ def _train_online(
     log = beside(asked.data, before, read, task, asked.log_share)
     if log is not None:
         check_agent(lanes[0])
-        for text in about_sizes(log.log, lanes[0]):
-            warnings.warn(text, stacklevel=3)
     if shown is not None and log is not None:
         raise UserError("demonstrations are what DAPG learns from first, data is a log in the replay: give one of them")
     job = _job(lanes, task, numbers, updates, folder, dataclasses.replace(asked, settings=turns), every, shown, log)
     lanes = job.learners
+    for text in () if log is None else about_sizes(log.log, lanes[0]):
+        warnings.warn(text, stacklevel=3)
     config = {
         "agent": {"name": name, "fields": fields_of(lanes)},
         "online": dataclasses.asdict(turns),
