@@ -19,6 +19,7 @@ from deadreckon.randomness import generator
 
 ITERATIONS = 60  # of L-BFGS at most
 LEAST_RATIO = 1e-3  # variance of a row's noise at least, in means of all rows' variances
+NOISE = -4.0, 1.0  # mean and standard deviation of the prior of the log of the noise's variance
 LEAST = 1e-6  # variance of the noise at least, in variances of the score
 ROOT5 = 5**0.5
 
@@ -171,8 +172,8 @@ def fit(data: Designs, rows: int = 400) -> Process:
     y_mean, y_std = float(data.y.mean()), float(data.y.std()) or 1.0
     y, f, ratio = (data.y - y_mean) / y_std, features(data.x), relative_noise(data)
     count = len(data.variables)
-    prior = np.concatenate([np.full(count, 2**0.5 + 0.5 * np.log(count)), [0.0, -4.0]])
-    spread = np.concatenate([np.full(count, 3**0.5), [1.0, 1.0]])
+    prior = np.concatenate([np.full(count, 2**0.5 + 0.5 * np.log(count)), [0.0, NOISE[0]]])
+    spread = np.concatenate([np.full(count, 3**0.5), [1.0, NOISE[1]]])
     some = np.arange(len(y))
     if len(y) > rows:
         some = np.sort(generator(0, "rows of the hyperparameters").choice(len(y), rows, replace=False))
