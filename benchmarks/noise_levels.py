@@ -3,10 +3,10 @@
     python benchmarks/noise_levels.py --spreads 1 2 3 --first 2000 --tables 20     # to choose
     python benchmarks/noise_levels.py --spreads 1 2 --first 3000 --tables 40       # to confirm
 
-Scores are a random smooth function of standard deviation 1 over all designs, and noise of the deviation that heads a column. The
-prior of the log of the noise's variance is N(-4, spread^2). Printed for each deviation are, as means over tables of two sizes
-(40 rows of 3 inputs, 60 rows of 6), the share of new measurements of eight proposals in their intervals of 95 %, the median of
-their true scores, and both less those of the first spread, paired by table, with Student's 95 % intervals.
+Scores are a random smooth function of standard deviation 1 over all designs, and noise of the deviation that heads a column.
+The prior of the log of the noise's variance is N(-4, spread^2). Printed for each deviation are, as means over tables of two
+sizes (40 rows of 3 inputs, 60 rows of 6), the share of new measurements of eight proposals in their intervals of 95 %, the
+median of their true scores, and both less those of the first spread, paired by table, with Student's 95 % intervals.
 
 The rule, set before anything was run: spreads are compared on tables 2000 to 2019. The one is chosen whose worst distance from
 95 % over the deviations is least, of those whose true median is below that of spread 1, outside the interval, at no deviation.
