@@ -34,7 +34,7 @@ def table(kind: str, seed: int) -> Designs:
 def told(data: Designs) -> tuple[set[int], bool]:
     """The columns whose effects are told from none, and whether the model is told to rank better than chance."""
     found, quality = process.fit(data), cross_validated(data, designer("gp").predictor, "GP")
-    shown = effects.averages(data, Fitted(found.posterior, found.averages, quality.factor))
+    shown = effects.averages(data, Fitted(found.posterior, found.averages, quality.calibration))
     return {each.column for each in shown if each.distinct(len(shown))}, quality.skilled
 
 

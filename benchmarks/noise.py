@@ -11,9 +11,11 @@ import sys
 import numpy as np
 from scipy.stats import norm
 
+from deadreckon.mbo.calibration import conformal_factor
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.first_choice import interval
 from deadreckon.mbo.gp import GP
+from deadreckon.mbo.validation import Quality
 from deadreckon.mbo.variables import Variable
 
 ROWS, INPUTS, PROPOSED, MEAN, NOISE = 50, 4, 8, 60.0, 8.0
@@ -23,6 +25,11 @@ def share(mean: np.ndarray, std: np.ndarray) -> float:
     """Of new measurements in the intervals, in the mean over proposals."""
     low, high = (norm.cdf(end, MEAN, NOISE) for end in interval(mean, std))
     return float((high - low).mean())
+
+
+def widened(quality: Quality) -> float:
+    """The factor with which the model's own deviations hold their share of scores out of fold."""
+    return conformal_factor(np.abs(quality.observed - quality.predicted) / quality.std)
 
 
 def main(tables: int) -> None:
@@ -36,7 +43,7 @@ def main(tables: int) -> None:
         bare = GP(folds=0).propose(data, PROPOSED)  # the same designs, as the process itself predicts them
         assert made.quality is not None
         kept.append(share(made.predicted, made.predicted_std))
-        plain.append(share(bare.predicted, made.quality.factor * bare.predicted_std))
+        plain.append(share(bare.predicted, widened(made.quality) * bare.predicted_std))
         skilled += made.quality.skilled
     for name, shares in (("kept what was worth something", kept), ("as the process predicts", plain)):
         print(f"{name}: {np.mean(shares):.3f} of new measurements, {np.min(shares):.2f} to {np.max(shares):.2f} by table")

@@ -778,7 +778,7 @@ MUTANTS = (
         ("mbo/test_batch.py::test_replicates_are_pooled_with_their_noise",),
     ),
     Mutant(
-        "unit-of-scores", "mbo/validation.py", "1e-12 * (y.std() or 1.0)", "1e-12",
+        "unit-of-scores", "mbo/calibration.py", "1e-12 * (y.std() or 1.0)", "1e-12",
         "intervals of small scores are told to hold, and do not",
         ("mbo/test_validation.py::test_the_unit_of_the_scores_does_not_matter",),
     ),
@@ -812,7 +812,7 @@ MUTANTS = (
         ("mbo/test_validation.py::test_a_method_that_is_fitted_once_holds_out_enough_to_calibrate_by",),
     ),
     Mutant(
-        "conformal-rank", "mbo/validation.py", "(len(error) + 1) * share", "len(error) * share",
+        "conformal-rank", "mbo/calibration.py", "(len(error) + 1) * share", "len(error) * share",
         "intervals lack the correction for few rows",
         ("mbo/test_gp.py::test_the_factor_is_the_quantile_with_its_correction",),
     ),
@@ -838,7 +838,7 @@ MUTANTS = (
         ("mbo/test_effects.py::test_the_one_to_try_is_that_of_the_best_lower_end_near_the_data",),
     ),
     Mutant(
-        "noise-praised", "mbo/first_choice.py", "and not made.quality.skilled", "and False",
+        "noise-praised", "mbo/first_choice.py", "made.fitted is None or made.by_chance", "made.fitted is None",
         "a proposal is preferred by a model that has learned nothing",
         ("report/test_design_page.py::test_of_noise_nothing_is_praised",),
     ),
@@ -900,7 +900,7 @@ MUTANTS = (
         ("mbo/test_front.py::test_the_batch_is_chosen_given_those_before",),
     ),
     Mutant(
-        "coverage-own-fold", "mbo/validation.py", "conformal_factor(error[fold != k])", "conformal_factor(error)",
+        "coverage-own-fold", "mbo/validation.py", "self._calibration(~held)", "self._calibration(held)",
         "designs judge themselves",
         ("mbo/test_gp.py::test_the_factor_is_the_quantile_with_its_correction",),
     ),
@@ -2198,8 +2198,20 @@ MUTANTS = (
         "what another command has done since is done again", ("bench/test_runner.py",),
     ),
     Mutant(
-        "no-skill-as-it-is", "mbo/designer.py", "if quality.skilled or not quality.scored:", "if quality.scored:",
+        "no-skill-as-it-is", "mbo/calibration.py", "OWN if skilled else 0.0", "OWN",
         "intervals of a model without skill are those beside the rows that were lucky", ("mbo/test_validation.py",),
+    ),
+    Mutant(
+        "own-deviations-alone", "mbo/calibration.py", "OWN = 0.5", "OWN = 1.0",
+        "intervals trust a model to know where it is sure", ("mbo/test_validation.py",),
+    ),
+    Mutant(
+        "predictions-as-they-are", "mbo/calibration.py", "return self.a + self.b * mean, self.factor * np.sqrt",
+        "return mean, self.factor * np.sqrt", "what proposals owe to luck is promised", ("mbo/test_validation.py",),
+    ),
+    Mutant(
+        "noise-of-means", "mbo/calibration.py", "max(self.scatter, noise)", "self.scatter",
+        "the interval of one measurement is that of the mean of several", ("mbo/test_validation.py",),
     ),
     Mutant(
         "blanks-make-levels", "mbo/design_table.py", "plain = compute.utf8_trim_whitespace(texts)", "plain = texts",

@@ -123,3 +123,14 @@ def ordinal(rows: int = 60, seed: int = 0) -> Table:
 
 
 TABLES = {each.__name__: each for each in (mixed, mixture, replicated, constrained, wide, ordinal)}
+
+
+def hill(rng: np.random.Generator, inputs: int) -> Callable[[np.ndarray], np.ndarray]:
+    """A random function of (n, inputs) designs in [0, 1], of deviation 1: a hill, a slope, and a wave of two inputs."""
+    centre, weight = rng.uniform(0.2, 0.8, inputs), rng.uniform(0, 2, inputs)
+    slope, wave = rng.normal(size=inputs), rng.uniform(0, 0.5)
+    raw = lambda x: (  # noqa: E731
+        -(weight * np.square(x - centre)).sum(1) + 0.3 * x @ slope + wave * np.sin(6 * x[:, 0]) * x[:, 1]
+    )
+    drawn = raw(rng.uniform(size=(4000, inputs)))
+    return lambda x: (raw(x) - drawn.mean()) / drawn.std()

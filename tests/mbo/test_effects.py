@@ -95,9 +95,9 @@ def test_of_noise_no_effect_is_told_from_none():
     for seed in range(2):
         rng = np.random.default_rng(seed)
         data = Designs.from_arrays(rng.normal(size=(40, 2)), rng.normal(size=40))
-        factor = cross_validated(data, designer("gp").predictor, "GP", folds=3).factor
+        quality = cross_validated(data, designer("gp").predictor, "GP", folds=3)
         found = process.fit(data)
-        shown = effects.averages(data, Fitted(found.posterior, found.averages, factor))
+        shown = effects.averages(data, Fitted(found.posterior, found.averages, quality.calibration))
         wrong += any(each.distinct(2) for each in shown)
     assert wrong <= 1
     data = TABLES["wide"](80, variables=6).designs()
@@ -156,10 +156,12 @@ def test_the_model_that_comes_with_proposals_is_the_one_that_made_them():
     each, covariance = made.fitted.average(made.x[:, None])
     np.testing.assert_allclose(each[:, 0], mean, rtol=1e-4, atol=1e-4)
     # The average of a group of one is a true score, of which the noise of a measurement is no part.
-    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), made.quality.factor * made.mean_std, rtol=1e-3)
+    plain = dataclasses.replace(made.fitted, calibration=None).average(made.x[:, None])[1]
+    true = process.fit(data).posterior(made.x)[1]
+    np.testing.assert_allclose(np.sqrt(np.diag(plain)), true, rtol=1e-3)
+    worth = made.quality.calibration
+    np.testing.assert_allclose(covariance, (worth.factor * worth.scale) ** 2 * plain, rtol=1e-6)
     assert (std > np.sqrt(np.diag(covariance))).all()
-    plain = dataclasses.replace(made.fitted, factor=1.0).average(made.x[:, None])[1]
-    np.testing.assert_allclose(covariance, made.quality.factor**2 * plain, rtol=1e-6)
 
 
 @pytest.mark.parametrize("rows", [1, BLOCK, BLOCK + 1])

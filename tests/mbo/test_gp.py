@@ -7,9 +7,10 @@ from scipy.optimize import check_grad
 from deadreckon.errors import UserError
 from deadreckon.mbo import designer, process
 from deadreckon.mbo.batch import check_batch, keys
+from deadreckon.mbo.calibration import conformal_factor
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.gp import greedy, spaced
-from deadreckon.mbo.validation import CHANCE, conformal_factor, cross_validated, judged
+from deadreckon.mbo.validation import CHANCE, cross_validated, judged
 from deadreckon.mbo.variables import Variable
 from tests.mbo.practice import TABLES
 
@@ -95,8 +96,12 @@ def test_intervals_are_for_one_new_measurement():
     assert found.noise == pytest.approx(0.5, rel=0.15)
     np.testing.assert_allclose(found.noise_of(data.std_error), found.noise / np.sqrt(data.replicates), rtol=1e-6)
     made = designer("gp", rounds=5).propose(data, 30)
-    np.testing.assert_allclose(made.mean_std, found.posterior(made.x)[1], rtol=1e-6)
-    np.testing.assert_allclose(made.predicted_std, made.quality.factor * np.hypot(made.mean_std, found.noise), rtol=1e-6)
+    mean, std = found.posterior(made.x)
+    noisy = np.hypot(std, found.noise)
+    expected, width = made.quality.calibration(mean, noisy, found.noise)
+    np.testing.assert_allclose(made.predicted, expected, rtol=1e-6)
+    np.testing.assert_allclose(made.predicted_std, width, rtol=1e-6)
+    np.testing.assert_allclose(made.mean_std / std, width / noisy, rtol=1e-6)
     measured = 2 * made.x[:, 0] + 0.5 * rng.standard_normal((200, 30))
     assert 0.9 <= (np.abs(measured - made.predicted) <= 1.96 * made.predicted_std).mean() <= 0.99
 
@@ -149,8 +154,8 @@ def test_the_factor_is_the_quantile_with_its_correction():
     assert conformal_factor(error) == pytest.approx(39 / 1.959964)  # ceil(41 x 0.95) = 39
     assert conformal_factor(error[:10]) == pytest.approx(10 / 1.959964)  # too few: the greatest
     # Crosswise: a fold whose errors are all larger is outside the interval that the others give.
-    fold = np.repeat([0, 1], 20)
-    y = np.concatenate([np.linspace(0.1, 1, 20), np.linspace(3, 4, 20)])
+    fold, sign = np.repeat([0, 1], 20), np.tile([1.0, -1.0], 20)
+    y = sign * np.concatenate([np.linspace(0.1, 0.2, 20), np.linspace(3, 4, 20)])
     found = judged(y, np.zeros(40), np.ones(40), fold, "m")
     assert found.coverage == 0.5
 
@@ -184,7 +189,8 @@ def test_networks_are_judged_on_designs_that_they_have_not_seen():
     made, plain = small.propose(data, 4, validate=True), small.propose(data, 4)
     assert len(made.quality.observed) == 20
     assert made.quality.rank_correlation > 0.5
-    np.testing.assert_allclose(made.predicted_std, made.quality.factor * plain.predicted_std, rtol=1e-5)
+    expected = made.quality.calibration(plain.predicted, plain.predicted_std)
+    np.testing.assert_allclose([made.predicted, made.predicted_std], expected, rtol=1e-5)
     np.testing.assert_allclose(made.fitted.predict(made.x)[1], made.predicted_std, rtol=1e-4)
     assert plain.quality is None
 

@@ -26,7 +26,7 @@ DRAWS = 200  # of rows, for the standard error of a difference
 class Auto(Designer):
     """The Gaussian process, an ensemble or a model that ranks: by their predictions of designs that they have not seen."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
 
     kappa: Number = host(0.0)
     """standard deviations added to the prediction of a Gaussian process: below 0 cautious, above 0 bold"""

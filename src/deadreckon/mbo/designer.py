@@ -53,8 +53,8 @@ class Proposals(Shown):
         fitted: the model, to be asked about other designs; None where the method has none of the score.
         compared: what was said out of fold of all methods that were tried, if the method was chosen among them.
         reason: why that one was chosen.
-        mean_std: (n,) standard deviation of the true score, the mean of ever more measurements, as the model has it: it is not
-            calibrated, since true scores are not in the data. None where the method does not tell it from noise.
+        mean_std: (n,) standard deviation of the true score, the mean of ever more measurements. True scores are not in the
+            data, so it is only widened as `predicted_std` is. None where the method does not tell it from noise.
         noisy: whether `predicted_std` is of a measurement, noise included.
     """
 
@@ -93,24 +93,25 @@ class Proposals(Shown):
             return None  # nothing is predicted
         return "how well the method predicts designs that it has not seen was not tested; its predictions may rest on nothing"
 
-    def calibrated(self, quality: Quality) -> "Proposals":
-        """The same with deviations, of the model too, times the factor that was found out of fold.
+    @property
+    def by_chance(self) -> bool:
+        """Whether the model is known to rank unseen designs no better than chance."""
+        return self.quality is not None and not self.quality.skilled
 
-        A model that ranks no better than chance keeps of its predictions what they were worth out of fold (`Quality.left`): it
-        is surest beside rows that it has seen, and proposes what lies beside those that were lucky.
+    def calibrated(self, quality: Quality) -> "Proposals":
+        """The same as scores of unseen designs have shown predictions to be worth, those of the model too.
+
+        Deviations of true scores, which nobody has seen, change as those of measurements do.
         """
-        if quality.skilled or not quality.scored:
-            fitted = self.fitted and self.fitted.calibrated(quality.factor)
-            return dataclasses.replace(self, predicted_std=quality.factor * self.predicted_std, quality=quality, fitted=fitted)
-        a, b, std = quality.left
+        if quality.calibration is None:
+            return dataclasses.replace(self, quality=quality)
+        noise = 0.0
         if self.mean_std is not None:  # pooled scores vary less than one measurement
-            noise = np.square(self.predicted_std) - np.square(self.mean_std)
-            std = max(std, float(np.sqrt(np.maximum(noise, 0.0).mean())))
-        every = np.full(len(self.x), std)
-        return dataclasses.replace(
-            self, predicted=a + b * self.predicted, predicted_std=every, quality=quality,
-            mean_std=None if self.mean_std is None else every, fitted=self.fitted and self.fitted.shrunk(a, b, std),
-        )  # fmt: skip
+            noise = float(np.sqrt(np.maximum(np.square(self.predicted_std) - np.square(self.mean_std), 0.0).mean()))
+        mean, std = quality.calibration(self.predicted, self.predicted_std, noise)
+        of_mean = None if self.mean_std is None else self.mean_std * std / self.predicted_std
+        fitted = self.fitted and self.fitted.calibrated(quality.calibration, noise)
+        return dataclasses.replace(self, predicted=mean, predicted_std=std, quality=quality, mean_std=of_mean, fitted=fitted)
 
 
 class DesignInput(NamedTuple):

@@ -34,7 +34,7 @@ def first_choice(made: Proposals, far: np.ndarray) -> int | None:
     Returns:
         Its index; None where the method has no model of the score, or one that ranks unseen designs no better than chance.
     """
-    if made.fitted is None or (made.quality is not None and not made.quality.skilled):
+    if made.fitted is None or made.by_chance:
         return None
     low, _ = interval(made.predicted, made.predicted_std)
     value = low if np.isfinite(low).all() else made.predicted if made.predicts else made.fitted.predict(made.x)[0]

@@ -7,6 +7,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from deadreckon.mbo.calibration import Calibration
 from deadreckon.mbo.designs import Designs
 
 BLOCK = 512  # designs that a model is asked about at once: one shape, which is compiled once
@@ -25,39 +26,34 @@ class Fitted:
         predictions: means, and standard deviations of one new measurement (None where the model has none).
         averages: means of groups of designs, and the covariance of the averages of groups; None where it is not known how
             predictions of different designs go together.
-        factor: on standard deviations, from the calibration.
+        calibration: how scores follow from predictions; None where that was not looked at.
+        noise: deviation of one measurement, where it was calibrated on means of several.
         is_order: predictions are not scores but only their order, in standard deviations over the data.
     """
 
     predictions: Predict
     averages: Average | None = None
-    factor: float = 1.0
+    calibration: Calibration | None = None
+    noise: float = 0.0
     is_order: bool = False
 
     def predict(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """(m,) means of (m, variables) designs, and their calibrated standard deviations or None."""
         mean, std = self.predictions(x)
-        return mean, None if std is None else self.factor * std
+        if self.calibration is None or std is None:
+            return mean, std
+        return self.calibration(mean, std, self.noise)
 
     def average(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """(g, r) means of (g, r, variables) groups of designs, and (g, g) calibrated covariance of their averages or None."""
         if self.averages is None:
-            return self.predictions(x.reshape(-1, x.shape[-1]))[0].reshape(x.shape[:2]), None
-        mean, covariance = self.averages(x)
-        return mean, self.factor**2 * covariance
+            return self.predict(x.reshape(-1, x.shape[-1]))[0].reshape(x.shape[:2]), None
+        found = self.averages(x)
+        return found if self.calibration is None else self.calibration.averages(*found)
 
-    def calibrated(self, factor: float) -> "Fitted":
-        """The same with another factor on standard deviations."""
-        return replace(self, factor=factor)
-
-    def shrunk(self, a: float, b: float, std: float) -> "Fitted":
-        """A model that says a + b m where this one says m, all with the same deviation."""
-
-        def averages(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            mean, covariance = self.average(x)
-            return a + b * mean, std**2 * np.eye(len(x)) if covariance is None else b**2 * covariance + std**2 * np.eye(len(x))
-
-        return Fitted(lambda x: (a + b * self.predictions(x)[0], np.full(len(x), std)), averages)
+    def calibrated(self, calibration: Calibration, noise: float = 0.0) -> "Fitted":
+        """The same with means and deviations as this makes them."""
+        return replace(self, calibration=calibration, noise=noise)
 
     @classmethod
     def of(cls, data: Designs, believed: Callable[[Any], tuple[Any, Any]], *, is_order: bool = False) -> "Fitted":

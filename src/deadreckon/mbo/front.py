@@ -66,8 +66,7 @@ class Front:
     @property
     def unskilled(self) -> list[str]:
         """Targets whose models rank unseen designs no better than chance, so that the gain is not known."""
-        qualities = [made.quality for made in self.made]
-        return [each.target for each, quality in zip(self.data, qualities) if quality is not None and not quality.skilled]
+        return [each.target for each, made in zip(self.data, self.made) if made.by_chance]
 
     @property
     def warnings(self) -> list[str]:

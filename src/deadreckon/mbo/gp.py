@@ -27,7 +27,7 @@ REACH = 0.5, 0.003  # of random changes in the first and the last round, in rang
 class GP(Designer):
     """The greatest predicted score under a Gaussian process with a length for each variable, and categories."""
 
-    revision: ClassVar[int] = 2
+    revision: ClassVar[int] = 3
 
     kappa: Number = host(0.0)
     """standard deviations added to the prediction: below 0 cautious (lower confidence bound), above 0 bold (upper one)"""

@@ -1,25 +1,24 @@
 """How well a model of the score predicts designs that it has not seen, and intervals made to hold their share of these.
 
-Folds are of whole designs. From the scaled errors |y - m| / s out of fold follows a factor on standard deviations (split
-conformal prediction with normalised scores; Lei et al. 2018): the smallest with which the interval of 95 % holds that share.
-The scores are measurements, so s must be the deviation of a measurement, noise included, and what the factor makes is an
-interval for a new measurement: true scores are never seen, and the factor says nothing of the deviation of the mean alone.
-Coverage is reported crosswise: for each fold with the factor that the others give, so that no design judges itself.
+Folds are of whole designs. From predictions out of fold follows how scores come from them (`mbo.calibration`). The scores are
+measurements, so deviations must be those of a measurement, noise included, and what they are calibrated to is an interval for a
+new measurement: true scores are never seen. Coverage is reported crosswise: for each fold with the calibration that the others
+give, so that no design judges itself.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from statistics import NormalDist
 
 import numpy as np
-from scipy.special import stdtrit
 
+from deadreckon.mbo.calibration import SHARE, Calibration
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.variables import FEWEST
 from deadreckon.randomness import generator
 from deadreckon.stats.interval import NORMAL
 
-SHARE = 0.95  # of truths that an interval should hold
 FOLDS = 5
 CHANCE = 0.025  # share of tables without any relation on which a method may be called skilled
 ENOUGH = 2 * FEWEST  # different designs that have to be predicted: of fewer than 19 no factor holds 95 % (`conformal_factor`)
@@ -38,8 +37,7 @@ class Quality:
         r2: share of the scores' variance that is predicted; below 0 where the mean would be better; 0 of scores that are all
             the same; NaN, as `coverage`, where the model predicts an order alone.
         rank_correlation: Spearman's.
-        coverage: share of scores within the calibrated interval of 95 %, crosswise.
-        factor: on standard deviations, so that the interval holds its share.
+        fold: (rows,) which of them were predicted together.
         tried: how many methods were tried of which this is one.
         crossed: whether each row has taught the models of all other folds, as in cross-validation.
         scored: whether the model predicts scores, and not their order alone.
@@ -51,8 +49,7 @@ class Quality:
     std: np.ndarray
     r2: float
     rank_correlation: float
-    coverage: float
-    factor: float
+    fold: np.ndarray
     tried: int = 1
     crossed: bool = False
     scored: bool = True
@@ -68,19 +65,25 @@ class Quality:
         variance = (2.12 if self.crossed else 1.06) / max(len(self.observed) - 3, 1)
         return self.rank_correlation > float(np.tanh(limit * variance**0.5))
 
-    @property
-    def left(self) -> tuple[float, float, float]:
-        """What predictions out of fold are worth, as (a, b, s): y = a + b m, and the deviation s of a new score around it.
+    @cached_property
+    def calibration(self) -> Calibration | None:
+        """How scores follow from predictions; None where it predicts an order alone."""
+        return self._calibration(np.ones(len(self.observed), bool)) if self.scored else None
 
-        The regression of scores on predictions, whose b is kept between 0, where predictions say nothing, and 1. The deviation
-        is such that 1.96 times it holds 95 % of normal errors, with Student's t for the two numbers that are fitted.
-        """
-        y, m = self.observed, self.predicted
-        spread = float(np.square(m - m.mean()).sum())
-        b = float(np.clip((m - m.mean()) @ (y - y.mean()) / spread, 0.0, 1.0)) if spread else 0.0
-        a, freedom = float(y.mean() - b * m.mean()), max(len(y) - 2, 1)
-        error = np.sqrt(np.square(y - a - b * m).sum() / freedom * (1.0 + 1.0 / len(y)))
-        return a, b, float(error * stdtrit(freedom, (1.0 + SHARE) / 2) / NORMAL)
+    @cached_property
+    def coverage(self) -> float:
+        """Share of scores within the 95 % interval that the other folds calibrate; NaN where it predicts an order alone."""
+        if not self.scored:
+            return np.nan
+        inside = []
+        for k in np.unique(self.fold):
+            held = self.fold == k
+            mean, std = self._calibration(~held)(self.predicted[held], self.std[held])
+            inside.append(np.abs(self.observed[held] - mean) <= NORMAL * std)
+        return float(np.concatenate(inside).mean())
+
+    def _calibration(self, rows: np.ndarray) -> Calibration:
+        return Calibration.of(self.observed[rows], self.predicted[rows], self.std[rows], skilled=self.skilled)
 
     @property
     def warning(self) -> str | None:
@@ -136,15 +139,11 @@ def unseen(
 
 def judged(y: np.ndarray, mean: np.ndarray, std: np.ndarray, fold: np.ndarray, method: str, scored: bool = True) -> Quality:
     """What predictions out of fold are worth: (rows,) scores, means, deviations and folds; `scored`: they are no mere order."""
+    rank = spearman(y, mean)
     if not scored:
-        return Quality(method, y, mean, std, np.nan, spearman(y, mean), np.nan, 1.0, scored=False)
-    error = np.abs(y - mean) / np.maximum(std, 1e-12 * (y.std() or 1.0))  # in whatever unit the scores are
-    inside = [error[fold == k] <= NORMAL * conformal_factor(error[fold != k]) for k in np.unique(fold)]
-    return Quality(
-        method, y, mean, std, 0.0 if np.ptp(y) == 0 else float(1 - np.square(y - mean).sum() / np.square(y - y.mean()).sum()),
-        spearman(y, mean), float(np.concatenate(inside).mean()),
-        conformal_factor(error),
-    )  # fmt: skip
+        return Quality(method, y, mean, std, np.nan, rank, fold, scored=False)
+    r2 = 0.0 if np.ptp(y) == 0 else float(1 - np.square(y - mean).sum() / np.square(y - y.mean()).sum())
+    return Quality(method, y, mean, std, r2, rank, fold)
 
 
 def spearman(a: np.ndarray, b: np.ndarray) -> float:
@@ -153,9 +152,3 @@ def spearman(a: np.ndarray, b: np.ndarray) -> float:
 
     flat = np.ptp(a) == 0 or np.ptp(b) == 0
     return 0.0 if flat else float(np.corrcoef(rankdata(a), rankdata(b))[0, 1])
-
-
-def conformal_factor(error: np.ndarray, share: float = SHARE) -> float:
-    """The factor on deviations with which intervals hold a share of the scaled errors, with the finite-sample correction."""
-    rank = min(int(np.ceil((len(error) + 1) * share)), len(error))
-    return float(np.sort(error)[rank - 1] / NORMAL)

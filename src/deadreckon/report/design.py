@@ -13,7 +13,7 @@ from deadreckon.mbo.problems.problem import Scores
 from deadreckon.report import charts
 from deadreckon.report.design_advice import one_to_try, rule_note
 from deadreckon.report.design_asked import asked, learned_from
-from deadreckon.report.design_doubts import doubts, ranked
+from deadreckon.report.design_doubts import doubts
 from deadreckon.report.design_effects import around, on_average
 from deadreckon.report.design_table import proposals_table
 from deadreckon.report.markup import Markup, join, tag
@@ -63,7 +63,7 @@ def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None
     warning = made.warning if scores is None else None
     parts = [f"{warning.capitalize()}."] if warning else []
     parts.append(f"The best of the data has {data.target} {best}.")
-    if made.predicts and ranked(made):
+    if made.predicts and not made.by_chance:
         parts.append(f"The best predicted score is {number(float(data.shown(made.predicted.max())))}.")
     if scores is not None:
         best_true, middle = (number(data.shown(scores.percentile(q))) for q in (100, 50))
@@ -101,8 +101,9 @@ def _quality(data: Designs, made: Proposals) -> Markup | None:
     quality = made.quality
     if quality is None:
         return None
-    half = NORMAL * quality.factor * quality.std
-    observed, predicted = data.shown(quality.observed), data.shown(quality.predicted)
+    calibrated = quality.calibration
+    mean, std = (quality.predicted, quality.std) if calibrated is None else calibrated(quality.predicted, quality.std)
+    half, observed, predicted = NORMAL * std, data.shown(quality.observed), data.shown(mean)
     rows = np.linspace(0, len(observed) - 1, min(len(observed), POINTS)).astype(int)
     low, high = predicted - half, predicted + half
     value = lambda of, i: float(of[i])  # noqa: E731
@@ -112,9 +113,10 @@ def _quality(data: Designs, made: Proposals) -> Markup | None:
     drawn = charts.scatter(points, f"{data.target}, observed", f"{data.target}, predicted", diagonal=True)
     text = (
         f"{quality}. Each design was predicted by a model that was fitted without it ({len(observed):,} in all, {len(rows):,} "
-        f"are shown). Standard deviations{', of proposals too,' * quality.skilled} are multiplied by {number(quality.factor)}, "
-        f"so that the {PERCENT} interval holds its share of these. It is an interval for a new measurement, not for the true "
-        "score, which nobody has seen. Proposals lie at the edge of the data or beyond, where errors may be larger."
+        "are shown). Predictions and their standard deviations, those of proposals too, are corrected by what they were worth "
+        f"on these designs, so that the {PERCENT} interval holds its share of them. It is an interval for a new measurement, "
+        "not for the true score, which nobody has seen. Proposals lie at the edge of the data or beyond, where errors may be "
+        "larger."
     )
     return join(tag("div", figure(drawn), class_="charts two"), note(text), _compared(made))
 

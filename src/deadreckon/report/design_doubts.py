@@ -4,12 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from deadreckon.mbo.calibration import SHARE
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.effects import Effect
 from deadreckon.mbo.first_choice import FAR
 from deadreckon.mbo.nn_distance import distance_to_others
-from deadreckon.mbo.validation import SHARE, Quality
+from deadreckon.mbo.validation import Quality
 from deadreckon.report.design_edges import at_ends, at_rules
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.text import number, words
@@ -18,6 +19,7 @@ TOGETHER = 0.9  # correlation from which on two variables are said to vary toget
 MANY = 500  # variables beyond which their correlations are not looked at
 NEAR = 0.5  # usual distances to another proposal, within which one is told that they are nearly the same
 TOP = 0.1  # share of the rows with the highest predictions, whose optimism is told
+TRUSTED = 0.9  # share of what is predicted that came true, below which it is told
 
 
 def doubts(data: Designs, made: Proposals, far: np.ndarray, effects: list[Effect]) -> Markup:
@@ -25,7 +27,7 @@ def doubts(data: Designs, made: Proposals, far: np.ndarray, effects: list[Effect
     idle = {each.column for each in effects if each.distinct(len(effects)) is False and not each.depends(len(effects))}
     lines = [
         *_of_quality(data, made),
-        *_of_batch(data, made, far, idle, ranked(made)),
+        *_of_batch(data, made, far, idle, not made.by_chance),
         *_of_effects(data, made, effects),
         *_of_correlation(data),
     ]
@@ -38,13 +40,8 @@ def doubts_of_several(data: Sequence[Designs], made: Sequence[Proposals], far: n
         join(tag("h3", f"The model of {each.target}"), _listing(_of_quality(each, proposals)))
         for each, proposals in zip(data, made)
     ]
-    lines = [*_of_batch(data[0], made[0], far, set(), any(map(ranked, made))), *_of_correlation(data[0])]
+    lines = [*_of_batch(data[0], made[0], far, set(), not all(each.by_chance for each in made)), *_of_correlation(data[0])]
     return join(*parts, tag("h3", "The proposals"), _listing(lines))
-
-
-def ranked(made: Proposals) -> bool:
-    """Whether it is not known that the model ranks unseen designs no better than chance."""
-    return made.quality is None or made.quality.skilled
 
 
 def _listing(lines: list[str]) -> Markup:
@@ -84,15 +81,27 @@ def _of_quality(data: Designs, made: Proposals) -> list[str]:
     else:
         lines.append(f"The mean score of the table predicts unseen rows better than the model does (R2 {_plain(quality.r2)}).")
     lines.append(_of_optimism(data, quality))
-    if quality.skilled or not quality.scored:
-        lines.append(
-            f"{quality.coverage:.0%} of these scores lie in their {SHARE:.0%} intervals; the standard deviations were "
-            f"multiplied by {number(quality.factor)} for that. Of proposals, which are chosen for their predictions, fewer may."
-        )
-    else:
-        lines.append(
+    return [*lines, *_of_calibration(quality)]
+
+
+def _of_calibration(quality: Quality) -> list[str]:
+    """What was made of predictions and intervals by what they were worth."""
+    calibration = quality.calibration
+    if calibration is None:
+        return []
+    if not quality.skilled:
+        return [
             "Of its predictions of proposals only what they were worth on unseen rows is kept, and their intervals are as wide "
             "as scores scatter around that."
+        ]
+    lines = [
+        f"{quality.coverage:.0%} of these scores lie in their {SHARE:.0%} intervals. Of proposals, which are chosen for their "
+        "predictions, fewer may."
+    ]
+    if calibration.b < TRUSTED:
+        lines.append(
+            "It differs more between designs than their scores do: of how far its predictions lie from the mean only "
+            f"{calibration.b:.0%} came true on unseen rows, and only that is kept for the proposals."
         )
     return lines
 
@@ -158,7 +167,7 @@ def _of_ends(data: Designs, made: Proposals, idle: set[int]) -> list[str]:
 
 
 def _of_effects(data: Designs, made: Proposals, effects: list[Effect]) -> list[str]:
-    if effects and made.quality is not None and not made.quality.skilled:
+    if effects and made.by_chance:
         return [
             "What it shows of the effects of variables cannot be told from none either, since it ranks no better than chance."
         ]

@@ -6,7 +6,6 @@ from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.effects import MOST, ROWS, Effect, cuts
 from deadreckon.mbo.first_choice import shown_interval
-from deadreckon.report.design_doubts import ranked
 from deadreckon.report.effects import Panel, panel
 from deadreckon.report.forest import robust
 from deadreckon.report.markup import Markup, join, tag
@@ -23,7 +22,7 @@ def on_average(data: Designs, made: Proposals, effects: list[Effect]) -> Markup 
     if made.fitted is None or not effects:
         return None
     drawn = _panels(data, made, effects, None)
-    captions = [_caption(data, each, len(effects), ranked(made)) for each in effects]
+    captions = [_caption(data, each, len(effects), not made.by_chance) for each in effects]
     warning = None if made.quality is None else made.quality.warning
     parts = [
         f"Each curve is the prediction averaged over {min(len(data), ROWS):,} rows of the data in which the variable has the "
