@@ -7,6 +7,7 @@ import pytest
 
 from deadreckon.errors import UserError
 from deadreckon.mbo.batch import keys
+from deadreckon.mbo.calibration import Calibration
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.front import Gains, Scalarised, propose_front, targets_of
 from deadreckon.mbo.hypervolume import hypervolume, improvement, non_dominated, reference_of
@@ -80,6 +81,10 @@ def test_the_batch_is_chosen_given_those_before(two):
     x = np.concatenate([two[0].x[:4], two[0].x[:4] + 1e-4])
     y = np.stack([each.y for each in two], 1)
     gains = Gains(processes, x, two[0].x[:0], reference_of(y) - 1, 0)
+    worth = Calibration(1.0, 0.5, 3.0, 0.0, 2.0, 0.5)  # of what is promised only what came true
+    promised = Gains(processes, x, two[0].x[:0], reference_of(y) - 1, 0, [worth] * len(processes)).y
+    mean = np.stack([process.mean(x) for process in processes], -1)
+    np.testing.assert_allclose(promised, 1.0 + 0.5 * mean + 6.0 * (gains.y - mean))
     order = gains.greedy(8)
     assert sorted(order.tolist()) == list(range(8))
     assert order[0] % 4 != order[1] % 4  # the twin of the first adds nothing

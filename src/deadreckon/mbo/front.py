@@ -14,6 +14,7 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.mbo.batch import batch, check_batch, least_distance
+from deadreckon.mbo.calibration import Calibration
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.gp import GP, search
@@ -154,7 +155,8 @@ def propose_front(
     x = batch(data[0], pool[order], n, value, repeat=repeat, seed=seed)
     check_batch(data[0], x, repeat)
     made = tuple(_predicted(process, x, seed, quality) for process, quality in zip(processes, qualities))
-    gain = Gains(processes, x, data[0].x[rows], point, seed).total()
+    worth = [None if quality is None else quality.calibration for quality in qualities]
+    gain = Gains(processes, x, data[0].x[rows], point, seed, worth).total()
     return Front(data, made, point, hypervolume(y, point), gain)
 
 
@@ -192,11 +194,15 @@ class Gains:
         front: (f, variables) designs of the data that none dominates.
         reference: (targets,) point of the hypervolume.
         seed: of the draws.
+        calibrations: one a target, which say what its predictions are worth; None: draws are as the process has them.
     """
 
-    def __init__(self, processes: Sequence[Process], x: np.ndarray, front: np.ndarray, reference: np.ndarray, seed: int):
+    def __init__(
+        self, processes: Sequence[Process], x: np.ndarray, front: np.ndarray, reference: np.ndarray, seed: int,
+        calibrations: Sequence[Calibration | None] | None = None,
+    ):  # fmt: skip
         rng, both = generator(seed, "draws of true scores"), np.concatenate([x, front])
-        drawn = [_draws(process, both, rng) for process in processes]
+        drawn = [_draws(process, both, rng, each) for process, each in zip(processes, calibrations or [None] * len(processes))]
         y = np.stack(drawn, -1)  # (draws, m + f, targets)
         self.y, self.reference = y[:, : len(x)], reference
         self.fronts = [_kept(each, reference) for each in y[:, len(x) :]]
@@ -237,11 +243,14 @@ class Gains:
         return float(np.mean(both))
 
 
-def _draws(process: Process, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _draws(process: Process, x: np.ndarray, rng: np.random.Generator, calibration: Calibration | None) -> np.ndarray:
     """(DRAWS, m) joint draws of true scores."""
     values, vectors = np.linalg.eigh(process.covariance(x))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    return process.mean(x) + process.y_std * rng.standard_normal((DRAWS, len(x))) @ root.T
+    mean, off = process.mean(x), process.y_std * rng.standard_normal((DRAWS, len(x))) @ root.T
+    if calibration is None:
+        return mean + off
+    return calibration.a + calibration.b * mean + calibration.factor * calibration.scale * off
 
 
 def _kept(y: np.ndarray, reference: np.ndarray) -> np.ndarray:
