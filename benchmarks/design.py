@@ -6,7 +6,7 @@ Each method proposes 16 designs from the table alone; both are made different an
 scikit-learn has a Matern kernel with a length for each coordinate, and proposes the greatest lower confidence bound m - s of
 4,000 random designs. What is printed are means over seeds: the best and the median true score, the best of the data and of as
 many random designs, the share of new measurements (true scores with the table's noise) within the intervals of 95 %, that of
-true scores within the intervals of the mean (which are not calibrated), and the quality out of fold.
+true scores within the intervals of the mean, and the quality out of fold.
 """
 
 import argparse

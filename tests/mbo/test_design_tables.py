@@ -155,12 +155,50 @@ def test_a_slipped_digit_is_told():
     data, lines = told(Designs.from_frame, columns, "y")
     assert data.variables[0].high == 900
     assert lines[0] == (
-        f"frame: temp: 900 (row 3, counted from 0) is far from all others ({least:g} to {most:g}); proposals may go there: "
-        f"mend it, or say --constraints '`temp` <= {most:g}'"
+        f"frame: temp: 900 (row 3, counted from 0) is far from all others ({least:g} to {most:g}); the models learn from it: "
+        f"mend it, or leave the row out, if it is a slip; --constraints '`temp` <= {most:g}' would keep proposals alone from "
+        "there"
     )
     assert lines[1].startswith("frame: y: 431 (row 5, counted from 0) is far from all others (")
-    for said in ({"bounds": {"temp": (0, 900)}}, {"constraints": [f"`temp` <= {most:g}"]}, {"fixed": ["temp = 60"]}):
-        assert told(Designs.from_frame, columns, "y", **said)[1] == lines[1:]
+    assert data.noticed == tuple(line.removeprefix("frame: ") for line in lines)
+    assert told(Designs.from_frame, columns, "y", bounds={"temp": (0, 900)})[1] == lines[1:]
+    drafted = {"bounds": {"temp": (least, 900.0)}}  # the range of the data is nobody's word
+    assert told(Designs.from_frame, columns, "y", **drafted)[1] == lines
+    for rule in ({"constraints": [f"`temp` <= {most:g}"]}, {"fixed": ["temp = 60"]}):  # proposals are kept from there already
+        assert told(Designs.from_frame, columns, "y", **rule)[1] == [lines[0].partition("; --constraints")[0], *lines[1:]]
+
+
+def test_a_level_of_one_row_that_is_nearly_another_is_told():
+    columns = frame()
+    columns["solvent"] = ["ethanol", "water", "toluene"] * (len(columns["y"]) // 3) + ["water"] * (len(columns["y"]) % 3)
+    assert told(Designs.from_frame, columns, "y")[1] == []
+    columns["solvent"][4] = "wather"
+    (line,) = told(Designs.from_frame, columns, "y")[1]
+    assert line.startswith("frame: column solvent has wather in one row, which is written nearly as water; they are different")
+    columns["solvent"] = [f"cat{i % 9 + 1}" for i in range(len(columns["y"]))]
+    columns["solvent"][4] = "cat10"  # names with numbers are alike on purpose
+    assert told(Designs.from_frame, columns, "y")[1] == []
+
+
+def test_rows_that_break_a_sum_which_others_hold_are_told():
+    rng = np.random.default_rng(0)
+    parts = rng.dirichlet([2.0] * 3, 20).round(3)
+    parts[:, 2] = 1 - parts[:, :2].sum(1)
+    columns = dict(zip("abc", parts.T)) | {"y": rng.normal(size=20)}
+    mixture = {"mixtures": [list("abc")]}
+    assert told(Designs.from_frame, columns, "y", **mixture)[1] == []
+    columns["c"][7] += 0.3
+    (line,) = told(Designs.from_frame, columns, "y", **mixture)[1]
+    assert line.startswith("frame: a + b + c = 1 does not hold in row 7, counted from 0; the models learn from these")
+    percent = {name: 100 * columns[name] for name in "abc"} | {"y": columns["y"]}
+    with pytest.raises(UserError, match=r"in the data they sum to 100, so say --constraints 'a \+ b \+ c = 100' instead"):
+        Designs.from_frame(percent, "y", **mixture)
+
+
+def test_few_rows_are_too_few_and_nothing_else_is_wrong():
+    for rows in (1, 2, 4):
+        with pytest.raises(UserError, match=f"{rows} rows? (is|are) too few to learn from, 10 or more are needed"):
+            Designs.from_frame({"a": list(range(rows)), "y": list(range(rows))}, "y")
 
 
 RNG = np.random.default_rng(1)

@@ -7,7 +7,7 @@ import pytest
 
 from deadreckon.errors import UserError
 from deadreckon.mbo.batch import keys
-from deadreckon.mbo.calibration import Calibration
+from deadreckon.mbo.calibration import OWN, Calibration
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.front import Gains, Scalarised, propose_front, targets_of
 from deadreckon.mbo.hypervolume import hypervolume, improvement, non_dominated, reference_of
@@ -74,6 +74,9 @@ def test_a_batch_moves_the_front(two):
     assert np.ptp(x[:, 0]) > 0.4  # all along the front, not at one of its places
     np.testing.assert_allclose(front.shown(front.predicted)[:, 1], -front.predicted[:, 1])
     assert all(made.quality.rank_correlation > 0.9 for made in front.made)
+    rows, worth = np.flatnonzero(non_dominated(front.observed)), [made.quality.calibration for made in front.made]
+    again = Gains([fit(each) for each in two], front.made[0].x, two[0].x[rows], front.reference, 0, worth).total()
+    assert front.gain == pytest.approx(again)
 
 
 def test_the_batch_is_chosen_given_those_before(two):
@@ -81,7 +84,7 @@ def test_the_batch_is_chosen_given_those_before(two):
     x = np.concatenate([two[0].x[:4], two[0].x[:4] + 1e-4])
     y = np.stack([each.y for each in two], 1)
     gains = Gains(processes, x, two[0].x[:0], reference_of(y) - 1, 0)
-    worth = Calibration(1.0, 0.5, 3.0, 0.0, 2.0, 0.5)  # of what is promised only what came true
+    worth = Calibration(1.0, 0.5, 6.0 * OWN**0.5, 2.0)  # of what is promised only what came true
     promised = Gains(processes, x, two[0].x[:0], reference_of(y) - 1, 0, [worth] * len(processes)).y
     mean = np.stack([process.mean(x) for process in processes], -1)
     np.testing.assert_allclose(promised, 1.0 + 0.5 * mean + 6.0 * (gains.y - mean))

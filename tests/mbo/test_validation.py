@@ -113,19 +113,19 @@ def test_a_method_that_is_fitted_once_holds_out_enough_to_calibrate_by():
 @pytest.mark.filterwarnings("ignore:.*are pooled")
 def test_what_was_not_tested_is_told_of_several_targets_and_in_spreadsheets_too():
     rng = np.random.default_rng(0)
-    a = np.repeat(rng.uniform(size=12), 2)
-    frame = {"a": a, "y": rng.normal(size=24), "z": rng.normal(size=24)}
+    a = np.repeat(rng.uniform(size=10), 2)
+    frame = {"a": a, "y": rng.normal(size=20), "z": rng.normal(size=20)}
     front = propose_front([Designs.from_frame(frame, target, ignore=(other,)) for target, other in ("yz", "zy")], 2)
     assert [line.partition(":")[0] for line in front.warnings] == ["y", "z"]
     assert all("was not tested" in line for line in front.warnings)
     assert {"warning, y", "warning, z"} <= set(about_front(front)["what"])
     assert "warning" in about(front.data[0], front.made[0])["what"]
     shown = re.findall(r'scope="row">(\d+)<', str(_observed(front)))
-    assert set(map(int, shown)) <= set(range(0, 24, 2))  # rows of the table, of which every other one is pooled
-    assert max(map(int, shown)) > 11
+    assert set(map(int, shown)) <= set(range(0, 20, 2))  # rows of the table, of which every other one is pooled
+    assert max(map(int, shown)) > 9
 
 
-# ---- models that rank no better than chance ---------------------------------------------------------------------------
+# ---- models whose order may be chance ---------------------------------------------------------------------------------
 
 
 def quality(observed, predicted, **more):
@@ -141,29 +141,47 @@ def test_what_predictions_out_of_fold_are_worth_is_their_regression():
     line = scipy.stats.linregress(m, y)
     found = quality(y, m).calibration
     assert (found.a, found.b) == pytest.approx((line.intercept, line.slope))
-    assert found.scatter == pytest.approx(np.sqrt(np.square(y - found.a - found.b * m).sum() / 28))
-    assert found.scale == pytest.approx(found.scatter)  # deviations of 1 were said
     wrong = quality(y, -m).calibration
     assert (wrong.a, wrong.b) == (pytest.approx(y.mean()), 0.0)  # a false order is worth nothing
     assert quality(5.0 * m, m).calibration.b == 1.0  # nor does it widen predictions
-    flat = quality(y, np.full(30, 2.0)).calibration
+    flat = quality(y, np.full(30, 0.1)).calibration
     assert (flat.a, flat.b) == (pytest.approx(y.mean()), 0.0)
+    # Rows that vary more count less, by their variances.
+    std = np.where(np.arange(30) % 3, 1.0, 4.0)
+    rough = y + np.where(np.arange(30) % 3, 0.0, 3.0 * m)
+    found = Calibration.of(rough, m, std, skilled=True)
+    slope, intercept = np.polyfit(m, rough, 1, w=1 / std)
+    assert (found.a, found.b) == (pytest.approx(intercept), pytest.approx(slope))
 
 
 def test_half_of_a_skilled_models_own_variance_counts():
     rng = np.random.default_rng(0)
     std = rng.uniform(0.5, 1.5, 200)
     m = 3.0 * rng.normal(size=200)
-    y = m + std * rng.normal(size=200)
-    found = Calibration.of(y, m, std, skilled=True)
-    mean, width = found(m, std)
-    own, rest = np.square(found.scale * std), found.scatter**2
-    np.testing.assert_allclose(np.square(width), found.factor**2 * (own + rest) / 2)
-    assert own.mean() == pytest.approx(rest)
+    y = m + 1.0 * std * rng.normal(size=200)
+    found = Calibration.of(y, 0.9 * m, std, skilled=True)
+    mean, width = found(0.9 * m, std)
+    assert found.b == 1.0
+    error, weight = y - mean, 1 / std**2
+    error /= 1 - weight / weight.sum()  # as if the intercept had not seen it
+    own, rest = np.square(error / std).mean() * std**2, (weight @ np.square(error)) / weight.sum()
+    np.testing.assert_allclose(np.square(width) / (own + rest), np.square(width[0]) / (own + rest)[0])
     # 191 is ceil(0.95 x 201): the correction for few rows.
-    assert (np.abs(y - mean) <= 1.959964 * width * (1 + 1e-9)).sum() == 191
-    flat = Calibration.of(y, m, std, skilled=False)(m, std)[1]
-    assert np.ptp(flat) == 0
+    assert (np.abs(error) <= 1.959964 * width * (1 + 1e-9)).sum() == 191
+    assert np.ptp(Calibration.of(y, m, std, skilled=False)(m, std)[1]) == 0
+
+
+def test_errors_are_those_of_a_regression_that_has_not_seen_the_row():
+    rng = np.random.default_rng(0)
+    m = rng.normal(size=15)
+    y = 0.7 * m + rng.normal(size=15)
+    found = Calibration.of(y, m, np.ones(15), skilled=False)
+    assert 0 < found.b < 1
+    left = []
+    for i in range(15):
+        slope, intercept = np.polyfit(np.delete(m, i), np.delete(y, i), 1)
+        left.append(abs(y[i] - intercept - slope * m[i]))
+    assert 1.959964 * found.scatter == pytest.approx(max(left))  # of 15 rows the greatest error
 
 
 def test_a_model_without_skill_keeps_what_its_predictions_were_worth():
@@ -171,22 +189,35 @@ def test_a_model_without_skill_keeps_what_its_predictions_were_worth():
     noise = quality(60.0 + 8.0 * rng.normal(size=40), 60.0 + rng.normal(size=40))
     assert not noise.skilled
     worth = noise.calibration
-    std = worth.factor * worth.scatter
+    assert worth.scale == 0.0
     x = np.zeros((3, 2), np.float32)
     averages = lambda x: (np.full(x.shape[:2], 76.0), np.eye(len(x)))  # noqa: E731
     fitted = Fitted(lambda x: (np.full(len(x), 76.0), np.full(len(x), 0.5)), averages)
     made = Proposals("GP", x, np.full(3, 76.0), np.full(3, 0.5), 0, fitted=fitted, mean_std=np.full(3, 0.3))
     found = made.calibrated(noise)
     assert found.predicted == pytest.approx(worth.a + 76.0 * worth.b)
-    assert found.predicted_std == pytest.approx(std)
-    assert found.mean_std == pytest.approx(0.6 * std)  # a true score's deviation is widened as that of a measurement is
+    assert found.predicted_std == pytest.approx(worth.scatter)
+    assert found.mean_std == pytest.approx(0.6 * worth.scatter)  # a true score's deviation is multiplied as that of a row is
     assert found.fitted.predict(x)[0] == pytest.approx(worth.a + 76.0 * worth.b)
-    assert found.fitted.predict(x)[1] == pytest.approx(std)
-    own = (worth.factor * worth.scale) ** 2
-    assert found.fitted.average(np.zeros((2, 3, 2)))[1] == pytest.approx((own + std**2) * np.eye(2))
-    # Pooled scores vary less than one measurement, of which the model knows the noise.
-    noisy = replace(made, predicted_std=np.full(3, 20.0)).calibrated(noise)
-    assert noisy.predicted_std == pytest.approx(worth.factor * np.sqrt(20.0**2 - 0.3**2))
+    assert found.fitted.predict(x)[1] == pytest.approx(worth.scatter)
+    mean, covariance = found.fitted.average(np.zeros((2, 3, 2)))
+    assert mean == pytest.approx(worth.a + 76.0 * worth.b)
+    assert covariance is None  # how sure it is of an average is nothing that it knows
+    # One measurement varies more than pooled rows, of which the model knows the noise.
+    single = replace(made, predicted_std=np.full(3, 1.3), beyond=1.2).calibrated(noise)
+    assert single.predicted_std == pytest.approx(np.hypot(worth.scatter, 1.2))
+    assert single.mean_std == pytest.approx(0.3 * worth.scatter / 0.5)
+    assert single.fitted.beyond == 1.2
+
+
+def test_an_order_whose_predictions_do_not_go_with_the_scores_is_none():
+    m = np.arange(40.0)
+    y = m.copy()
+    y[0] = 1e4  # a slip
+    found = quality(y, m)
+    assert found.rank_correlation > found.limit
+    assert not found.skilled
+    assert "is one score a slip?" in found.warning
 
 
 def test_intervals_hold_new_measurements_of_what_is_proposed_from_much_noise():

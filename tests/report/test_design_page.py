@@ -74,7 +74,7 @@ def test_a_page_says_what_to_try_and_what_is_not_known(skilled, tmp_path):
         "cannot be told from none", "Around proposal", "Dashed or hollow", "Nearest rows",
     ):  # fmt: skip
         assert part in said, part
-    assert "no better than chance" not in said
+    assert "cannot be told from chance" not in said
     assert "<oil" not in text  # levels are escaped
     assert text.count("<figure>") == 2 + 7 + 6  # of the fixed rate there is an average and no cut
 
@@ -84,7 +84,7 @@ def test_of_noise_nothing_is_praised(tmp_path):
     made = designer("gp", rounds=2).propose(data, 6)
     assert not made.quality.skilled
     _, said = page(data, made, tmp_path)
-    assert "The model ranks unseen designs no better than chance" in said
+    assert "The model's order of unseen designs cannot be told from chance" in said
     assert "None of the proposals is preferred" in said
     assert "What it shows of the effects of variables cannot be told from none either" in said
     assert said.count("changes the average by") == said.count("; not told from no effect") == len(data.variables)
@@ -213,7 +213,7 @@ def test_where_a_model_has_no_skill_no_gain_is_stated(tmp_path):
     front = two_targets(False)
     text, said = front_page(front, tmp_path)
     lead = re.search(r'<p class="lead">(.*?)</p>', text)[1]
-    assert lead.startswith("The model of Cost / EUR ranks unseen designs no better than chance: in Cost / EUR the proposals")
+    assert lead.startswith("The order that the model of Cost / EUR gives unseen designs cannot be told from chance: in Cost")
     assert "what they would gain is not known" in lead
     assert "14.2" not in said
     assert about_front(front)["value"][about_front(front)["what"].index("expected to be added")] == "not known"

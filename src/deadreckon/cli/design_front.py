@@ -24,6 +24,8 @@ def check(name: str, options: Any) -> None:
     for option, value in others.items():
         if value:
             raise UserError(f"{option} does not go with --targets, which are a front of several scores; leave one of them out")
+    if options.minimise == ():
+        raise UserError(f"--minimise needs names with --targets, such as --minimise {options.targets[-1]}")
     if name not in ("auto", "gp"):
         raise UserError(f"several --targets have a Gaussian process each; leave out --method {name}")
     if options.data is None:

@@ -4,7 +4,7 @@ Up to `networks_from` rows the method is the Gaussian process, cross-validated: 
 than the table is worth. From there on the process, an ensemble and a model that ranks are all fitted on the same four fifths of
 the designs and asked about the rest. The one with the greatest rank correlation is taken, because proposals are chosen by their
 order; but the process where it is within one standard error of that (Breiman et al. 1984), since it tells noise from doubt.
-Where none ranks better than chance, the process is taken and a warning says so.
+Where no method's order can be told from chance, the process is taken and a warning says so.
 """
 
 from dataclasses import replace
@@ -62,7 +62,7 @@ def chosen(compared: list[Quality]) -> tuple[int, str]:
     first, rank = compared[0], [each.rank_correlation for each in compared]
     best = int(np.argmax(rank))
     if not any(each.skilled for each in compared):
-        return 0, f"none of {len(compared)} methods ranks unseen designs better than chance"
+        return 0, f"the order that each of {len(compared)} methods gives unseen designs cannot be told from chance"
     if best == 0:
         return 0, f"{first.method} ranks unseen designs best ({rank[0]:.3f})"
     error = standard_error(first.observed, first.predicted, compared[best].predicted)

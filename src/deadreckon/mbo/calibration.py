@@ -2,13 +2,15 @@
 
 From predictions m with standard deviations s out of fold, and the scores y that were observed, a new score is said to be
 
-    a + b m, with the standard deviation  u = c sqrt(w (k s)^2 + (1 - w) r^2).
+    a + b m, with the standard deviation  c sqrt(w (k s)^2 + (1 - w) r^2).
 
-a and b are the regression of y on m, with b kept between 0, where predictions say nothing, and 1; r is the deviation of y
-around it, and k s has the same mean square. A model that has taken noise for signal is surest beside the rows that it has seen,
-and what it proposes lies beside those that were lucky: of its own deviations, which say where it is surer, only the share w is
-taken, a half, and none where it ranks designs no better than chance. c makes intervals of 1.96 u hold 95 % of the scores (split
-conformal prediction, with the correction for few rows; Lei et al. 2018).
+a and b are the regression of y on m, each row weighted by 1 / s^2, with b kept between 0, where predictions say nothing, and 1.
+r is the deviation of y around it, weighted alike, and k what makes k s as large as the errors are. A model that has taken noise
+for signal is surest beside the rows that it has seen, and what it proposes lies beside those that were lucky: of its own
+deviations, which say where it is surer, only the share w is taken, a half, and none where its order cannot be told from chance.
+c makes intervals of 1.96 deviations hold 95 % of the scores, from errors as if the regression had not seen their rows (after
+split conformal prediction, with the correction for few rows; Lei et al. 2018). Of fewer than 19 rows it is the greatest error,
+which holds n of n + 1 new ones.
 """
 
 from dataclasses import dataclass
@@ -18,7 +20,7 @@ import numpy as np
 from deadreckon.stats.interval import NORMAL
 
 SHARE = 0.95  # of truths that an interval should hold
-OWN = 0.5  # w of a model that ranks designs better than chance
+OWN = 0.5  # w of a model whose order of designs is told from chance
 
 
 @dataclass(frozen=True)
@@ -27,48 +29,45 @@ class Calibration:
 
     Attributes:
         a, b: of the mean a + b m.
-        scale: k, on the model's own deviations.
-        scatter: r, of scores around the regression.
-        factor: c.
-        own: w, the share of the model's own variance.
+        scale: on the model's own deviations, c k sqrt(w); 0: none of them counts.
+        scatter: the part of the deviation that is the same for all, c r sqrt(1 - w).
     """
 
     a: float
     b: float
     scale: float
     scatter: float
-    factor: float
-    own: float
 
     @classmethod
     def of(cls, y: np.ndarray, mean: np.ndarray, std: np.ndarray, *, skilled: bool) -> "Calibration":
         """From (rows,) scores, and means and deviations that were predicted without them."""
         std = np.maximum(std, 1e-12 * (y.std() or 1.0))  # in whatever unit the scores are
-        off = mean - mean.mean()
-        spread = float(off @ off)
-        b = float(np.clip(off @ (y - y.mean()) / spread, 0.0, 1.0)) if spread else 0.0
-        a = float(y.mean() - b * mean.mean())
-        error = np.abs(y - a - b * mean)
-        scatter = float(np.sqrt(error @ error / max(len(y) - 2, 1)))
-        plain = cls(a, b, scatter / float(np.sqrt(np.square(std).mean())), scatter, 1.0, OWN if skilled else 0.0)
-        width = plain(mean, std)[1]
+        weight = np.square(std.min() / std)
+        weight /= weight.sum()
+        off = mean - weight @ mean
+        spread = float(weight @ np.square(off)) if np.ptp(mean) > 0 else 0.0
+        b = float(np.clip(weight * off @ y / spread, 0.0, 1.0)) if spread else 0.0
+        a = float(weight @ (y - b * mean))
+        seen = weight * (1.0 + (np.square(off) / spread if 0.0 < b < 1.0 else 0.0))  # how much a row's error is pulled to 0
+        error = np.abs(y - a - b * mean) / np.maximum(1.0 - seen, 1e-6)
+        own = OWN if skilled else 0.0
+        scale = (own * float(np.square(error / std).mean())) ** 0.5
+        scatter = ((1.0 - own) * float(weight @ np.square(error))) ** 0.5
+        width = np.hypot(scale * std, scatter)
         factor = conformal_factor(error / np.where(width > 0, width, 1.0))
-        return cls(a, b, plain.scale, scatter, factor, plain.own)
+        return cls(a, b, factor * scale, factor * scatter)
 
-    def __call__(self, mean: np.ndarray, std: np.ndarray, noise: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """(m,) means and deviations of new scores.
+    def __call__(self, mean: np.ndarray, std: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(m,) means and deviations of new scores, from (m,) predictions and their deviations."""
+        return self.a + self.b * mean, np.hypot(self.scale * std, self.scatter)
 
-        Args:
-            mean, std: (m,) predictions and their deviations, as the model has them.
-            noise: deviation of one measurement, where the scores that calibrate are means of several and vary less.
+    def of_true(self, mean: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Means of true scores, and how far they are off, of any shapes, where the model says that they are `off`.
+
+        All of the model's own deviations count, as large as its errors out of fold were: what is the same for all is the noise
+        of scores too.
         """
-        rest = (1.0 - self.own) * max(self.scatter, noise) ** 2
-        return self.a + self.b * mean, self.factor * np.sqrt(self.own * np.square(self.scale * std) + rest)
-
-    def averages(self, mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(g, r) means of groups of designs and (g, g) covariance of their averages; the noise of a score is no part of it."""
-        rest = 0.0 if self.own else (self.factor * self.scatter) ** 2
-        return self.a + self.b * mean, (self.factor * self.scale) ** 2 * covariance + rest * np.eye(len(covariance))
+        return self.a + self.b * mean, (self.scale / OWN**0.5 or 1.0) * off
 
 
 def conformal_factor(error: np.ndarray, share: float = SHARE) -> float:

@@ -102,6 +102,11 @@ def numbers_of(name: str, table: pa.Table, column: str, rows: np.ndarray) -> np.
     return values
 
 
+def score_name(target: str, weights: Mapping[str, float] | None) -> str:
+    """What a score is called: the target, with the columns that count beside it."""
+    return target + "".join(f" {'-' if weight < 0 else '+'} {abs(weight):g} {key}" for key, weight in (weights or {}).items())
+
+
 def rows_told(rows: np.ndarray, how: str = ", counted from 0") -> str:
     """Rows as a message names them, ascending: row 3; rows 3, 5 to 9."""
     runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)

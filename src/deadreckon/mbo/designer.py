@@ -56,6 +56,7 @@ class Proposals(Shown):
         mean_std: (n,) standard deviation of the true score, the mean of ever more measurements. True scores are not in the
             data, so it is only widened as `predicted_std` is. None where the method does not tell it from noise.
         noisy: whether `predicted_std` is of a measurement, noise included.
+        beyond: deviation of the noise that one measurement has beyond that of a usual row, where rows are means of several.
     """
 
     method: str
@@ -70,6 +71,7 @@ class Proposals(Shown):
     compared: tuple[Quality, ...] = ()
     reason: str | None = None
     noisy: bool = True
+    beyond: float = 0.0
 
     def __len__(self) -> int:
         return len(self.x)
@@ -95,23 +97,27 @@ class Proposals(Shown):
 
     @property
     def by_chance(self) -> bool:
-        """Whether the model is known to rank unseen designs no better than chance."""
+        """Whether it was tested, and the model's order of unseen designs cannot be told from chance."""
         return self.quality is not None and not self.quality.skilled
 
     def calibrated(self, quality: Quality) -> "Proposals":
         """The same as scores of unseen designs have shown predictions to be worth, those of the model too.
 
-        Deviations of true scores, which nobody has seen, change as those of measurements do.
+        Scores that calibrate have the noise of a row; what one measurement has beyond that (`beyond`) is added. Deviations of
+        true scores, which nobody has seen, are multiplied as those of rows are.
         """
         if quality.calibration is None:
             return dataclasses.replace(self, quality=quality)
-        noise = 0.0
-        if self.mean_std is not None:  # pooled scores vary less than one measurement
-            noise = float(np.sqrt(np.maximum(np.square(self.predicted_std) - np.square(self.mean_std), 0.0).mean()))
-        mean, std = quality.calibration(self.predicted, self.predicted_std, noise)
-        of_mean = None if self.mean_std is None else self.mean_std * std / self.predicted_std
-        fitted = self.fitted and self.fitted.calibrated(quality.calibration, noise)
-        return dataclasses.replace(self, predicted=mean, predicted_std=std, quality=quality, mean_std=of_mean, fitted=fitted)
+        row = np.sqrt(np.maximum(np.square(self.predicted_std) - self.beyond**2, 0.0))
+        mean, std = quality.calibration(self.predicted, row)
+        return dataclasses.replace(
+            self,
+            predicted=mean,
+            predicted_std=np.hypot(std, self.beyond),
+            quality=quality,
+            mean_std=None if self.mean_std is None else self.mean_std * std / row,
+            fitted=self.fitted and self.fitted.calibrated(quality.calibration, self.beyond),
+        )
 
 
 class DesignInput(NamedTuple):

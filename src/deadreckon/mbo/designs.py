@@ -17,9 +17,9 @@ from deadreckon.errors import UserError
 from deadreckon.files import replacing
 from deadreckon.mbo import doubts
 from deadreckon.mbo.coordinates import Coordinates
-from deadreckon.mbo.design_table import check_filled, name_of, numbers_of, read_designs, scored, trimmed, warn
+from deadreckon.mbo.design_table import check_filled, name_of, numbers_of, read_designs, score_name, scored, trimmed, warn
 from deadreckon.mbo.repair import Repair
-from deadreckon.mbo.replicates import pooled
+from deadreckon.mbo.replicates import errors_of, pooled
 from deadreckon.mbo.rules import NO_RULES, Rules
 from deadreckon.mbo.variables import FEWEST, Variable, codes, filled, variable_of
 from deadreckon.provided import Shown
@@ -43,6 +43,7 @@ class Designs(Shown):
         std_error: (rows,) standard error of `y`; None: not known.
         table_rows: (rows,) the first row of the table that each is, counted from 0; None: they are the table's own.
         pooling: what was done with rows of the same design (`mbo.replicates.pooled`), in words; None: nothing.
+        noticed: what may be a mistake in the table, and columns that are not used, a line each.
     """
 
     x: np.ndarray
@@ -56,6 +57,7 @@ class Designs(Shown):
     std_error: np.ndarray | None = None
     table_rows: np.ndarray | None = None
     pooling: str | None = None
+    noticed: tuple[str, ...] = ()
 
     def __post_init__(self):
         object.__setattr__(self, "x", np.asarray(self.x, np.float32))
@@ -115,7 +117,7 @@ class Designs(Shown):
         table, _, told = read_designs(path, ways, ignored)
         warn(path, told)
         options.setdefault("name", name_of(path))
-        return cls.from_frame(table, target, **options)
+        return cls.from_frame(table, target, noticed=told, **options)
 
     @classmethod
     def from_frame(
@@ -135,6 +137,7 @@ class Designs(Shown):
         weights: Mapping[str, float] | None = None,
         pool: bool = True,
         targets: Sequence[str] = (),
+        noticed: Sequence[str] = (),
         **rules: Any,
     ) -> "Designs":
         """Designs of a table, a row each, without blanks at ends of texts. Rows without a score are left out, and told.
@@ -156,6 +159,7 @@ class Designs(Shown):
             weights: further columns that count, such as a cost: the score is the target plus the sum of weight times column.
             pool: whether rows of the same design become one, with the mean score (`mbo.replicates.pooled`).
             targets: all scores that are asked for of this table, one after the other: a row with none of them is left out.
+            noticed: what was told of the table before.
             rules: that proposals must satisfy; see `mbo.rules.Rules.of`.
 
         Raises:
@@ -173,17 +177,17 @@ class Designs(Shown):
         if table.num_rows == 0:
             raise UserError(f"{name}: the table has no rows")
         inputs = [column for column in table.column_names if column not in outputs and column not in ignore]
+        told = []
         if index := row_numbers(inputs):
-            warn(name, [f"column {index[0]!r} looks like a row number and is left out"])
+            told.append(f"column {index[0]!r} looks like a row number and is left out")
             inputs = [column for column in inputs if column not in index]
         if not inputs:
             raise UserError(f"{name}: there is no column beside the target {target!r}")
         table = trimmed(table, inputs)
         rows, planned = scored(name, table, targets or [target])
-        warn(name, [planned] if planned else [])
         check_filled(name, table, inputs, outputs, rows)
         y, columns, variables = numbers_of(name, table, target, rows), [], []
-        told = doubts.of_target(target, y, rows)
+        told, slips = told + ([planned] if planned else []), doubts.of_target(target, y, rows)
         for column, weight in (weights or {}).items():
             y = y + weight * numbers_of(name, table, column, rows)
         for column in inputs:
@@ -192,17 +196,16 @@ class Designs(Shown):
             )
             columns.append(values)
             variables.append(replace(variable, step=(steps or {}).get(column), log=column in logs))
-        error = None if std_error is None else numbers_of(name, table, std_error, rows)
-        if error is not None and (error < 0).any():
-            row = int(error.argmin())
-            raise UserError(f"{name}: column {std_error} is {error[row]:g} in row {rows[row]}, standard errors are 0 or more")
+        error = None if std_error is None else errors_of(name, table, std_error, rows)
         x, scores = np.stack(columns, 1), -y if minimise else y
         made = cls(
             x, scores, tuple(variables), name, score_name(target, weights), minimise,
             Rules.of(variables, name=name, **rules), std_error=error, table_rows=rows if planned else None,
         )  # fmt: skip
         made.repair.check_possible()
-        warn(name, doubts.of_inputs(variables, x, rows, tuple(bounds or ()), made.rules) + told)
+        warn(name, told := [*told, *doubts.of_inputs(variables, x, rows, bounds, made.rules), *slips])
+        unused = [f"not used: {', '.join(left)}"] if (left := [each for each in ignore if each not in targets]) else []
+        made = replace(made, noticed=(*noticed, *told, *unused))
         return pooled(made) if pool else made
 
     def shown(self, scores: Any) -> Any:
@@ -293,8 +296,3 @@ class Designs(Shown):
         with replacing(path) as temporary:
             write_table({**self.decode(x), **{key: list(value) for key, value in (more or {}).items()}}, temporary)
         return Path(path)
-
-
-def score_name(target: str, weights: Mapping[str, float] | None) -> str:
-    """What a score is called: the target, with the columns that count beside it."""
-    return target + "".join(f" {'-' if weight < 0 else '+'} {abs(weight):g} {key}" for key, weight in (weights or {}).items())

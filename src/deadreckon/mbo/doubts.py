@@ -1,47 +1,87 @@
 """What may be a mistake in a table of experiments and is read all the same: one line each."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from fractions import Fraction
 
 import numpy as np
 
+from deadreckon.mbo.constraints import Linear
+from deadreckon.mbo.design_table import rows_told
 from deadreckon.mbo.rules import NO_RULES, Rules
 from deadreckon.mbo.variables import Variable
 
 _RANGES = 3.0  # ranges of all other values that lie between these and a value that is far
+_SEVERAL = 2  # rows of a level more than which another, of one row, may be a slip of
+_ALIKE = 0.8  # similarity of two texts (`difflib`) from which on they are written nearly alike
+_FEW = 0.2  # share of rows up to which what others hold may be broken by a slip
 _FEWEST = 3  # different values among the others, fewer of which say nothing of their range
 
 
 def of_inputs(
-    variables: Sequence[Variable], x: np.ndarray, rows: np.ndarray, told: Sequence[str] = (), rules: Rules = NO_RULES
+    variables: Sequence[Variable],
+    x: np.ndarray,
+    rows: np.ndarray,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    rules: Rules = NO_RULES,
 ) -> list[str]:
-    """Levels that differ in case alone, and numbers that are far from all others and may be proposed.
+    """Levels that are written nearly alike, numbers that are far from all others, and rows that break a sum that others hold.
 
     Args:
         variables: of the designs.
         x: (rows, variables) float64, as the table has them.
         rows: (rows,) where they stand in the table, counted from 0.
-        told: names of variables whose bounds somebody gave.
+        bounds: that somebody gave, which say that the number is meant; the range of the data, as in a draft, does not.
         rules: that proposals satisfy.
     """
     lines = []
     for column, v in enumerate(variables):
         if v.leveled:
-            alike: dict[str, list[str]] = {}
-            for level in v.levels:
-                if isinstance(level, str):
-                    alike.setdefault(level.casefold(), []).append(level)
-            pairs = [" and ".join(same) for same in alike.values() if len(same) > 1]
-            if pairs:
-                text = f"column {v.name} has levels that differ in upper and lower case alone: {'; '.join(pairs[:5])}"
-                lines.append(f"{text}; they are different levels, so write them alike if they are the same")
-        elif v.name not in told and (row := far(x[:, column])) is not None and not _excluded(rules, column, x[row, column]):
+            lines += _of_levels(v, x[:, column])
+        elif (row := far(x[:, column])) is not None and _not_meant((bounds or {}).get(v.name), x[:, column]):
             others = np.delete(x[:, column], row)
             end = f"<= {others.max():g}" if x[row, column] > others.max() else f">= {others.min():g}"
-            kept = f"--constraints {shlex.quote(f'`{v.name}` {end}')}"
-            lines.append(f"{_far(v.name, x[:, column], row, rows)}; proposals may go there: mend it, or say {kept}")
+            kept = f"; --constraints {shlex.quote(f'`{v.name}` {end}')} would keep proposals alone from there"
+            told = "the models learn from it: mend it, or leave the row out, if it is a slip"
+            kept *= not _excluded(rules, column, x[row, column])
+            lines.append(f"{_far(v.name, x[:, column], row, rows)}; {told}{kept}")
+    return lines + [line for each in rules.linear if each.equal for line in _of_sum(each, x, rows)]
+
+
+def _not_meant(bounds: tuple[float, float] | None, values: np.ndarray) -> bool:
+    return bounds is None or tuple(bounds) == (values.min(), values.max())
+
+
+def _of_levels(v: Variable, values: np.ndarray) -> list[str]:
+    """Levels that differ in case alone, and those of one row that are nearly written as another of several rows."""
+    lines, count = [], np.bincount(values.astype(int), minlength=len(v.levels))
+    texts = [(str(level), n) for level, n in zip(v.levels, count) if isinstance(level, str)]
+    alike: dict[str, list[str]] = {}
+    for level, _ in texts:
+        alike.setdefault(level.casefold(), []).append(level)
+    pairs = [" and ".join(same) for same in alike.values() if len(same) > 1]
+    if pairs:
+        text = f"column {v.name} has levels that differ in upper and lower case alone: {'; '.join(pairs[:5])}"
+        lines.append(f"{text}; they are different levels, so write them alike if they are the same")
+    usual = [level for level, n in texts if n > _SEVERAL and level.isalpha()]
+    for level, n in texts:
+        near = get_close_matches(level, usual, 1, _ALIKE) if n == 1 and level.isalpha() else []
+        if near and level.casefold() != near[0].casefold():
+            text = f"column {v.name} has {level} in one row, which is written nearly as {near[0]}"
+            lines.append(f"{text}; they are different levels, so write them alike if it is a slip")
     return lines
+
+
+def _of_sum(rule: Linear, x: np.ndarray, rows: np.ndarray) -> list[str]:
+    """The rows that break an equality which most others hold, to a hundredth of its terms; or what the sum is in most."""
+    terms = np.stack([float(weight) * x[:, column] for column, weight in rule.weights], 1)
+    total, slack = terms.sum(1), 0.01 * np.maximum(np.abs(terms).sum(1), abs(float(rule.bound)))
+    broken = np.abs(total - float(rule.bound)) > slack
+    if 0 < broken.sum() <= _FEW * len(rows):
+        text = f"{rule.text} does not hold in {rows_told(rows[broken])}"
+        return [f"{text}; the models learn from these: mend them, or leave them out, if they are slips"]
+    return []
 
 
 def of_target(target: str, y: np.ndarray, rows: np.ndarray) -> list[str]:
@@ -65,6 +105,8 @@ def far(values: np.ndarray) -> int | None:
     logarithms on the scale of these, so that long tails are none: of the values where all have one sign, else of the
     distance from the median in median deviations. Zero is a value of its own, as of a control, and is never far.
     """
+    if len(values) <= _FEWEST:
+        return None
     order = np.argsort(values, kind="stable")
     ascending = values[order]
     middle = np.median(values)

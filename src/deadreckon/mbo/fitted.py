@@ -27,14 +27,14 @@ class Fitted:
         averages: means of groups of designs, and the covariance of the averages of groups; None where it is not known how
             predictions of different designs go together.
         calibration: how scores follow from predictions; None where that was not looked at.
-        noise: deviation of one measurement, where it was calibrated on means of several.
+        beyond: deviation of the noise that one measurement has beyond that of the rows which calibrated it.
         is_order: predictions are not scores but only their order, in standard deviations over the data.
     """
 
     predictions: Predict
     averages: Average | None = None
     calibration: Calibration | None = None
-    noise: float = 0.0
+    beyond: float = 0.0
     is_order: bool = False
 
     def predict(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
@@ -42,18 +42,25 @@ class Fitted:
         mean, std = self.predictions(x)
         if self.calibration is None or std is None:
             return mean, std
-        return self.calibration(mean, std, self.noise)
+        mean, std = self.calibration(mean, np.sqrt(np.maximum(np.square(std) - self.beyond**2, 0.0)))
+        return mean, np.hypot(std, self.beyond)
 
     def average(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-        """(g, r) means of (g, r, variables) groups of designs, and (g, g) calibrated covariance of their averages or None."""
+        """(g, r) means of (g, r, variables) groups of designs, and (g, g) calibrated covariance of their averages or None.
+
+        There is none either of a model of whose own deviations nothing is kept.
+        """
         if self.averages is None:
             return self.predict(x.reshape(-1, x.shape[-1]))[0].reshape(x.shape[:2]), None
-        found = self.averages(x)
-        return found if self.calibration is None else self.calibration.averages(*found)
+        mean, covariance = self.averages(x)
+        if self.calibration is None:
+            return mean, covariance
+        mean, factor = self.calibration.of_true(mean, np.ones(()))
+        return mean, factor**2 * covariance if self.calibration.scale else None
 
-    def calibrated(self, calibration: Calibration, noise: float = 0.0) -> "Fitted":
+    def calibrated(self, calibration: Calibration, beyond: float = 0.0) -> "Fitted":
         """The same with means and deviations as this makes them."""
-        return replace(self, calibration=calibration, noise=noise)
+        return replace(self, calibration=calibration, beyond=beyond)
 
     @classmethod
     def of(cls, data: Designs, believed: Callable[[Any], tuple[Any, Any]], *, is_order: bool = False) -> "Fitted":

@@ -66,7 +66,7 @@ class Front:
 
     @property
     def unskilled(self) -> list[str]:
-        """Targets whose models rank unseen designs no better than chance, so that the gain is not known."""
+        """Targets of which the models' orders cannot be told from chance, so that the gain is not known."""
         return [each.target for each, made in zip(self.data, self.made) if made.by_chance]
 
     @property
@@ -162,7 +162,7 @@ def propose_front(
 
 def _predicted(process: Process, x: np.ndarray, seed: int, quality: Quality | None) -> Proposals:
     mean, std = process.posterior(x)
-    made = Proposals(LABEL, x, mean, np.hypot(std, process.noise), seed, mean_std=std)
+    made = Proposals(LABEL, x, mean, np.hypot(std, process.noise), seed, mean_std=std, beyond=process.beyond)
     return made.calibrated(quality) if quality else made
 
 
@@ -248,9 +248,7 @@ def _draws(process: Process, x: np.ndarray, rng: np.random.Generator, calibratio
     values, vectors = np.linalg.eigh(process.covariance(x))
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     mean, off = process.mean(x), process.y_std * rng.standard_normal((DRAWS, len(x))) @ root.T
-    if calibration is None:
-        return mean + off
-    return calibration.a + calibration.b * mean + calibration.factor * calibration.scale * off
+    return np.add(*((mean, off) if calibration is None else calibration.of_true(mean, off)))
 
 
 def _kept(y: np.ndarray, reference: np.ndarray) -> np.ndarray:

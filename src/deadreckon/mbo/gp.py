@@ -58,10 +58,10 @@ class GP(Designer):
             else:
                 x = np.resize(pool[order], (setting.n, pool.shape[1])).astype(np.float32)
             mean, std = process.posterior(x)
-            # What is calibrated is the deviation of a measurement, with its noise, and not that of the mean.
+            # What is calibrated is the deviation of a row, with its noise, and not that of the mean.
             measured = np.hypot(std, process.noise)
             fitted = Fitted(process.measured, process.averages)
-            made = Proposals(self.label, x, mean, measured, seed, fitted=fitted, mean_std=std)
+            made = Proposals(self.label, x, mean, measured, seed, fitted=fitted, mean_std=std, beyond=process.beyond)
             found.append(made.calibrated(quality) if quality else made)
         return found
 

@@ -91,6 +91,11 @@ class Process:
         """Standard deviation of the noise of one new measurement."""
         return self.y_std * float(np.exp(0.5 * self.hyper.noise)) * self.single**0.5
 
+    @property
+    def beyond(self) -> float:
+        """Standard deviation of the noise that one new measurement has beyond that of a usual row, a mean of several."""
+        return self.noise * max(0.0, 1.0 - 1.0 / self.single) ** 0.5
+
     def noise_of(self, error: np.ndarray) -> np.ndarray:
         """(m,) standard deviations of the noise of scores with these standard errors."""
         if not self.usual:

@@ -16,6 +16,7 @@ from deadreckon.stats.interval import PERCENT
 MEAN = "what the model predicts"
 ONE = "standard deviation of one new measurement, noise included"
 TRUE = "standard deviation of the true score, by the model, not calibrated"
+OF_MEAN = "standard deviation of the true score, by the model, multiplied as that of a measurement is by the calibration"
 DISTANCE = "to the nearest scored row; 1 is the median distance of a scored row to its nearest neighbour"
 NEAREST = "row of the data that is nearest, counted from 0 without the line of names"
 # Columns that each of several targets has.
@@ -96,7 +97,7 @@ def about(data: Designs, made: Proposals) -> dict[str, list[Any]]:
         "predicted": MEAN,
         "predicted_std": ONE if made.noisy else TRUE,
         "predicted_low, predicted_high": f"the {PERCENT} interval of {made.of_what}",
-        **({} if made.mean_std is None else {"mean_std": TRUE}),
+        **({} if made.mean_std is None else {"mean_std": OF_MEAN}),
         "distance": DISTANCE,
         "nearest_row": NEAREST,
     }
@@ -117,7 +118,7 @@ def about_front(front: Front) -> dict[str, list[Any]]:
         "predicted_TARGET": MEAN,
         "predicted_std_TARGET": ONE,
         "predicted_low_TARGET, predicted_high_TARGET": f"the {PERCENT} interval of {front.made[0].of_what}",
-        "mean_std_TARGET": TRUE,
+        "mean_std_TARGET": OF_MEAN,
         "distance": DISTANCE,
         "nearest_row": NEAREST,
         "nearest_score_TARGET": "what was measured there",

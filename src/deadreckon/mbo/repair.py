@@ -6,6 +6,7 @@ mixed-integer linear program on the same grids (HiGHS). What they find is checke
 """
 
 import math
+import shlex
 import time
 from dataclasses import replace
 from fractions import Fraction
@@ -226,6 +227,16 @@ class Repair:
         fine = any(Fraction(1, 10**count) < step for count, step in steps)
         return fine or _of_fine_weights(each)
 
+    def _hundred(self, rule: Linear | Forbidden) -> str:
+        """What to say instead of a sum that must be one, where in most of the data it is a hundred."""
+        if isinstance(rule, Forbidden) or not rule.equal or rule.bound != 1 or {weight for _, weight in rule.weights} != {1}:
+            return ""
+        total = float(np.median(self.data.x[:, [column for column, _ in rule.weights]].astype(float).sum(1)))
+        if abs(total - 100) > 1:
+            return ""
+        percent = shlex.quote(rule.text.removesuffix("= 1") + "= 100")
+        return f"; in the data they sum to 100, so say --constraints {percent} instead"
+
     def check_possible(self) -> None:
         """Refuses rules that no design satisfies.
 
@@ -258,7 +269,8 @@ class Repair:
                 if possible([self._program(steps, fewer) for steps in self.grids]):
                     blamed.append(each)
         names = [f"forbidding {each.text}" if isinstance(each, Forbidden) else each.text for each in blamed]
-        told = f"; without {' or without '.join(map(repr, names))} there would be some" if blamed else ""
+        told = "".join(map(self._hundred, blamed))
+        told += f"; without {' or without '.join(map(repr, names))} there would be some" if blamed else ""
         if any(isinstance(each, Linear) and each.equal and self._too_fine(each) for each in blamed or rules.linear):
             told += f"; {digits}"
         late = f" was found in {SECONDS:g} s that" if there is None else ""

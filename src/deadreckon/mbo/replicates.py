@@ -5,7 +5,10 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pyarrow as pa
 
+from deadreckon.errors import UserError
+from deadreckon.mbo.design_table import numbers_of
 from deadreckon.mbo.variables import FEWEST
 
 if TYPE_CHECKING:
@@ -55,3 +58,16 @@ def pooled(data: "Designs") -> "Designs":
         data, x=data.x[first], y=y, pooling=told,
         replicates=count, std_error=error, table_rows=data.numbered(first),
     )  # fmt: skip
+
+
+def errors_of(name: str, table: pa.Table, column: str, rows: np.ndarray) -> np.ndarray:
+    """(rows,) standard errors, as `numbers_of` gives numbers.
+
+    Raises:
+        UserError: one of them is negative, or no finite number.
+    """
+    error = numbers_of(name, table, column, rows)
+    if (error < 0).any():
+        row = int(error.argmin())
+        raise UserError(f"{name}: column {column} is {error[row]:g} in row {rows[row]}, standard errors are 0 or more")
+    return error

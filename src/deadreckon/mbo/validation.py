@@ -21,7 +21,7 @@ from deadreckon.stats.interval import NORMAL
 
 FOLDS = 5
 CHANCE = 0.025  # share of tables without any relation on which a method may be called skilled
-ENOUGH = 2 * FEWEST  # different designs that have to be predicted: of fewer than 19 no factor holds 95 % (`conformal_factor`)
+ENOUGH = 2 * FEWEST  # designs that are held out at least: of fewer than 19 no factor holds 95 % (`conformal_factor`)
 
 # (m, variables) designs and (m,) standard errors of their scores, or None -> (m,) mean and deviation of these, with noise
 Predict = Callable[[np.ndarray, np.ndarray | None], tuple[np.ndarray, np.ndarray]]
@@ -61,14 +61,25 @@ class Quality:
         In cross-validation a pair of rows that agree by chance counts twice, since each predicts the other: the variance of
         the correlation is then up to twice that of rows which taught no model.
         """
-        limit = NormalDist().inv_cdf(1 - CHANCE / self.tried)  # the best of several is greater by chance (Bonferroni)
+        worth = not self.scored or np.cov(self.predicted, self.observed)[0, 1] > 0  # a slip in one score can undo the rest
+        return self.rank_correlation > self.limit and worth
+
+    @property
+    def limit(self) -> float:
+        """The rank correlation that chance alone does not exceed in 97.5 % of tables without any relation."""
+        quantile = NormalDist().inv_cdf(1 - CHANCE / self.tried)  # the best of several is greater by chance (Bonferroni)
         variance = (2.12 if self.crossed else 1.06) / max(len(self.observed) - 3, 1)
-        return self.rank_correlation > float(np.tanh(limit * variance**0.5))
+        return float(np.tanh(quantile * variance**0.5))
 
     @cached_property
     def calibration(self) -> Calibration | None:
         """How scores follow from predictions; None where it predicts an order alone."""
         return self._calibration(np.ones(len(self.observed), bool)) if self.scored else None
+
+    @cached_property
+    def corrected(self) -> tuple[np.ndarray, np.ndarray]:
+        """(rows,) predictions and deviations out of fold as the calibration makes them, which is what proposals have too."""
+        return (self.predicted, self.std) if self.calibration is None else self.calibration(self.predicted, self.std)
 
     @cached_property
     def coverage(self) -> float:
@@ -90,7 +101,13 @@ class Quality:
         """What should be known before anybody tries the proposals; None where nothing."""
         if self.skilled:
             return None
-        return "the model ranks unseen designs no better than chance; its proposals rest on nothing that the table shows"
+        if self.rank_correlation > self.limit:
+            return "predictions of unseen designs do not go with their scores, though their order does: is one score a slip?"
+        return (
+            "the model's order of unseen designs cannot be told from chance (rank correlation "
+            f"{self.rank_correlation:.2f}; with {len(self.observed):,} designs chance alone gives up to {self.limit:.2f}); "
+            "its proposals may rest on nothing"
+        )
 
     def __str__(self) -> str:
         if not self.scored:
@@ -101,8 +118,10 @@ class Quality:
         )
 
 
-def checkable(data: Designs, count: int = ENOUGH) -> bool:
+def checkable(data: Designs, count: int = FEWEST + 1) -> bool:
     """Whether there are enough designs, `count`, to say how well a model predicts those that it has not seen, all different.
+
+    Without any one of them enough must be left to learn from.
 
     Replicates that were not pooled (`mbo.replicates`), as those of fewer than `FEWEST` designs, would lie in different folds,
     and a model that has only kept in mind what it has seen would be praised.
@@ -117,8 +136,9 @@ def cross_validated(data: Designs, model: Callable[[Designs], Predict], method: 
         data: scored designs, all different, of which there are enough (`checkable`).
         model: fits designs.
         method: its name.
-        folds: how many.
+        folds: how many; of fewer than `ENOUGH` designs each is left out by itself.
     """
+    folds = folds if len(data) >= ENOUGH else len(data)
     fold = generator(0, "folds of designs").permutation(len(data)) % folds
     mean, std = np.empty(len(data)), np.empty(len(data))
     for k in range(folds):

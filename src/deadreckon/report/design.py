@@ -101,8 +101,7 @@ def _quality(data: Designs, made: Proposals) -> Markup | None:
     quality = made.quality
     if quality is None:
         return None
-    calibrated = quality.calibration
-    mean, std = (quality.predicted, quality.std) if calibrated is None else calibrated(quality.predicted, quality.std)
+    mean, std = quality.corrected
     half, observed, predicted = NORMAL * std, data.shown(quality.observed), data.shown(mean)
     rows = np.linspace(0, len(observed) - 1, min(len(observed), POINTS)).astype(int)
     low, high = predicted - half, predicted + half
@@ -111,12 +110,14 @@ def _quality(data: Designs, made: Proposals) -> Markup | None:
     names = [f"row {row}" if whole else "a held-out row" for row in data.numbered(np.arange(len(observed)))]
     points = [(names[i], 0, value(observed, i), 0.0, value(predicted, i), value(low, i), value(high, i)) for i in rows]
     drawn = charts.scatter(points, f"{data.target}, observed", f"{data.target}, predicted", diagonal=True)
+    corrected = "" if quality.calibration is None else (
+        " Predictions and their standard deviations, those of proposals too, are corrected by what they were worth on these "
+        f"designs, so that the {PERCENT} interval holds its share of them; R2 is of predictions as they were. The interval is "
+        "for a new measurement, not for the true score, which nobody has seen."
+    )
     text = (
         f"{quality}. Each design was predicted by a model that was fitted without it ({len(observed):,} in all, {len(rows):,} "
-        "are shown). Predictions and their standard deviations, those of proposals too, are corrected by what they were worth "
-        f"on these designs, so that the {PERCENT} interval holds its share of them. It is an interval for a new measurement, "
-        "not for the true score, which nobody has seen. Proposals lie at the edge of the data or beyond, where errors may be "
-        "larger."
+        f"are shown).{corrected} Proposals lie at the edge of the data or beyond, where errors may be larger."
     )
     return join(tag("div", figure(drawn), class_="charts two"), note(text), _compared(made))
 

@@ -52,8 +52,8 @@ def _no_choice(data: Designs, made: Proposals) -> str:
     if made.fitted is None:
         return f"{made.method} has no model of {data.target}, so nothing says which proposal to prefer. {known}"
     return (
-        "None of the proposals is preferred: the model ranks rows that it has not seen no better than chance, so the table "
-        "gives no reason to expect more of one than of another, nor of any of them more than of a design drawn at random. "
+        "None of the proposals is preferred: the model's order of rows that it has not seen cannot be told from chance, so "
+        "what it expects of one more than of another, or of any more than of a design drawn at random, may be luck. "
         f"{known}"
     )
 

@@ -29,6 +29,7 @@ def asked(data: Sequence[Designs], count: int) -> Markup:
     sought = words([f"{each.target} is to be made {'small' if each.minimise else 'large'}" for each in data])
     lines = [f"{count:,} proposals: {sought}.", *_rules(first), f"Learned from {learned_from(first)}."]
     lines += [f"{each.pooling}." for each in data if each.pooling]
+    lines += [f"Of the table: {line}." for line in dict.fromkeys(line for each in data for line in each.noticed)]
     for each in data:
         best = int(each.y.argmax())
         if (rule := broken_rule(each, best)) is not None:

@@ -64,16 +64,19 @@ def _of_quality(data: Designs, made: Proposals) -> list[str]:
         return ["How well the method predicts rows that it has not seen was not measured: its predictions may rest on nothing."]
     rows = f"{len(quality.observed):,} rows"
     lines = []
-    if quality.skilled:
+    if quality.rank_correlation > quality.limit:
         lines.append(
             f"Rows that it had not seen ({rows}) it ranks with a rank correlation of {_plain(quality.rank_correlation)} (1 is "
             "the right order, 0 is chance)."
         )
     else:
         lines.append(
-            f"It ranks rows that it has not seen no better than chance: their rank correlation is "
-            f"{_plain(quality.rank_correlation)} over {rows}."
+            f"Its order of rows that it has not seen cannot be told from chance: their rank correlation is "
+            f"{_plain(quality.rank_correlation)} over {rows}, and chance alone gives up to {_plain(quality.limit)} in 39 of 40 "
+            "tables of this size."
         )
+    if not quality.scored:
+        return lines
     if quality.r2 > 0:
         lines.append(
             f"Of the variance of these scores it predicts {quality.r2:.0%} (R2); what is left is noise, or was not learned."
@@ -87,8 +90,7 @@ def _of_quality(data: Designs, made: Proposals) -> list[str]:
 def _of_calibration(quality: Quality) -> list[str]:
     """What was made of predictions and intervals by what they were worth."""
     calibration = quality.calibration
-    if calibration is None:
-        return []
+    assert calibration is not None
     if not quality.skilled:
         return [
             "Of its predictions of proposals only what they were worth on unseen rows is kept, and their intervals are as wide "
@@ -100,8 +102,8 @@ def _of_calibration(quality: Quality) -> list[str]:
     ]
     if calibration.b < TRUSTED:
         lines.append(
-            "It differs more between designs than their scores do: of how far its predictions lie from the mean only "
-            f"{calibration.b:.0%} came true on unseen rows, and only that is kept for the proposals."
+            f"Of how far the model's predictions of unseen rows lie from their mean only {calibration.b:.0%} came true, and "
+            "only that is kept for the proposals."
         )
     return lines
 
@@ -109,9 +111,9 @@ def _of_calibration(quality: Quality) -> list[str]:
 def _of_optimism(data: Designs, quality: Quality) -> str:
     """How predictions that are the highest of many compare with their scores, and the typical error."""
     count = max(1, round(TOP * len(quality.observed)))
-    top = np.argsort(-quality.predicted, kind="stable")[:count]
-    said, was = (number(float(data.shown(each[top].mean()))) for each in (quality.predicted, quality.observed))
-    error = number(float(np.median(np.abs(quality.observed - quality.predicted))))
+    mean, top = quality.corrected[0], np.argsort(-quality.predicted, kind="stable")[:count]
+    said, was = (number(float(data.shown(each[top].mean()))) for each in (mean, quality.observed))
+    error = number(float(np.median(np.abs(quality.observed - mean))))
     best = "lowest" if data.minimise else "highest"
     return (
         f"Half of its predictions of unseen rows miss by more than {error}; for the {count:,} rows with the {best} predictions "
@@ -169,7 +171,7 @@ def _of_ends(data: Designs, made: Proposals, idle: set[int]) -> list[str]:
 def _of_effects(data: Designs, made: Proposals, effects: list[Effect]) -> list[str]:
     if effects and made.by_chance:
         return [
-            "What it shows of the effects of variables cannot be told from none either, since it ranks no better than chance."
+            "What it shows of the effects of variables cannot be told from none either, since its order may be chance."
         ]
     known = [each for each in effects if each.distinct(len(effects)) is not None]
     if made.fitted is not None and effects and not known:

@@ -50,10 +50,10 @@ def _lead(front: Front) -> str:
     """What is not known first, then the hypervolume, and what is expected to be gained where the models have any skill."""
     parts, bad = [], front.unskilled
     if bad:
-        models = f"models of {words(bad)} rank" if len(bad) > 1 else f"model of {bad[0]} ranks"
+        orders = f"orders that the models of {words(bad)} give" if len(bad) > 1 else f"order that the model of {bad[0]} gives"
         parts.append(
-            f"The {models} unseen designs no better than chance: in {words(bad)} the proposals rest on nothing that the table "
-            "shows, and what they would gain is not known."
+            f"The {orders} unseen designs cannot be told from chance: in {words(bad)} the proposals may rest on nothing, and "
+            "what they would gain is not known."
         )
     elif front.warnings:
         parts.append(f"{str(front.made[0].warning).capitalize()}.")
