@@ -5,12 +5,13 @@
 
 Scores are a random smooth function of standard deviation 1 over all designs, and noise of the deviation that heads a column.
 The prior of the log of the noise's variance is N(-4, spread^2). Printed for each deviation are, as means over tables of two
-sizes (40 rows of 3 inputs, 60 rows of 6), the share of new measurements of eight proposals in their intervals of 95 %, the
-median of their true scores, and both less those of the first spread, paired by table, with Student's 95 % intervals.
+sizes (40 rows of 3 inputs, 60 rows of 6), the share of new measurements of eight proposals in their intervals of 95 %, that
+in the intervals of the process alone, which nothing has calibrated, the median of the true scores, and all less those of the
+first spread, paired by table, with Student's 95 % intervals.
 
-The intervals are those of `mbo.calibration`: half of the variance is the model's own. Up to revision 2 of `gp` all of it was,
-on tables 2000 to 2019 80 % of new measurements lay in the intervals where noise is as large as the signal (66 % where the
-model ranks better than chance), and the form of the calibration was chosen there; tables 3000 to 3039 had not been looked at.
+How intervals are calibrated (`mbo.calibration`) was chosen on tables 2000 to 2019, from six forms, and what weighs rows and
+leaves them out there was added later, on tables 3000 to 3039 too; tables 4000 to 4039 had not been looked at. Up to revision
+2 of `gp` (commit f7f5e64d) predictions were as the process has them, and its deviations times one factor.
 
 The rule on spreads, set before anything was run: spreads are compared on tables 2000 to 2019. The one is chosen whose worst
 distance from 95 % over the deviations is least, of those whose true median is below that of spread 1, outside the interval,
@@ -19,6 +20,7 @@ at no deviation. It replaces spread 1 if on tables 3000 to 3039 the same holds a
 """
 
 import argparse
+import dataclasses
 
 import numpy as np
 from scipy.stats import norm
@@ -32,23 +34,23 @@ from deadreckon.stats.comparison import paired
 from tests.mbo.practice import hill
 
 LEVELS = 0.0, 0.25, 0.5, 1.0, 2.0
-SIZES = (40, 3), (60, 6)
 PROPOSED = 8
 
 
-def measured(seed: int, rows: int, inputs: int, level: float) -> tuple[float, float]:
-    """Share of new measurements in the intervals, and the median true score."""
+def measured(seed: int, rows: int, inputs: int, level: float) -> tuple[float, float, float]:
+    """Share of new measurements in the intervals and in those of the process alone, and the median true score."""
     rng = np.random.default_rng(seed)
     scores, x = hill(rng, inputs), rng.uniform(size=(rows, inputs))
     y = scores(x) + level * rng.standard_normal(rows)
     made = GP().propose(Designs.from_arrays(x, y, [Variable(f"x{i}", low=0.0, high=1.0) for i in range(inputs)]), PROPOSED)
     true = scores(made.x.astype(float))
-    low, high = interval(made.predicted, made.predicted_std)
-    if level:
-        inside = norm.cdf(high, true, level) - norm.cdf(low, true, level)
-    else:
-        inside = (low <= true) & (true <= high)
-    return float(inside.mean()), float(np.median(true))
+    assert made.fitted is not None
+    alone = dataclasses.replace(made.fitted, calibration=None).predict(made.x)
+    shares = []
+    for low, high in (interval(made.predicted, made.predicted_std), interval(*alone)):
+        new = norm.cdf(high, true, level) - norm.cdf(low, true, level) if level else (low <= true) & (true <= high)
+        shares.append(float(new.mean()))
+    return *shares, float(np.median(true))
 
 
 def main() -> None:
@@ -57,7 +59,9 @@ def main() -> None:
     parser.add_argument("--spreads", type=float, nargs="+", default=[1.0, 2.0])
     parser.add_argument("--first", type=int, default=3000)
     parser.add_argument("--tables", type=int, default=40)
+    parser.add_argument("--sizes", nargs="+", default=["40,3", "60,6"], help="rows and inputs of tables")
     asked = parser.parse_args()
+    sizes = [tuple(map(int, size.split(","))) for size in asked.sizes]
     print("| spread | what | " + " | ".join(f"{level:g}" for level in LEVELS) + " |\n|" + "---|" * (len(LEVELS) + 2))
     first: dict[float, np.ndarray] = {}
     for spread in asked.spreads:
@@ -65,10 +69,10 @@ def main() -> None:
         found = {}
         for level in LEVELS:
             seeds = range(asked.first, asked.first + asked.tables)
-            each = [[measured(seed, *size, level) for size in SIZES] for seed in seeds]
-            found[level] = np.mean(each, 1)  # (tables, 2)
+            each = [[measured(seed, *size, level) for size in sizes] for seed in seeds]
+            found[level] = np.mean(each, 1)  # (tables, 3)
         first = first or found
-        for i, what in enumerate(("in the interval", "true median")):
+        for i, what in enumerate(("in the interval", "in that of the process alone", "true median")):
             cells = []
             for level in LEVELS:
                 cell = f"{found[level][:, i].mean():.3f}"

@@ -160,7 +160,9 @@ def design(name: str) -> Numbers:
     """Eight designs, and what is believed of them."""
     found = designer(name, **DESIGNS[name]).propose(designs(), 8, seed=3, distinct=False)
     believed = {"predicted": found.predicted.tolist()} if found.predicts else {}
-    return {f"variable {i}": column.tolist() for i, column in enumerate(found.x.T)} | believed
+    # Later ones of the default's batch are nearly tied: which of them are taken differs between makes of processors.
+    x = found.x[:2] if name == "auto" else found.x
+    return {f"variable {i}": column.tolist() for i, column in enumerate(x.T)} | believed
 
 
 PENDULUM = task("inverted-pendulum")
