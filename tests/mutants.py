@@ -2206,12 +2206,24 @@ MUTANTS = (
         "intervals trust a model to know where it is sure", ("mbo/test_validation.py",),
     ),
     Mutant(
-        "predictions-as-they-are", "mbo/calibration.py", "return self.a + self.b * mean, self.factor * np.sqrt",
-        "return mean, self.factor * np.sqrt", "what proposals owe to luck is promised", ("mbo/test_validation.py",),
+        "predictions-as-they-are", "mbo/calibration.py", "return self.a + self.b * mean, np.hypot(self.scale",
+        "return mean, np.hypot(self.scale", "what proposals owe to luck is promised", ("mbo/test_validation.py",),
     ),
     Mutant(
-        "noise-of-means", "mbo/calibration.py", "max(self.scatter, noise)", "self.scatter",
+        "noise-of-means", "mbo/designer.py", "predicted_std=np.hypot(std, self.beyond)", "predicted_std=std",
         "the interval of one measurement is that of the mean of several", ("mbo/test_validation.py",),
+    ),
+    Mutant(
+        "all-rows-alike", "mbo/calibration.py", "np.square(std.min() / std)", "np.ones(len(std))",
+        "rows that are known badly bend the predictions of all", ("mbo/test_validation.py",),
+    ),
+    Mutant(
+        "rows-judge-their-regression", "mbo/calibration.py", "np.maximum(1.0 - seen, 1e-6)", "1.0",
+        "intervals of few rows are too narrow, since the regression has seen them", ("mbo/test_validation.py",),
+    ),
+    Mutant(
+        "draft-is-meant", "mbo/doubts.py", "or tuple(bounds) == (values.min(), values.max())", "",
+        "a slipped digit becomes a bound of the drafted schema, and nothing is told any more", ("mbo/test_design_tables.py",),
     ),
     Mutant(
         "blanks-make-levels", "mbo/design_table.py", "plain = compute.utf8_trim_whitespace(texts)", "plain = texts",
