@@ -6,7 +6,10 @@ import pytest
 from tests import golden
 
 # Methods whose programs take seconds to compile, and most of whose code others below run, too.
-SLOW = {"mbo/cbas", "online/steve", "online/rlpd", "online/slbo", "online/dapg", "fine-tuning/td3_bc"}
+SLOW = {
+    "mbo/cbas", "mbo/autofocus", "mbo/auto", "mbo/mins", "mbo/ddom", "mbo/gp-bo", "ope/mb-ar", "online/steve", "online/rlpd",
+    "online/slbo", "online/dapg", "online/d4pg", "online/mve", "online/pets", "fine-tuning/td3_bc", "fine-tuning/cal_ql",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(

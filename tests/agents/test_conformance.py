@@ -35,13 +35,18 @@ STEPS, CHUNK = 9, 4  # of a run; compiling takes longer
 STREAMED = ("bc", "td3_bc")
 
 
-@pytest.mark.parametrize("name", golden.OFFLINE)
+# Their programs take seconds to compile, and most of their code is that of others, which run among the fast tests.
+SLOW = {"abm", "algae_dice", "bear_is", "cal_ql", "combo", "crr_d", "kl_control", "mobile", "rlpd", "sac_n"}
+AGENTS = [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in golden.OFFLINE]
+
+
+@pytest.mark.parametrize("name", AGENTS)
 def test_numbers_are_as_before(name):
     told = golden.problem_of(f"agents/{name}")
     assert told is None, told
 
 
-@pytest.fixture(scope="session", params=golden.OFFLINE)
+@pytest.fixture(scope="session", params=AGENTS)
 def trained(request):
     """(agent, rows, fit of two lanes, metrics by chunk)."""
     agent = small(request.param)

@@ -48,6 +48,7 @@ def test_every_task_has_a_log_of_the_size_of_table_8_1():
         assert control.TRAINED[task.name] >= recipe(name).steps
 
 
+@pytest.mark.slow
 def test_episodes_are_whole_and_evenly_spaced_over_the_training(short, tmp_path):
     log = collected(tmp_path)
     assert log.name == f"{NAME}@dr1"

@@ -94,6 +94,7 @@ def test_the_batch_is_chosen_given_those_before(two):
     assert gains.total() == pytest.approx(hypervolume(y[:4], reference_of(y) - 1), rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_spread_batch_is_chosen_for_the_front_too(two):
     near = propose_front(two, 8)
     spread = tuple(dataclasses.replace(each, rules=dataclasses.replace(each.rules, apart=1.0)) for each in two)

@@ -255,6 +255,7 @@ def test_an_mlflow_model_is_no_pickle_and_names_actions(place):
     assert "torch" not in (folder / "requirements.txt").read_text()
 
 
+@pytest.mark.slow
 def test_the_code_on_a_stablehlo_card_runs_as_it_stands(tmp_path):
     """Also of a mixture, whose member is drawn, and where a function says which actions are legal."""
     frame = pd.DataFrame({"x": np.arange(-20.0, 20.0), "action": ["a", "b"] * 20, "reward": 0.0})

@@ -165,6 +165,7 @@ def test_others_wait_while_the_learners_car_is_in_the_junction(there):
     assert bool(simulator.traffic.way[0, 7, 1] == other) == there
 
 
+@pytest.mark.slow
 def test_the_controller_drives_without_harm_and_progress_is_continuous():
     """1,000 steps, through several junctions each."""
     copies = 4
