@@ -2,6 +2,7 @@
 
     python -m benchmarks.noise_levels --spreads 1 2 3 --first 2000 --tables 20     # to choose
     python -m benchmarks.noise_levels --spreads 1 2 --first 3000 --tables 40       # to confirm
+    python -m benchmarks.noise_levels --spreads 1 --first 4000                     # the intervals that we have
 
 Scores are a random smooth function of standard deviation 1 over all designs, and noise of the deviation that heads a column.
 The prior of the log of the noise's variance is N(-4, spread^2). Printed for each deviation are, as means over tables of two
@@ -9,9 +10,9 @@ sizes (40 rows of 3 inputs, 60 rows of 6), the share of new measurements of eigh
 in the intervals of the process alone, which nothing has calibrated, the median of the true scores, and all less those of the
 first spread, paired by table, with Student's 95 % intervals.
 
-How intervals are calibrated (`mbo.calibration`) was chosen on tables 2000 to 2019, from six forms, and what weighs rows and
-leaves them out there was added later, on tables 3000 to 3039 too; tables 4000 to 4039 had not been looked at. Up to revision
-2 of `gp` (commit f7f5e64d) predictions were as the process has them, and its deviations times one factor.
+How intervals are calibrated (`mbo.calibration`) was chosen on tables 2000 to 2019 from some twenty forms. An earlier one,
+with an unweighted regression, had been seen on tables 3000 to 3039; tables 4000 to 4039 had not been looked at. Up to
+revision 2 of `gp` (commit f7f5e64d) predictions were as the process has them, and its deviations times one factor.
 
 The rule on spreads, set before anything was run: spreads are compared on tables 2000 to 2019. The one is chosen whose worst
 distance from 95 % over the deviations is least, of those whose true median is below that of spread 1, outside the interval,

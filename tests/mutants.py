@@ -2250,7 +2250,6 @@ def run(mutant: Mutant, tests: tuple[str, ...]) -> tuple[str, float]:
         shutil.copytree(SOURCE, copy / "deadreckon")  # with what is compiled already, which saves seconds
         (copy / "deadreckon" / mutant.file).write_text(mutant.source())
         command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=no", "-p", "no:cacheprovider", "-rfE", *tests]
-        command += ["-m", "slow or not slow"] if any("::" in test for test in tests) else []
         done = subprocess.run(
             command, cwd=ROOT, env=os.environ | {"PYTHONPATH": str(copy)}, capture_output=True, text=True, check=False
         )

@@ -121,7 +121,6 @@ def test_steps_of_the_model_whose_numbers_go_bad_are_none():
     np.testing.assert_allclose(targets[1, :, 0, 0], [1 + 0.9 * VALUE, 1 + 0.9 + 0.81 * VALUE], rtol=1e-6)
 
 
-@pytest.mark.slow
 def test_steve_weighs_horizons_by_their_certainty():
     agent, state, batch = made(STEVE, pays=(1.0, 3.0), horizon=2, critics=3)
     values = np.array([5.0, 7.0, 12.0], np.float32)

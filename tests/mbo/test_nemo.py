@@ -312,7 +312,6 @@ def test_models_begin_as_lecun_s():
     assert all(not np.asarray(biases).any() for biases in net.mlp.biases)
 
 
-@pytest.mark.slow
 def test_designs_travel_no_further_than_they_may(bowl):
     """In deviations of the data; categories, which have none, are free."""
     far = SMALL.replace(design_lr=0.2)

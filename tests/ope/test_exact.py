@@ -239,7 +239,6 @@ def test_magic_corrects_where_that_is_worth_it():
     assert abs(blended) < 0.5 * abs(corrected)
 
 
-@pytest.mark.slow
 def test_magic_with_critics_of_folds_lies_within_its_interval_as_often_as_promised():
     """Critics of one log share its luck: an interval that only knows the corrections contained the truth 14 times of 100."""
     true, inside = WORLDS["chain"], []
@@ -253,7 +252,6 @@ def test_magic_with_critics_of_folds_lies_within_its_interval_as_often_as_promis
     assert (np.mean(inside, 0) >= 0.85).all()
 
 
-@pytest.mark.slow
 def test_magics_gains_have_the_error_of_its_critics():
     """Where nothing is corrected the critics' error is all there is: intervals without it contained the gain 1 time of 4."""
     true, inside = WORLDS["chain"], []

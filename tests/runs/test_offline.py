@@ -192,7 +192,6 @@ def test_a_column_by_which_episodes_were_held_out_is_redrawn_as_one(noise):
     assert told["judged"]["units"] == len(np.unique(log.extras["user"][np.isin(log.episode_ids, run.held)]))
 
 
-@pytest.mark.slow
 def test_each_look_at_the_same_episodes_spends_half_of_what_is_left(noise, tmp_path, monkeypatch):
     log, run, folder = noise
     monkeypatch.setenv("DEADRECKON_HOME", str(tmp_path))
