@@ -65,7 +65,7 @@ class Calibration:
         """Means of true scores, and how far they are off, of any shapes, where the model says that they are `off`.
 
         All of the model's own deviations count, as large as its errors out of fold were: what is the same for all is the noise
-        of scores too.
+        of scores too. Where nothing of them is kept, they are as the model has them.
         """
         return self.a + self.b * mean, (self.scale / OWN**0.5 or 1.0) * off
 

@@ -140,16 +140,16 @@ class DesignSchema:
         ways = {**self.table, **{key: more.pop(key) for key in READING if key in more}}
         asked = together(self.called(more).options(), more)
         table, _, told = read_designs(path, ways, set(asked["ignore"]) - set(more.get("targets", ())))
+        warn(path, told)
         target = asked.pop("target")
         if target is None:
             raise UserError(f'{path}: no column is the target; give one the role "target" in the schema, or name it (--target)')
         known = {*self.columns, target, asked["std_error"], *asked["weights"], *asked["ignore"]}
         strangers = [name for name in table.column_names if name not in known and name.strip()]
-        if strangers:
-            told.append(f"not in the schema and left out: {', '.join(strangers)}")
-        warn(path, told)
+        left = [f"not in the schema and left out: {', '.join(strangers)}"] if strangers else []
+        warn(path, left)
         asked["ignore"] = [*asked["ignore"], *strangers]
-        return Designs.from_frame(table, target, name=name_of(path), noticed=told, **asked)
+        return Designs.from_frame(table, target, name=name_of(path), noticed=[*told, *left], **asked)
 
     @classmethod
     def load(cls, path: Path | str) -> "DesignSchema":

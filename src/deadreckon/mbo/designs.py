@@ -185,9 +185,10 @@ class Designs(Shown):
             raise UserError(f"{name}: there is no column beside the target {target!r}")
         table = trimmed(table, inputs)
         rows, planned = scored(name, table, targets or [target])
+        warn(name, told := told + ([planned] if planned else []))
         check_filled(name, table, inputs, outputs, rows)
         y, columns, variables = numbers_of(name, table, target, rows), [], []
-        told, slips = told + ([planned] if planned else []), doubts.of_target(target, y, rows)
+        slips = doubts.of_target(target, y, rows)
         for column, weight in (weights or {}).items():
             y = y + weight * numbers_of(name, table, column, rows)
         for column in inputs:
@@ -203,9 +204,9 @@ class Designs(Shown):
             Rules.of(variables, name=name, **rules), std_error=error, table_rows=rows if planned else None,
         )  # fmt: skip
         made.repair.check_possible()
-        warn(name, told := [*told, *doubts.of_inputs(variables, x, rows, bounds, made.rules), *slips])
+        warn(name, slips := [*doubts.of_inputs(variables, x, rows, bounds, made.rules), *slips])
         unused = [f"not used: {', '.join(left)}"] if (left := [each for each in ignore if each not in targets]) else []
-        made = replace(made, noticed=(*noticed, *told, *unused))
+        made = replace(made, noticed=(*noticed, *told, *slips, *unused))
         return pooled(made) if pool else made
 
     def shown(self, scores: Any) -> Any:

@@ -42,10 +42,11 @@ def of_inputs(
         elif (row := far(x[:, column])) is not None and _not_meant((bounds or {}).get(v.name), x[:, column]):
             others = np.delete(x[:, column], row)
             end = f"<= {others.max():g}" if x[row, column] > others.max() else f">= {others.min():g}"
-            kept = f"; --constraints {shlex.quote(f'`{v.name}` {end}')} would keep proposals alone from there"
-            told = "the models learn from it: mend it, or leave the row out, if it is a slip"
-            kept *= not _excluded(rules, column, x[row, column])
-            lines.append(f"{_far(v.name, x[:, column], row, rows)}; {told}{kept}")
+            text = f"{_far(v.name, x[:, column], row, rows)}; the models learn from it: mend it, or leave the row out, "
+            text += "if it is a slip"
+            if not _excluded(rules, column, x[row, column]):
+                text += f"; --constraints {shlex.quote(f'`{v.name}` {end}')} would keep proposals alone from there"
+            lines.append(text)
     return lines + [line for each in rules.linear if each.equal for line in _of_sum(each, x, rows)]
 
 
@@ -74,7 +75,7 @@ def _of_levels(v: Variable, values: np.ndarray) -> list[str]:
 
 
 def _of_sum(rule: Linear, x: np.ndarray, rows: np.ndarray) -> list[str]:
-    """The rows that break an equality which most others hold, to a hundredth of its terms; or what the sum is in most."""
+    """The rows that break an equality which most others hold, by more than a hundredth of its terms."""
     terms = np.stack([float(weight) * x[:, column] for column, weight in rule.weights], 1)
     total, slack = terms.sum(1), 0.01 * np.maximum(np.abs(terms).sum(1), abs(float(rule.bound)))
     broken = np.abs(total - float(rule.bound)) > slack
