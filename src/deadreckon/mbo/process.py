@@ -172,6 +172,7 @@ def fit(data: Designs, rows: int = 400) -> Process:
         rows: on how many of them at most hyperparameters are fitted, drawn with a seed that never changes.
     """
     from scipy.optimize import minimize
+    from threadpoolctl import threadpool_limits
 
     features = Features.of(data)
     y_mean, y_std = float(data.y.mean()), float(data.y.std()) or 1.0
@@ -186,10 +187,12 @@ def fit(data: Designs, rows: int = 400) -> Process:
     # The mode of the prior's lengths is long; a second start of shorter ones finds functions that change fast.
     begins = [prior, np.concatenate([prior[:-2] - 1.5, [0.0, -2.0]])]
     best = None
+    of, options = (f[some], y[some], ratio[some], features.owner, prior, spread), {"maxiter": ITERATIONS}
     for begin in begins:
-        of = (f[some], y[some], ratio[some], features.owner, prior, spread)
-        options = {"maxiter": ITERATIONS}
-        found = minimize(_loss, begin, of, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+        # Matrices are small, and numpy and scipy may have pools of threads of their own, which spin while they wait for work:
+        # taking turns on as many cores, they are several times as slow as one thread.
+        with threadpool_limits(1):
+            found = minimize(_loss, begin, of, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         best = found if best is None or found.fun < best.fun else best
     assert best is not None
     return _conditioned(features, f, ratio, _hyper(best.x), y_mean, y_std)
