@@ -30,6 +30,7 @@ from deadreckon.mbo import process
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.first_choice import interval
 from deadreckon.mbo.gp import GP
+from deadreckon.mbo.replicates import pooled
 from deadreckon.mbo.variables import Variable
 from deadreckon.stats.comparison import paired
 from tests.mbo.practice import hill
@@ -38,12 +39,14 @@ LEVELS = 0.0, 0.25, 0.5, 1.0, 2.0
 PROPOSED = 8
 
 
-def measured(seed: int, rows: int, inputs: int, level: float) -> tuple[float, float, float]:
+def measured(seed: int, rows: int, inputs: int, level: float, repeats: int = 1) -> tuple[float, float, float]:
     """Share of new measurements in the intervals and in those of the process alone, and the median true score."""
     rng = np.random.default_rng(seed)
     scores, x = hill(rng, inputs), rng.uniform(size=(rows, inputs))
-    y = scores(x) + level * rng.standard_normal(rows)
-    made = GP().propose(Designs.from_arrays(x, y, [Variable(f"x{i}", low=0.0, high=1.0) for i in range(inputs)]), PROPOSED)
+    x = np.repeat(x, repeats, 0)
+    y = scores(x) + level * rng.standard_normal(len(x))
+    variables = [Variable(f"x{i}", low=0.0, high=1.0) for i in range(inputs)]
+    made = GP().propose(pooled(Designs.from_arrays(x, y, variables)), PROPOSED)
     true = scores(made.x.astype(float))
     assert made.fitted is not None
     alone = dataclasses.replace(made.fitted, calibration=None).predict(made.x)
@@ -61,6 +64,7 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=3000)
     parser.add_argument("--tables", type=int, default=40)
     parser.add_argument("--sizes", nargs="+", default=["40,3", "60,6"], help="rows and inputs of tables")
+    parser.add_argument("--repeats", type=int, default=1, help="measurements of each design, which are pooled")
     asked = parser.parse_args()
     sizes = [tuple(map(int, size.split(","))) for size in asked.sizes]
     print("| spread | what | " + " | ".join(f"{level:g}" for level in LEVELS) + " |\n|" + "---|" * (len(LEVELS) + 2))
@@ -70,7 +74,7 @@ def main() -> None:
         found = {}
         for level in LEVELS:
             seeds = range(asked.first, asked.first + asked.tables)
-            each = [[measured(seed, *size, level) for size in sizes] for seed in seeds]
+            each = [[measured(seed, *size, level, asked.repeats) for size in sizes] for seed in seeds]
             found[level] = np.mean(each, 1)  # (tables, 3)
         first = first or found
         for i, what in enumerate(("in the interval", "in that of the process alone", "true median")):

@@ -870,7 +870,7 @@ MUTANTS = (
         ("mbo/test_gp.py::test_intervals_are_for_one_new_measurement",),
     ),
     Mutant(
-        "noise-of-a-pooled-row", "mbo/process.py", "(data.replicates * ratio).mean()", "ratio.mean()",
+        "noise-of-a-pooled-row", "mbo/replicates.py", "(data.replicates - 1.0) *", "0.0 *",
         "one new measurement has as little noise as the mean of several",
         ("mbo/test_gp.py::test_intervals_are_for_one_new_measurement",),
     ),
@@ -2210,7 +2210,8 @@ MUTANTS = (
         "return mean, np.hypot(self.scale", "what proposals owe to luck is promised", ("mbo/test_validation.py",),
     ),
     Mutant(
-        "noise-of-means", "mbo/designer.py", "predicted_std=np.hypot(std, self.beyond)", "predicted_std=std",
+        "noise-of-means", "mbo/calibration.py",
+        "return mean, np.hypot(found, beyond), found / row", "return mean, found, found / row",
         "the interval of one measurement is that of the mean of several", ("mbo/test_validation.py",),
     ),
     Mutant(

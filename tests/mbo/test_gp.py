@@ -94,7 +94,9 @@ def test_intervals_are_for_one_new_measurement():
     data = Designs.from_frame({"x": x[:, 0], "y": 2 * x[:, 0] + 0.5 * rng.standard_normal(len(x))}, "y")
     found = process.fit(data)
     assert found.noise == pytest.approx(0.5, rel=0.15)
-    np.testing.assert_allclose(found.noise_of(data.std_error), found.noise / np.sqrt(data.replicates), rtol=1e-6)
+    np.testing.assert_allclose(found.noise_of(data.std_error), found.noise / np.sqrt(data.replicates), rtol=0.15)
+    scatter = data.std_error[0] * data.replicates[0] ** 0.5  # between replicates
+    assert found.beyond == pytest.approx(scatter * (1 - (1 / data.replicates).mean()) ** 0.5)
     made = designer("gp", rounds=5).propose(data, 30)
     mean, std = found.posterior(made.x)
     row = found.y_std * np.exp(0.5 * found.hyper.noise)  # of the noise of a usual row, a mean of some measurements
@@ -207,3 +209,17 @@ def test_of_few_rows_each_is_left_out_by_itself():
     assert designer("gp", rounds=5).propose(data.part(np.arange(10)), 3).quality is None
     with pytest.raises(UserError, match="kappa"):
         designer("gp", kappa=float("nan")).propose(data, 3)
+
+
+def test_intervals_of_replicated_rows_hold_single_measurements_of_strong_noise():
+    """The scatter between replicates is known, also where the process takes noise for signal and believes in none."""
+    held = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        x = np.repeat(rng.uniform(size=(30, 3)), 4, 0)
+        columns = {f"x{i}": x[:, i] for i in range(3)}
+        data = Designs.from_frame(columns | {"y": rng.standard_normal(len(x))}, "y")
+        made = designer("gp", rounds=2).propose(data, 4)
+        new = rng.standard_normal((200, 1))
+        held.append((np.abs(new - made.predicted) <= 1.96 * made.predicted_std).mean())
+    assert np.mean(held) > 0.87

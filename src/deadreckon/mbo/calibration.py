@@ -2,12 +2,12 @@
 
 From predictions m with standard deviations s out of fold, and the scores y that were observed, a new score is said to be
 
-    a + b m, with the standard deviation  c sqrt(w (k s)^2 + (1 - w) r^2).
+    a + b m, with the standard deviation  c sqrt(w s^2 + (1 - w) h^2).
 
 a and b are the regression of y on m, each row weighted by 1 / s^2, with b kept between 0, where predictions say nothing, and 1.
-r is the deviation of y around it, weighted alike, and k what makes k s as large as the errors are. A model that has taken noise
+h^2 is the harmonic mean of all s^2, and so goes with the variance of y around it, weighted alike. A model that has taken noise
 for signal is surest beside the rows that it has seen, and what it proposes lies beside those that were lucky: of its own
-deviations, which say where it is surer, only the share w is taken, a half, and none where its order cannot be told from chance.
+variances, which say where it is surer, only the share w is taken, a half, and none where its order cannot be told from chance.
 c makes intervals of 1.96 deviations hold 95 % of the scores, from errors as if the regression had not seen their rows (after
 split conformal prediction, with the correction for few rows; Lei et al. 2018). Of fewer than 19 rows it is the greatest error,
 which holds n of n + 1 new ones.
@@ -29,8 +29,8 @@ class Calibration:
 
     Attributes:
         a, b: of the mean a + b m.
-        scale: on the model's own deviations, c k sqrt(w); 0: none of them counts.
-        scatter: the part of the deviation that is the same for all, c r sqrt(1 - w).
+        scale: on the model's own deviations, c sqrt(w); 0: none of them counts.
+        scatter: the part of the deviation that is the same for all, c h sqrt(1 - w).
     """
 
     a: float
@@ -43,6 +43,7 @@ class Calibration:
         """From (rows,) scores, and means and deviations that were predicted without them."""
         std = np.maximum(std, 1e-12 * (y.std() or 1.0))  # in whatever unit the scores are
         weight = np.square(std.min() / std)
+        common = float(std.min() / weight.mean() ** 0.5)
         weight /= weight.sum()
         off = mean - weight @ mean
         spread = float(weight @ np.square(off)) if np.ptp(mean) > 0 else 0.0
@@ -51,15 +52,20 @@ class Calibration:
         seen = weight * (1.0 + (np.square(off) / spread if 0.0 < b < 1.0 else 0.0))  # how much a row's error is pulled to 0
         error = np.abs(y - a - b * mean) / np.maximum(1.0 - seen, 1e-6)
         own = OWN if skilled else 0.0
-        scale = (own * float(np.square(error / std).mean())) ** 0.5
-        scatter = ((1.0 - own) * float(weight @ np.square(error))) ** 0.5
-        width = np.hypot(scale * std, scatter)
-        factor = conformal_factor(error / np.where(width > 0, width, 1.0))
+        scale, scatter = own**0.5, (1.0 - own) ** 0.5 * common
+        factor = conformal_factor(error / np.hypot(scale * std, scatter))
         return cls(a, b, factor * scale, factor * scatter)
 
     def __call__(self, mean: np.ndarray, std: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(m,) means and deviations of new scores, from (m,) predictions and their deviations."""
         return self.a + self.b * mean, np.hypot(self.scale * std, self.scatter)
+
+    def of_one(self, mean: np.ndarray, std: np.ndarray, beyond: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of single measurements, whose noise goes `beyond` that of the rows that calibrate: means, deviations, and by what the
+        deviations of a row were multiplied."""
+        row = np.sqrt(np.maximum(np.square(std) - beyond**2, 0.0))
+        mean, found = self(mean, row)
+        return mean, np.hypot(found, beyond), found / row
 
     def of_true(self, mean: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Means of true scores, and how far they are off, of any shapes, where the model says that they are `off`.

@@ -22,6 +22,7 @@ from deadreckon.mbo.batch import batch, check_batch
 from deadreckon.mbo.design_source import DesignSource
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.fitted import Fitted
+from deadreckon.mbo.replicates import noise_beyond
 from deadreckon.mbo.validation import Quality
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.progress import Watcher, unwatched
@@ -54,7 +55,7 @@ class Proposals(Shown):
         compared: what was said out of fold of all methods that were tried, if the method was chosen among them.
         reason: why that one was chosen.
         mean_std: (n,) standard deviation of the true score, the mean of ever more measurements. True scores are not in the
-            data, so it is only widened as `predicted_std` is. None where the method does not tell it from noise.
+            data, so it is multiplied as deviations of rows are. None where the method does not tell it from noise.
         noisy: whether `predicted_std` is of a measurement, noise included.
         beyond: deviation of the noise that one measurement has beyond that of a usual row, where rows are means of several.
     """
@@ -108,14 +109,13 @@ class Proposals(Shown):
         """
         if quality.calibration is None:
             return dataclasses.replace(self, quality=quality)
-        row = np.sqrt(np.maximum(np.square(self.predicted_std) - self.beyond**2, 0.0))
-        mean, std = quality.calibration(self.predicted, row)
+        mean, std, factor = quality.calibration.of_one(self.predicted, self.predicted_std, self.beyond)
         return dataclasses.replace(
             self,
             predicted=mean,
-            predicted_std=np.hypot(std, self.beyond),
+            predicted_std=std,
             quality=quality,
-            mean_std=None if self.mean_std is None else self.mean_std * std / row,
+            mean_std=None if self.mean_std is None else self.mean_std * factor,
             fitted=self.fitted and self.fitted.calibrated(quality.calibration, self.beyond),
         )
 
@@ -255,7 +255,9 @@ class Designer(eqx.Module):
         """The same designer with some fields changed."""
         return dataclasses.replace(self, **changes)
 
-    def decoded(self, setting: DesignInput, seed: int, z: Any, believed: Belief | None = None) -> Proposals:
+    def decoded(
+        self, setting: DesignInput, seed: int, z: Any, believed: Belief | None = None, noisy: bool = True
+    ) -> Proposals:
         """Proposals of coordinates (n, size).
 
         Args:
@@ -264,6 +266,7 @@ class Designer(eqx.Module):
             z: the coordinates; what is proposed are the designs nearest to them, with whole numbers and single levels.
             believed: standardised means and deviations (n,), or None for these, of coordinates: it is asked about those of
                 the designs that are proposed. None: the method believes nothing.
+            noisy: whether deviations are those of a row, noise included; else of the true score.
         """
         view = setting.data.coordinates
         x = view.decode(np.asarray(z))
@@ -275,9 +278,10 @@ class Designer(eqx.Module):
             mean, predicted_std = believed(jnp.asarray(view.encode(x)))
         nan = np.full(setting.n, np.nan)
         predicted = nan if mean is None else view.score(np.asarray(mean, np.float64))
-        spread = nan if predicted_std is None else view.y_std * np.asarray(predicted_std, np.float64)
-        fitted = None if believed is None else Fitted.of(setting.data, believed)
-        return Proposals(self.label, x, predicted, spread, seed, fitted=fitted)
+        beyond = noise_beyond(setting.data) if noisy else 0.0
+        spread = nan if predicted_std is None else np.hypot(view.y_std * np.asarray(predicted_std, np.float64), beyond)
+        fitted = None if believed is None else Fitted.of(setting.data, believed, beyond)
+        return Proposals(self.label, x, predicted, spread, seed, fitted=fitted, noisy=noisy, beyond=beyond)
 
 
 class Search(NamedTuple):

@@ -42,8 +42,7 @@ class Fitted:
         mean, std = self.predictions(x)
         if self.calibration is None or std is None:
             return mean, std
-        mean, std = self.calibration(mean, np.sqrt(np.maximum(np.square(std) - self.beyond**2, 0.0)))
-        return mean, np.hypot(std, self.beyond)
+        return self.calibration.of_one(mean, std, self.beyond)[:2]
 
     def average(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """(g, r) means of (g, r, variables) groups of designs, and (g, g) calibrated covariance of their averages or None.
@@ -63,8 +62,10 @@ class Fitted:
         return replace(self, calibration=calibration, beyond=beyond)
 
     @classmethod
-    def of(cls, data: Designs, believed: Callable[[Any], tuple[Any, Any]], *, is_order: bool = False) -> "Fitted":
-        """Of a function from coordinates to standardised means and deviations (or None), such as `Designer.decoded` takes."""
+    def of(
+        cls, data: Designs, believed: Callable[[Any], tuple[Any, Any]], beyond: float = 0.0, *, is_order: bool = False
+    ) -> "Fitted":
+        """Of a function from coordinates to standardised means and rows' deviations (or None), as `Designer.decoded` takes."""
 
         def predictions(x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
             z = data.coordinates.encode(x)
@@ -75,9 +76,9 @@ class Fitted:
                 std = np.concatenate([np.asarray(each, np.float64) for _, each in parts])[: len(x)]
             if is_order:
                 return mean, std
-            return data.coordinates.score(mean), None if std is None else data.coordinates.y_std * std
+            return data.coordinates.score(mean), None if std is None else np.hypot(data.coordinates.y_std * std, beyond)
 
-        return cls(predictions, is_order=is_order)
+        return cls(predictions, beyond=beyond, is_order=is_order)
 
 
 def in_blocks(function: Callable[[Any], Any], z: np.ndarray) -> list[Any]:

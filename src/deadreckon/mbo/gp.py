@@ -15,7 +15,7 @@ from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.fitted import Fitted
 from deadreckon.mbo.process import Process, fit
-from deadreckon.mbo.validation import Predict, checkable, cross_validated
+from deadreckon.mbo.validation import ENOUGH, Predict, checkable, cross_validated
 from deadreckon.randomness import generator
 from deadreckon.training.hyperparameters import Count, CountOrZero, Number, host
 
@@ -46,7 +46,7 @@ class GP(Designer):
         data = self.used(setting.data)
         process, quality = fit(data, rows=self.fit_rows), None
         if self.folds > 1 and checkable(data):
-            setting.watch("cross-validation", 0, self.folds)
+            setting.watch("cross-validation", 0, self.folds if len(data) >= ENOUGH else len(data))
             quality = cross_validated(data, self.predictor, self.label, self.folds)
         found = []
         for seed in setting.seeds:

@@ -10,7 +10,6 @@ the designs of the data that are used, where these are too many.
 """
 
 import warnings
-from dataclasses import replace
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
@@ -99,7 +98,7 @@ class GPBO(Designer):
         process = self.fit(setting)
         lr, start = self.design_lr * view.size**0.5, Search.start(setting.data, setting.n)
         x = climb(worth, process, start, self.ascent_steps, lr, *setting.bounds)
-        return [replace(self.decoded(setting, seed, x, process.posterior), noisy=False) for seed in setting.seeds]
+        return [self.decoded(setting, seed, x, process.posterior, noisy=False) for seed in setting.seeds]
 
     def fit(self, setting: DesignInput) -> Process:
         """The process.

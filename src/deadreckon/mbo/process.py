@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.replicates import noise_beyond
 from deadreckon.randomness import generator
 
 ITERATIONS = 60  # of L-BFGS at most
@@ -73,7 +74,7 @@ class Process:
         hyper: hyperparameters; its noise is that of a row of usual standard error.
         y_mean, y_std: of the scores that were seen.
         usual: mean square of the rows' standard errors; 0: none are known, and all rows have the same noise.
-        single: variance of the noise of one measurement, relative to that of a row: above 1 where rows are means of several.
+        beyond: standard deviation of the noise that one new measurement has beyond that of a usual row (`noise_beyond`).
     """
 
     features: Features
@@ -84,17 +85,12 @@ class Process:
     y_mean: float
     y_std: float
     usual: float
-    single: float
+    beyond: float
 
     @property
     def noise(self) -> float:
         """Standard deviation of the noise of one new measurement."""
-        return self.y_std * float(np.exp(0.5 * self.hyper.noise)) * self.single**0.5
-
-    @property
-    def beyond(self) -> float:
-        """Standard deviation of the noise that one new measurement has beyond that of a usual row, a mean of several."""
-        return self.noise * max(0.0, 1.0 - 1.0 / self.single) ** 0.5
+        return float(np.hypot(self.y_std * np.exp(0.5 * self.hyper.noise), self.beyond))
 
     def noise_of(self, error: np.ndarray) -> np.ndarray:
         """(m,) standard deviations of the noise of scores with these standard errors."""
@@ -207,10 +203,8 @@ def _conditioned(features: Features, f: np.ndarray, ratio: np.ndarray, hyper: Hy
     from scipy.linalg import solve_triangular
 
     inverse = solve_triangular(np.linalg.cholesky(k), np.eye(len(y)), lower=True)
-    # A pooled row of m measurements has an m-th of the variance of one of them.
-    single = 1.0 if data.replicates is None else float((data.replicates * ratio).mean())
     usual = 0.0 if data.std_error is None else float(np.square(data.std_error).mean())
-    return Process(features, seen, inverse.T @ (inverse @ y), inverse, hyper, y_mean, y_std, usual, single)
+    return Process(features, seen, inverse.T @ (inverse @ y), inverse, hyper, y_mean, y_std, usual, noise_beyond(data))
 
 
 def _hyper(vector: np.ndarray) -> Hyper:

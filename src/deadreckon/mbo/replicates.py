@@ -60,6 +60,18 @@ def pooled(data: "Designs") -> "Designs":
     )  # fmt: skip
 
 
+def noise_beyond(data: "Designs") -> float:
+    """Standard deviation of the noise that one measurement has beyond that of a usual row, where rows are means of several.
+
+    The mean of m measurements has the standard error e if each has the variance m e^2, of which (m - 1) e^2 is beyond that of
+    the row; the root of its mean over rows. It is known from replicates, and no model's guess: a model that takes noise for
+    signal believes that there is none.
+    """
+    if data.replicates is None or data.std_error is None:
+        return 0.0
+    return float(np.sqrt(((data.replicates - 1.0) * np.square(data.std_error)).mean()))
+
+
 def errors_of(name: str, table: pa.Table, column: str, rows: np.ndarray) -> np.ndarray:
     """(rows,) standard errors, as `numbers_of` gives numbers.
 

@@ -97,6 +97,13 @@ class Quality:
         return Calibration.of(self.observed[rows], self.predicted[rows], self.std[rows], skilled=self.skilled)
 
     @property
+    def doubt(self) -> str:
+        """Why a model without skill is not believed, of its predictions of rows that it has not seen."""
+        if self.rank_correlation > self.limit:
+            return "its predictions of rows that it has not seen do not go with their scores, of which one may be a slip"
+        return "the model's order of rows that it has not seen cannot be told from chance"
+
+    @property
     def warning(self) -> str | None:
         """What should be known before anybody tries the proposals; None where nothing."""
         if self.skilled:

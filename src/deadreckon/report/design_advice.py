@@ -51,10 +51,10 @@ def _no_choice(data: Designs, made: Proposals) -> str:
     known = f"What the table shows is that its best score is {best}, in {row}."
     if made.fitted is None:
         return f"{made.method} has no model of {data.target}, so nothing says which proposal to prefer. {known}"
+    assert made.quality is not None  # else it would not be doubted
     return (
-        "None of the proposals is preferred: the model's order of rows that it has not seen cannot be told from chance, so "
-        "what it expects of one more than of another, or of any more than of a design drawn at random, may be luck. "
-        f"{known}"
+        f"None of the proposals is preferred: {made.quality.doubt}, so what the model expects of one more than of another, or "
+        f"of any more than of a design drawn at random, may be luck. {known}"
     )
 
 

@@ -30,7 +30,7 @@ def on_average(data: Designs, made: Proposals, effects: list[Effect]) -> Markup 
         f"Vertical axis: {'the order by the model' if made.fitted.is_order else f'predicted {data.target}'}, the same for all.",
     ]
     if any(each.std is not None for each in effects):
-        parts.append(f"Bands and whiskers: {PERCENT} interval of this average by the model's own standard deviation.")
+        parts.append(f"Bands and whiskers: {PERCENT} interval of this average, calibrated where the method was tested.")
     if any(each.equal for each in data.rules.linear):
         parts.append("Parts that must sum to a number make room for one another in their proportions.")
     parts.append("Marks along the axis are values of the data, between and beyond which the model alone speaks.")
