@@ -2210,6 +2210,11 @@ MUTANTS = (
         "return mean, np.hypot(self.scale", "what proposals owe to luck is promised", ("mbo/test_validation.py",),
     ),
     Mutant(
+        "grid-after-the-climb", "mbo/gp.py", "data.repair.nearly(x)", "data.repair.relaxed(x)",
+        "of numbers in steps that must sum to a number the best designs are missed",
+        ("mbo/test_rules.py::test_the_best_design_on_a_grid_with_a_sum_is_found",),
+    ),
+    Mutant(
         "noise-of-means", "mbo/calibration.py",
         "return mean, np.hypot(found, beyond), found / row", "return mean, found, found / row",
         "the interval of one measurement is that of the mean of several", ("mbo/test_validation.py",),

@@ -208,3 +208,25 @@ def test_a_factor_that_may_be_a_power_of_ten_is_refused():
 def test_a_log_scale_that_32_bits_do_not_hold_is_refused():
     with pytest.raises(UserError, match=r"s: a log scale begins at 1.18e-38 \(32 bits\), got 1e-40; take another unit"):
         Variable("s", low=1e-40, high=1.0, log=True)
+
+
+def test_the_best_design_on_a_grid_with_a_sum_is_found():
+    """Of numbers in steps the climb would leave the grid, and its end moved to the nearest allowed design is a poor one."""
+    rng = np.random.default_rng(3)
+    a, b, c = rng.integers(0, 11, (3, 50))
+    y = 2 * a + 3 * b - 0.3 * (b - 6) ** 2 + c - 0.5 * (a - 5) ** 2 + rng.normal(0, 0.3, 50)
+    with pytest.warns(UserWarning, match="replicates"):
+        data = Designs.from_frame({"a": a, "b": b, "c": c, "y": y}, "y", constraints=["a + b + c <= 12"])
+    made = designer("gp", folds=0).propose(data, n=4)
+    grid = np.stack(np.meshgrid(*[np.arange(11)] * 3), -1).reshape(-1, 3).astype(np.float32)
+    grid = grid[grid.sum(1) <= 12]
+    assert made.predicted[0] == pytest.approx(made.fitted.predict(grid)[0].max())
+    parts = rng.dirichlet([1, 1, 1], 40)
+    frame = dict(zip("abc", parts.T)) | {"y": -np.square(parts - [0.52, 0.43, 0.05]).sum(1)}
+    rules = {"mixtures": [["a", "b", "c"]], "steps": dict.fromkeys("abc", 0.05), "bounds": dict.fromkeys("abc", (0, 1))}
+    data = Designs.from_frame(frame, "y", **rules)
+    made = designer("gp", folds=0).propose(data, n=3)
+    np.testing.assert_allclose(made.x.sum(1), 1.0, atol=1e-6)
+    shares = np.stack(np.meshgrid(*[np.arange(21)] * 3), -1).reshape(-1, 3) / 20
+    shares = shares[np.abs(shares.sum(1) - 1) < 1e-9].astype(np.float32)
+    assert made.predicted[0] == pytest.approx(made.fitted.predict(shares)[0].max(), abs=1e-3)

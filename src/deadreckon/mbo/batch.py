@@ -155,8 +155,8 @@ def moved(data: Designs, x: np.ndarray, reach: float, rng: np.random.Generator) 
             away = x[rows, i] * np.expm1(away)
         else:
             away = reach * float(np.ptp(seen)) * rng.standard_normal(count)
-        if v.kind != "continuous":
-            away = np.where(away < 0, -1, 1) * np.maximum(np.round(np.abs(away)), 1)
+        if (step := 1 if v.kind != "continuous" else v.step) is not None:
+            away = float(step) * np.where(away < 0, -1, 1) * np.maximum(np.round(np.abs(away) / float(step)), 1)
         x[rows, i] = (x[rows, i] + away).clip(v.low, v.high)
     return x
 

@@ -132,7 +132,7 @@ def spaced(data: Designs, x: np.ndarray, value: np.ndarray, apart: float, kept: 
 
 def _allowed(data: Designs, x: np.ndarray) -> np.ndarray:
     """Designs within bounds and linear constraints, without those that are forbidden; all that satisfy the rules nearly."""
-    x = data.repair.relaxed(x)
+    x = data.repair.nearly(x)
     if data.rules.max_distance is not None:
         x = pulled(data, x.astype(np.float32), data.rules.max_distance).astype(np.float64)
     good = data.repair.allowed(x)

@@ -20,13 +20,13 @@ from deadreckon.mbo.constraints import Forbidden, Linear, places
 from deadreckon.mbo.grids import FINE, grids, tied
 from deadreckon.mbo.lattice import AT_ONCE, System, moved
 from deadreckon.mbo.program import SECONDS, Program, ends, possible
+from deadreckon.mbo.projection import in_steps, projected, satisfied, stepwise
 from deadreckon.mbo.rules import Rules, written
 from deadreckon.mbo.variables import Variable
 
 if TYPE_CHECKING:
     from deadreckon.mbo.designs import Designs
 
-SWEEPS = 60  # of Dykstra's algorithm
 TOGETHER = 60.0  # seconds that the programs of all designs that are moved at once may take
 NEAR = 0.05  # standard deviations of a variable
 SOME = 20  # rows of the data near which designs are looked for before programs are asked
@@ -62,36 +62,25 @@ class Repair:
         if not self.rules.linear:
             return x
         fixed = {column for column, _ in self.rules.fixed}
-        moved = [i for i, v in enumerate(self.variables) if v.kind == "continuous" and v.step is None and i not in fixed]
-        low, high = (np.array([getattr(self.variables[i], end) for i in moved]) for end in ("low", "high"))
-        scale = self.scale[moved]
-        measured = self.measured(x)
-        rest = [i for i in range(x.shape[1]) if i not in moved]
-        planes = []
-        for each in self.rules.linear:
-            weights = np.zeros(x.shape[1])
-            weights[[c for c, _ in each.weights]] = [float(w) for _, w in each.weights]
-            normal = weights[moved] * scale
-            if normal.any():
-                planes.append((normal, float(each.bound) - measured[:, rest] @ weights[rest], each.equal))
-        if not planes:
-            return x
-        z = x[:, moved] / scale
-        errors = [np.zeros_like(z) for _ in range(len(planes) + 1)]
-        for _ in range(SWEEPS):
-            before = z
-            for k, (normal, bound, equal) in enumerate(planes):
-                y = z + errors[k]
-                over = (y @ normal - bound) / (normal @ normal)
-                z = y - (over if equal else np.maximum(over, 0.0))[:, None] * normal
-                errors[k] = y - z
-            y = z + errors[-1]
-            z = y.clip(low / scale, high / scale)
-            errors[-1] = y - z
-            if np.abs(z - before).max(initial=0.0) < 1e-7:
-                break
-        x[:, moved] = z * scale
-        return x
+        return projected(self, x, [i for i, v in enumerate(self.variables) if i not in fixed and not in_steps(v)])
+
+    def nearly(self, x: np.ndarray) -> np.ndarray:
+        """(rows, variables) designs that satisfy bounds and linear constraints nearly, also those of numbers in steps.
+
+        Whole numbers and steps are moved, too. Designs for which nothing is found that satisfies all are left out, but where
+        there are no others.
+        """
+        fixed = {column for column, _ in self.rules.fixed}
+        stepped = [i for i, v in enumerate(self.variables) if i not in fixed and in_steps(v) and not v.leveled]
+        if not any(c in stepped for each in self.rules.linear for c, _ in each.weights):
+            return self.relaxed(x)
+        free = [i for i, v in enumerate(self.variables) if i not in fixed and not v.leveled and v.kind != "categorical"]
+        x = np.array(x, np.float64)
+        for column, value in self.rules.fixed:
+            x[:, column] = value
+        x = stepwise(self, self.relaxed(projected(self, x, free)), stepped)
+        good = satisfied(self, x)
+        return x[good] if good.any() else x
 
     def allowed(self, x: np.ndarray) -> np.ndarray:
         """(rows,) which designs are no forbidden combination, in floating point."""
