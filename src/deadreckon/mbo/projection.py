@@ -72,14 +72,14 @@ def stepwise(repair: "Repair", x: np.ndarray, stepped: list[int]) -> np.ndarray:
         if not better.any():
             break
         rows = open_[better]
-        x[np.ix_(rows, stepped)] = new[better, best[better]]
+        x[rows[:, None], stepped] = new[better, best[better]]
     return x
 
 
 def satisfied(repair: "Repair", x: np.ndarray) -> np.ndarray:
     """(rows,) which designs satisfy all linear constraints to rounding errors."""
     weights, bound, equal, scale = _rules(repair, x)
-    return (_missed(repair.measured(x) @ weights.T - bound, equal) <= CLOSE * scale).all(1)
+    return np.all(_missed(repair.measured(x) @ weights.T - bound, equal) <= CLOSE * scale, 1)
 
 
 def _weights(rule, count: int) -> np.ndarray:
