@@ -94,12 +94,13 @@ def test_intervals_are_for_one_new_measurement():
     data = Designs.from_frame({"x": x[:, 0], "y": 2 * x[:, 0] + 0.5 * rng.standard_normal(len(x))}, "y")
     found = process.fit(data)
     assert found.noise == pytest.approx(0.5, rel=0.15)
-    np.testing.assert_allclose(found.noise_of(data.std_error), found.noise / np.sqrt(data.replicates), rtol=0.15)
+    row = found.y_std * np.exp(0.5 * found.hyper.noise)  # of the noise of a usual row, a mean of some measurements
+    usual = np.sqrt(np.square(data.std_error).mean())
+    np.testing.assert_allclose(found.noise_of(data.std_error), row * data.std_error / usual, rtol=1e-6)
     scatter = data.std_error[0] * data.replicates[0] ** 0.5  # between replicates
     assert found.beyond == pytest.approx(scatter * (1 - (1 / data.replicates).mean()) ** 0.5)
     made = designer("gp", rounds=5).propose(data, 30)
     mean, std = found.posterior(made.x)
-    row = found.y_std * np.exp(0.5 * found.hyper.noise)  # of the noise of a usual row, a mean of some measurements
     assert found.noise**2 == pytest.approx(row**2 + found.beyond**2)
     expected, width = made.quality.calibration(mean, np.hypot(std, row))
     np.testing.assert_allclose(made.predicted, expected, rtol=1e-6)
