@@ -2210,7 +2210,7 @@ MUTANTS = (
         "return mean, np.hypot(self.scale", "what proposals owe to luck is promised", ("mbo/test_validation.py",),
     ),
     Mutant(
-        "grid-after-the-climb", "mbo/gp.py", "data.repair.nearly(x)", "data.repair.relaxed(x)",
+        "grid-after-the-climb", "mbo/local_search.py", "data.repair.nearly(x)", "data.repair.relaxed(x)",
         "of numbers in steps that must sum to a number the best designs are missed",
         ("mbo/test_rules.py::test_the_best_design_on_a_grid_with_a_sum_is_found",),
     ),
@@ -2230,6 +2230,31 @@ MUTANTS = (
     Mutant(
         "draft-is-meant", "mbo/doubts.py", "or tuple(bounds) == (values.min(), values.max())", "",
         "a slipped digit becomes a bound of the drafted schema, and nothing is told any more", ("mbo/test_design_tables.py",),
+    ),
+    Mutant(
+        "networks-off-the-grid", "mbo/designer.py", "if climbed is not None:", "if False:",
+        "networks propose what lies near designs that break a sum, and not what they predict to be best",
+        ("mbo/test_rules.py::test_networks_find_good_designs_on_a_grid_with_a_sum",),
+    ),
+    Mutant(
+        "copies-hide-names-of-rows", "mbo/variables.py", "(designs := len(np.unique(x, axis=0)))", "(designs := len(x))",
+        "a name of each row is an input, where rows of the file are copied", ("mbo/test_design_tables.py",),
+    ),
+    Mutant(
+        "units-make-levels", "mbo/variables.py", "if units and (most", "if False and (most",
+        "numbers with a percent sign are read as categories", ("mbo/test_design_tables.py",),
+    ),
+    Mutant(
+        "loose-sums-alone", "mbo/doubts.py", "product(_WHOLES, (_EXACT, _ROUNDED))", "product(_WHOLES, (_ROUNDED,))",
+        "a trace is no part of the mixture that it belongs to", ("mbo/test_design_tables.py",),
+    ),
+    Mutant(
+        "optimism-seen", "report/design_doubts.py", "quality.crosswise[0]", "quality.corrected[0]",
+        "the page tells errors of predictions that these rows have calibrated", ("report/test_design_page.py",),
+    ),
+    Mutant(
+        "steps-off-the-grid", "report/design_asked.py", "low, high = (float(", "_ = (float(",
+        "the page says that proposals begin where none can be", ("report/test_design_page.py",),
     ),
     Mutant(
         "blanks-make-levels", "mbo/design_table.py", "plain = compute.utf8_trim_whitespace(texts)", "plain = texts",

@@ -34,7 +34,7 @@ def test_from_a_table_to_proposals(table, capsys):
     asked = ["--data", "alloys.csv", "--target", "cost", "--minimise", "-n", "5", "--bounds", "heat", "0", "12"]
     assert main(["design", *FORWARD, *asked]) == 0
     out, told = (text.splitlines() for text in capsys.readouterr())
-    assert out[0].startswith("alloys: 60 designs, 3 variables; best cost 0.")
+    assert out[0].startswith("alloys: 60 designs, 3 variables (heat, layers, colour); best cost 0.")
     assert out[1].startswith("Forward: 5 proposals, best predicted ")
     # So small and short a network knows nothing of designs that it has not seen, and that is said.
     assert out[2].startswith("Forward out of fold: R2 -")

@@ -156,8 +156,8 @@ def test_a_slipped_digit_is_told():
     assert data.variables[0].high == 900
     assert lines[0] == (
         f"frame: temp: 900 (row 3, counted from 0) is far from all others ({least:g} to {most:g}); the models learn from it: "
-        f"mend it, or leave the row out, if it is a slip; --constraints '`temp` <= {most:g}' would keep proposals alone from "
-        "there"
+        f"mend it, or leave the row out, if it is a slip; --constraints '`temp` <= {most:g}' would keep proposals within "
+        "the others' range"
     )
     assert lines[1].startswith("frame: y: 431 (row 5, counted from 0) is far from all others (")
     assert data.noticed == tuple(line.removeprefix("frame: ") for line in lines)
@@ -193,6 +193,84 @@ def test_rows_that_break_a_sum_which_others_hold_are_told():
     percent = {name: 100 * columns[name] for name in "abc"} | {"y": columns["y"]}
     with pytest.raises(UserError, match=r"in the data they sum to 100, so say --constraints 'a \+ b \+ c = 100' instead"):
         Designs.from_frame(percent, "y", **mixture)
+
+
+def test_a_sum_that_most_rows_break_is_told():
+    rng = np.random.default_rng(0)
+    parts = rng.dirichlet([2.0] * 3, 20)
+    columns = dict(zip("abc", parts.T)) | {"y": rng.normal(size=20)}
+    said = {"mixtures": [["a", "b"]]}
+    (line,) = told(Designs.from_frame, columns, "y", **said)[1]
+    ends = f"{parts[:, :2].sum(1).min():.4g} to {parts[:, :2].sum(1).max():.4g}"
+    assert line.startswith(f"frame: a + b = 1 does not hold in 20 of 20 rows, where the sum is {ends} instead of 1; proposals")
+
+
+@pytest.mark.parametrize(("whole", "digits"), [(1, 4), (100, 2)])
+def test_parts_that_sum_to_a_whole_are_told_and_drafted(tmp_path, whole, digits):
+    """Two mixtures, one with a trace of a dopant, one rounded, beside a number, a constant and a category."""
+    rng = np.random.default_rng(0)
+    first, second = ((whole * rng.dirichlet([2.0] * size, 40)).round(digits) for size in (4, 3))
+    first[:, 3] = (0.004 * whole * rng.uniform(size=40)).round(digits)
+    first[:, 0] = (whole - first[:, 1:].sum(1)).round(digits)
+    columns = {"temp": rng.uniform(0, whole, 40).round(digits), "same": [whole / 2] * 40} | dict(zip("abcd", first.T))
+    columns |= dict(zip(["u", "v w", "x"], second.T)) | {"kind": ["p", "q"] * 20, "y": rng.normal(size=40).round(3)}
+    sums = [f"a + b + c + d = {whole}", f"u + `v w` + x = {whole}"]
+    ways = ["--mixtures a,b,c,d", "--mixtures 'u,v w,x'"] if whole == 1 else [f"--constraints '{each}'" for each in sums]
+    lines = told(Designs.from_frame, columns, "y")[1]
+    assert len(lines) == 2
+    for line, said, way in zip(lines, sums, ways):
+        assert line.startswith(f"frame: {said} in every row, and proposals need not")
+        assert line.endswith(way)
+    path = write(tmp_path / "t.csv", columns)
+    schema, lines = describe(path, "y")
+    assert schema.constraints == tuple(sums)
+    assert [line.partition(" in every")[0] for line in lines] == sums
+    made, lines = told(schema.read, path)
+    assert lines == []
+    assert [each.text for each in made.rules.linear] == [each.replace("`", "") for each in sums]
+    columns["a"] = columns["a"] + np.where(np.arange(40), 0, 0.1 * whole)  # no sum of all rows any more
+    assert len(told(Designs.from_frame, columns, "y")[1]) == 1
+
+
+def test_numbers_of_runs_are_told():
+    numbers = frame(run=[*range(18, 0, -1)])
+    (line,) = told(Designs.from_frame, numbers, "y")[1]
+    assert line == (
+        "frame: column run has each whole number from 1 to 18 once, and is taken for an input; if it is the number of the run, "
+        "leave it out (--ignore run)"
+    )
+    for other in ([*range(2, 38, 2)], [1, 1, *range(2, 18)], [i + 0.5 for i in range(18)]):
+        assert told(Designs.from_frame, frame(run=other), "y")[1] == []
+
+
+def test_names_of_rows_are_refused_also_where_rows_are_copies(tmp_path):
+    names = frame(sample=[f"S-{i:03}" for i in range(18)])
+    for copies in ([], [4], [4, 4, 7]):  # rows of the file, once more
+        columns = {key: [*values, *(values[row] for row in copies)] for key, values in names.items()}
+        with pytest.raises(UserError, match=r"sample holds 18 different texts in 18 designs.*ignore it \(--ignore sample\)"):
+            told(Designs.from_frame, columns, "y")
+        schema, lines = describe(write(tmp_path / "t.csv", columns), "y")
+        assert schema.columns["sample"].role == "ignore"
+        assert schema.named("input") == ["temp", "solvent"]
+        assert any(line.startswith("column sample holds 18 different texts") for line in lines)
+    assert len(told(Designs.from_frame, names, "y", kinds={"sample": "categorical"})[0].variables) == 3
+    few = frame(36, sample=[f"S-{i % 18:03}" for i in range(36)])  # each in two designs: something can be learned
+    assert len(told(Designs.from_frame, few, "y")[0].variables) == 3
+
+
+@pytest.mark.parametrize(
+    ("cell", "unit"), [("{}%", "%"), ("{} C", "C"), ("{} °C", "°C"), ("{}.5mg/l", "mg/l"), ("-{},1 %", "%")]
+)
+def test_numbers_with_a_unit_are_no_categories(tmp_path, cell, unit):
+    columns = frame(dose=[cell.format(i % 6) for i in range(18)])
+    with pytest.raises(UserError, match=f"column dose holds texts such as '.*'; take the '{unit}' off") as error:
+        told(Designs.from_frame, columns, "y")
+    assert ("40% is 0.4" in str(error.value)) == (unit == "%")
+    if "," not in cell:
+        assert describe(write(tmp_path / "t.csv", columns), "y")[0].columns["dose"].role == "ignore"
+    told(Designs.from_frame, columns, "y", kinds={"dose": "categorical"})
+    for names in (["3A", "4B", "5C"], ["5-methyl", "6-methyl", "7-methyl"], ["1e3x", "x1", "x2"], ["A 1", "B 2", "C 3"]):
+        told(Designs.from_frame, frame(dose=names * 6), "y")
 
 
 def test_few_rows_are_too_few_and_nothing_else_is_wrong():

@@ -9,7 +9,8 @@ from deadreckon.mbo import designer, process
 from deadreckon.mbo.batch import check_batch, keys
 from deadreckon.mbo.calibration import conformal_factor
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.gp import greedy, spaced
+from deadreckon.mbo.gp import greedy
+from deadreckon.mbo.local_search import spaced
 from deadreckon.mbo.validation import CHANCE, cross_validated, judged
 from deadreckon.mbo.variables import Variable
 from tests.mbo.practice import TABLES

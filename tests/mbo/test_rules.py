@@ -230,3 +230,18 @@ def test_the_best_design_on_a_grid_with_a_sum_is_found():
     shares = np.stack(np.meshgrid(*[np.arange(21)] * 3), -1).reshape(-1, 3) / 20
     shares = shares[np.abs(shares.sum(1) - 1) < 1e-9].astype(np.float32)
     assert made.predicted[0] == pytest.approx(made.fitted.predict(shares)[0].max(), abs=1e-3)
+
+
+@pytest.mark.parametrize(("name", "more"), [("ensemble", {"members": 2}), ("ram", {"list_size": 40})])
+def test_networks_find_good_designs_on_a_grid_with_a_sum(name, more):
+    """They climb as if there were no grid; what they propose are the designs of the grid that they predict to be best."""
+    rng = np.random.default_rng(3)
+    parts = rng.dirichlet([1, 1, 1, 1], 60)
+    frame = dict(zip("abcd", parts.T)) | {"y": -np.square(parts - [0.32, 0.23, 0.33, 0.12]).sum(1)}
+    rules = {"mixtures": [list("abcd")], "steps": dict.fromkeys("abcd", 0.05), "bounds": dict.fromkeys("abcd", (0, 1))}
+    data = Designs.from_frame(frame, "y", **rules)
+    made = designer(name, hidden=(32,), steps=200, lr=3e-3, **more).propose(data, n=4)
+    grid = np.stack(np.meshgrid(*[np.arange(21)] * 4), -1).reshape(-1, 4) / 20
+    grid = grid[np.abs(grid.sum(1) - 1) < 1e-9].astype(np.float32)
+    best = np.sort(made.fitted.predict(grid)[0])[::-1]
+    assert made.fitted.predict(made.x)[0] == pytest.approx(best[:4], abs=1e-5 * np.ptp(best))

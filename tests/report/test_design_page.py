@@ -1,5 +1,6 @@
 """The page of proposals: what it says of a table with an effect and of pure noise, and that it fits a phone."""
 
+import dataclasses
 import html
 import re
 
@@ -22,6 +23,7 @@ from deadreckon.report.design_asked import broken_rule
 from deadreckon.report.design_edges import at_rules
 from deadreckon.report.design_front import write_front
 from deadreckon.report.effects import _ticks_of_log
+from deadreckon.report.text import number
 
 SOLVENTS = ["water", "<oil & co>", "acetonitrile"]
 
@@ -77,6 +79,31 @@ def test_a_page_says_what_to_try_and_what_is_not_known(skilled, tmp_path):
     assert "cannot be told from chance" not in said
     assert "<oil" not in text  # levels are escaped
     assert text.count("<figure>") == 2 + 7 + 6  # of the fixed rate there is an average and no cut
+
+
+def test_errors_are_of_rows_that_no_calibration_has_seen(skilled, tmp_path):
+    data, made = skilled
+    y = np.random.default_rng(0).normal(size=24)
+    quality = judged(y, y + np.random.default_rng(1).normal(size=24), np.ones(24), np.arange(24) % 3, "m")
+    held = quality.fold == 1
+    others = judged(y[~held], quality.predicted[~held], quality.std[~held], quality.fold[~held], "m")
+    assert quality.skilled
+    assert others.skilled
+    np.testing.assert_allclose(quality.crosswise[0][held], others.calibration(quality.predicted[held], quality.std[held])[0])
+    error, seen = (np.median(np.abs(y - each[0])) for each in (quality.crosswise, quality.corrected))
+    assert f"miss by more than {number(error)};" in page(data, dataclasses.replace(made, quality=quality), tmp_path)[1]
+    assert number(seen) != number(error)
+
+
+def test_proposals_that_are_nearly_the_same_are_told(skilled, tmp_path):
+    data, made = skilled
+    x = made.x[[0] * 6]
+    x[:, 4] += np.float32(0.001) * np.arange(6, dtype=np.float32)
+    y = np.random.default_rng(0).normal(size=24)
+    for predicted, cost in ((y, ", at some cost in predictions."), (-y, ".")):  # where the order is chance, nothing is lost
+        quality = judged(y, predicted, np.ones(24), np.arange(24) % 3, "m")
+        said = page(data, dataclasses.replace(made, x=x, quality=quality), tmp_path)[1]
+        assert f"a least distance between them (--apart 1) spreads them{cost}" in said
 
 
 def test_of_noise_nothing_is_praised(tmp_path):
@@ -136,7 +163,7 @@ def test_the_page_says_what_was_asked_and_which_rules_bind(tmp_path):
     a[:3], b[:3] = 0.9, 0.8  # replicates of one design, the best, which breaks a rule
     frame = {"a": a, "b": b, "temp": 40 + 10 * (np.arange(24) % 4), "kind": ["x", "y"] * 12, "y": a + b}
     frame["kind"][:3] = ["x"] * 3
-    frame["temp"][:3] = 50
+    frame["temp"][:3], frame["temp"][4] = 50, 36  # whose next multiple of 10 is 40
     frame["y"][:3] += [0.1, 0.0, -0.1]
     rules = {"constraints": ["a + b <= 1.2"], "forbidden": ["kind = x & temp > 60"], "fixed": ["kind = x"], "apart": 0.5}
     with pytest.warns(UserWarning, match="3 rows are replicates of 1 design and are pooled"):
@@ -145,9 +172,10 @@ def test_the_page_says_what_was_asked_and_which_rules_bind(tmp_path):
     _, said = page(data, Proposals("m", x, np.ones(3), np.ones(3), 0, fitted=Fitted(lambda x: (x[:, 0], None))), tmp_path)
     for part in (
         "3 proposals: y is to be made large.", "Always: a + b <= 1.2.", "Never: kind = x & temp > 60.", "fixed: x",
-        "At least 0.5 usual distances from each other.", "in steps of 10", "Learned from 24 rows, 22 different designs",
+        "At least 0.5 usual distances from each other.", "40 to 70, in steps of 10",
+        "Learned from 24 rows, 22 different designs",
         "3 rows are replicates of 1 design and are pooled; the standard deviation of y between replicates is 0.1.",
-        "The best of the data, row 0 (mean of 3), breaks a rule itself: always a + b <= 1.2.",
+        "The best of the data, row 0 (mean of 3), breaks a rule that proposals satisfy: always a + b <= 1.2.",
         "row 0 (mean of 3), breaks a rule",
         'Of 3 proposals, 2 stand at the edge of the rule "always a + b <= 1.2" and 2 stand at the edge of the rule '
         '"never kind = x & temp > 60": better values may lie beyond.',
@@ -213,7 +241,8 @@ def test_where_a_model_has_no_skill_no_gain_is_stated(tmp_path):
     front = two_targets(False)
     text, said = front_page(front, tmp_path)
     lead = re.search(r'<p class="lead">(.*?)</p>', text)[1]
-    assert lead.startswith("The order that the model of Cost / EUR gives unseen designs cannot be told from chance: in Cost")
+    order = "the model's order of rows that it has not seen cannot be told from chance".replace("'", "&#x27;")
+    assert lead.startswith(f"Of Cost / EUR, {order}. In Cost / EUR the proposals may rest on nothing")
     assert "what they would gain is not known" in lead
     assert "14.2" not in said
     assert about_front(front)["value"][about_front(front)["what"].index("expected to be added")] == "not known"

@@ -12,7 +12,7 @@ import tyro
 
 from deadreckon.cli import design_front
 from deadreckon.cli.data import Reading
-from deadreckon.cli.design_asked import asked, check_problem, designs, reading
+from deadreckon.cli.design_asked import asked, check_problem, designs, reading, size_told
 from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar, Watch
 from deadreckon.cli.sheets import write_beside
@@ -156,7 +156,7 @@ def _told(data: Any, made: Any) -> list[str]:
     best, most = (float(data.shown(scores.max())) for scores in (data.y, made.predicted))
     tied = int((data.y == data.y.max()).sum())
     ties = f" (shared by {tied:,} designs)" if tied > 1 else ""
-    lines = [f"{data.name}: {len(data):,} designs, {len(data.variables):,} variables; best {data.target} {best:,.4g}{ties}"]
+    lines = [f"{size_told(data)}; best {data.target} {best:,.4g}{ties}"]
     predicted = f", best predicted {data.target} {most:,.4g}" if made.predicts else ""
     lines.append(f"{made.method}: {len(made):,} proposals{predicted} ({made.seconds:,.0f} s)")
     if made.compared:

@@ -3,7 +3,9 @@
 from typing import Any
 
 from deadreckon.errors import UserError
+from deadreckon.names import shown
 
+NAMED = 12  # variables up to which they are listed
 OF_TABLES = (
     "target", "schema", "kinds", "levels", "bounds", "ignore", "minimise", "reference", "steps", "logs", "fix", "constraints",
     "mixtures", "forbid", "std_error", "weights", "max_distance", "apart",
@@ -40,6 +42,13 @@ def designs(options: Any) -> Any:
     if options.schema is not None:
         return DesignSchema.load(options.schema).read(options.data or "", target=options.target, **more)
     return Designs.from_csv(options.data or "", options.target or "", **more)
+
+
+def size_told(data: Any) -> str:
+    """How many designs and variables there are, and which ones, so that an outcome that is taken for an input is seen."""
+    names = [v.name for v in data.variables]
+    listed = f" ({', '.join(map(shown, names))})" if len(names) <= NAMED else ""
+    return f"{data.name}: {len(data):,} designs, {len(names):,} variables{listed}"
 
 
 def reading(options: Any) -> dict[str, Any]:

@@ -4,6 +4,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from deadreckon.cli.design_asked import size_told
 from deadreckon.cli.progress import Watch
 from deadreckon.cli.sheets import write_beside
 from deadreckon.errors import UserError
@@ -114,12 +115,12 @@ def told(front: Any) -> list[str]:
     data, y = front.data[0], front.observed
     names = ", ".join(f"{'least' if each.minimise else 'greatest'} {each.target}" for each in front.data)
     point = ", ".join(f"{each.target} {value:,.4g}" for each, value in zip(front.data, front.shown(front.reference)))
-    size, best, n = f"{len(data):,} designs, {len(data.variables):,} variables", non_dominated(y).sum(), len(front.made[0])
+    best, n = non_dominated(y).sum(), len(front.made[0])
     gain = f"what the {n:,} proposals add to it is not known"
     if not front.unskilled:
         gain = f"the {n:,} proposals are expected to add {front.gain:,.4g}"
     lines = [
-        f"{data.name}: {size}; {names}; {best:,} designs are on the front of the data",
+        f"{size_told(data)}; {names}; {best:,} designs are on the front of the data",
         f"hypervolume of the data {front.before:,.4g} from the reference point {point}; {gain}",
     ]
     return lines + [str(made.quality) for made in front.made if made.quality is not None]

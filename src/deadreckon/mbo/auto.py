@@ -26,7 +26,7 @@ DRAWS = 200  # of rows, for the standard error of a difference
 class Auto(Designer):
     """The Gaussian process, an ensemble or a model that ranks: by their predictions of designs that they have not seen."""
 
-    revision: ClassVar[int] = 2
+    revision: ClassVar[int] = 3
 
     kappa: Number = host(0.0)
     """standard deviations added to the prediction of a Gaussian process: below 0 cautious, above 0 bold"""
@@ -62,7 +62,8 @@ def chosen(compared: list[Quality]) -> tuple[int, str]:
     first, rank = compared[0], [each.rank_correlation for each in compared]
     best = int(np.argmax(rank))
     if not any(each.skilled for each in compared):
-        return 0, f"the order that each of {len(compared)} methods gives unseen designs cannot be told from chance"
+        some = compared[best]
+        return 0, f"of {some.method}, which ranks unseen designs best of {len(compared)} methods, {some.doubt}"
     if best == 0:
         return 0, f"{first.method} ranks unseen designs best ({rank[0]:.3f})"
     error = standard_error(first.observed, first.predicted, compared[best].predicted)

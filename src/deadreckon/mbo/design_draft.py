@@ -1,7 +1,7 @@
 """A draft of the schema of a table of experiments, for people to check and change."""
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,9 @@ from deadreckon.data.roles import row_numbers
 from deadreckon.errors import UserError
 from deadreckon.mbo.design_schema import DesignColumn, DesignSchema
 from deadreckon.mbo.design_table import name_of, read_designs, scored, trimmed
-from deadreckon.mbo.doubts import of_inputs, of_target
-from deadreckon.mbo.variables import variable_of
+from deadreckon.mbo.doubts import of_inputs, of_target, sum_of, unsaid_sums
+from deadreckon.mbo.rules import Rules
+from deadreckon.mbo.variables import Variable, check_no_names, variable_of
 
 
 def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[DesignSchema, list[str]]:
@@ -41,6 +42,7 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
     rows, planned = scored(name, table, [target])
     told += [planned] if planned else []
     columns: dict[str, DesignColumn] = {}
+    inputs: dict[str, tuple[Variable, np.ndarray]] = {}
     for column in names:
         if column in left:
             columns[column] = DesignColumn("ignore", about="looks like a row number")
@@ -48,7 +50,7 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
         try:
             values, v = variable_of(name, table, column, None, None, None, rows)
         except UserError as error:  # what must be mended in the table, or said in the schema
-            columns[column] = DesignColumn("ignore", about=str(error).removeprefix(f"{name}: "))
+            columns[column] = _left_out(name, error)
             told.append(f"{columns[column].about}{': ignored so far' * (column != target)}")
             continue
         if v.leveled:
@@ -58,9 +60,33 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
         else:
             about = f"{len(set(values.tolist())):,} different values"
             columns[column] = DesignColumn("input", v.kind, v.low, v.high, about=about)
-        told += of_inputs([v], values[:, None], rows) if column != target else of_target(target, values, rows)
+        if column == target:
+            told += of_target(target, values, rows)
+        else:
+            inputs[column] = v, values
     columns[target] = DesignColumn("target", about=columns[target].about)
-    return DesignSchema(columns, table=pinned(dialect) | ways), told
+    x = _stacked(inputs, rows)
+    for column, (v, values) in list(inputs.items()):
+        try:
+            check_no_names(name, v, values, x)
+        except UserError as error:
+            columns[column] = _left_out(name, error)
+            told.append(f"{columns[column].about}: ignored so far")
+            del inputs[column]
+    variables, x = [v for v, _ in inputs.values()], _stacked(inputs, rows)
+    sums = [sum_of([variables[i].name for i in group], whole) for group, whole in unsaid_sums(variables, x)]
+    told += [f"{each} in every row, and the draft has it as a constraint of proposals" for each in sums]
+    told += of_inputs(variables, x, rows, rules=Rules.of(variables, constraints=sums, name=name))
+    return DesignSchema(columns, constraints=tuple(sums), table=pinned(dialect) | ways), told
+
+
+def _stacked(inputs: Mapping[str, tuple[Variable, np.ndarray]], rows: np.ndarray) -> np.ndarray:
+    """(rows, inputs) values, also of no inputs at all."""
+    return np.reshape([values for _, values in inputs.values()], (len(inputs), len(rows))).T
+
+
+def _left_out(name: str, error: UserError) -> DesignColumn:
+    return DesignColumn("ignore", about=str(error).removeprefix(f"{name}: "))
 
 
 def _last_of_numbers(name: str, table: pa.Table, names: Sequence[str]) -> str:

@@ -22,11 +22,13 @@ from deadreckon.mbo.batch import batch, check_batch
 from deadreckon.mbo.design_source import DesignSource
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.fitted import Fitted
+from deadreckon.mbo.local_search import on_grid
 from deadreckon.mbo.replicates import noise_beyond
 from deadreckon.mbo.validation import Quality
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.provided import Shown
+from deadreckon.randomness import generator
 from deadreckon.training.checkpoint import folder_of, inherit
 from deadreckon.training.fit import Fit, complete
 from deadreckon.training.hyperparameters import check_fields, described, on_device
@@ -256,8 +258,9 @@ class Designer(eqx.Module):
         return dataclasses.replace(self, **changes)
 
     def decoded(
-        self, setting: DesignInput, seed: int, z: Any, believed: Belief | None = None, noisy: bool = True
-    ) -> Proposals:
+        self, setting: DesignInput, seed: int, z: Any, believed: Belief | None = None, noisy: bool = True,
+        climbed: Callable[[Array], Any] | None = None,
+    ) -> Proposals:  # fmt: skip
         """Proposals of coordinates (n, size).
 
         Args:
@@ -266,12 +269,17 @@ class Designer(eqx.Module):
             z: the coordinates; what is proposed are the designs nearest to them, with whole numbers and single levels.
             believed: standardised means and deviations (n,), or None for these, of coordinates: it is asked about those of
                 the designs that are proposed. None: the method believes nothing.
+            climbed: value (n,) of coordinates that the method has climbed; numbers in steps that share a constraint are
+                searched by it (`local_search.on_grid`). None: the nearest such designs are taken.
             noisy: whether deviations are those of a row, noise included; else of the true score.
         """
         view = setting.data.coordinates
         x = view.decode(np.asarray(z))
         if setting.distinct:
             value = None if believed is None else lambda x: np.asarray(believed(jnp.asarray(view.encode(x)))[0])
+            if climbed is not None:
+                model = Fitted.of(setting.data, lambda x: (climbed(x), None), is_order=True)
+                x = on_grid(setting.data, x, lambda x: model.predict(x)[0], generator(seed, "search on a grid"))
             x = batch(setting.data, x, setting.n, value, repeat=setting.repeat, seed=seed)
         mean = predicted_std = None
         if believed is not None:

@@ -4,6 +4,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from fractions import Fraction
+from itertools import product
 
 import numpy as np
 
@@ -17,6 +18,9 @@ _SEVERAL = 2  # rows of a level more than which another, of one row, may be a sl
 _ALIKE = 0.8  # similarity of two texts (`difflib`) from which on they are written nearly alike
 _FEW = 0.2  # share of rows up to which what others hold may be broken by a slip
 _FEWEST = 3  # different values among the others, fewer of which say nothing of their range
+_EXACT, _ROUNDED = 1e-6, 0.01  # share of a sum by which binary numbers may change it, and decimals that were rounded
+_MANY = 200  # variables beyond which sums are not looked for
+_WHOLES = (1, 100)  # what parts of a whole sum to
 
 
 def of_inputs(
@@ -26,7 +30,8 @@ def of_inputs(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     rules: Rules = NO_RULES,
 ) -> list[str]:
-    """Levels that are written nearly alike, numbers that are far from all others, and rows that break a sum that others hold.
+    """Levels that are written nearly alike, numbers that are far from all others, run numbers, sums that hold and nobody has
+    said, and sums that somebody has said and rows break.
 
     Args:
         variables: of the designs.
@@ -45,8 +50,16 @@ def of_inputs(
             text = f"{_far(v.name, x[:, column], row, rows)}; the models learn from it: mend it, or leave the row out, "
             text += "if it is a slip"
             if not _excluded(rules, column, x[row, column]):
-                text += f"; --constraints {shlex.quote(f'`{v.name}` {end}')} would keep proposals alone from there"
+                text += f"; --constraints {shlex.quote(f'`{v.name}` {end}')} would keep proposals within the others' range"
             lines.append(text)
+        elif _run_number(v, x[:, column]):
+            text = f"column {v.name} has each whole number from {v.low:g} to {v.high:g} once, and is taken for an input"
+            lines.append(f"{text}; if it is the number of the run, leave it out (--ignore {shlex.quote(v.name)})")
+    for columns, whole in unsaid_sums(variables, x, rules):
+        names = [variables[column].name for column in columns]
+        said = sum_of(names, whole)
+        way = f"--mixtures {shlex.quote(','.join(names))}" if whole == 1 else f"--constraints {shlex.quote(said)}"
+        lines.append(f"{said} in every row, and proposals need not satisfy it; if these are parts of a whole, say {way}")
     return lines + [line for each in rules.linear if each.equal for line in _of_sum(each, x, rows)]
 
 
@@ -74,15 +87,54 @@ def _of_levels(v: Variable, values: np.ndarray) -> list[str]:
     return lines
 
 
+def _run_number(v: Variable, values: np.ndarray) -> bool:
+    """Whether whole numbers are those of runs: consecutive, and each in one row."""
+    return v.kind == "integer" and np.ptp(values) + 1 == len(values) == len(np.unique(values))
+
+
+def unsaid_sums(variables: Sequence[Variable], x: np.ndarray, rules: Rules = NO_RULES) -> list[tuple[list[int], int]]:
+    """Columns of parts that sum to 1 or to 100 in every row but for roundings, and that no equality is about.
+
+    Within the space of all sums that are the same in every row, the projection of a column's direction has the same weight on
+    each column of its group and none on others, where no other sum is constant.
+    """
+    said = {column for each in rules.linear if each.equal for column, _ in each.weights}
+    open_ = [i for i, v in enumerate(variables) if not v.leveled and i not in said and np.ptp(x[:, i]) > 0]
+    found: list[tuple[list[int], int]] = []
+    for whole, slack in product(_WHOLES, (_EXACT, _ROUNDED)):
+        taken = {column for columns, _ in found for column in columns}
+        parts = [i for i in open_ if i not in taken and x[:, i].min() >= 0 and x[:, i].max() <= whole]
+        if not 1 < len(parts) < min(len(x), _MANY):
+            continue
+        _, deviations, directions = np.linalg.svd(x[:, parts] - x[:, parts].mean(0), full_matrices=False)
+        same = directions[deviations <= slack * whole * len(x) ** 0.5]
+        weights = same.T @ same
+        groups = {tuple(np.flatnonzero(row > row.max() / 2)) for row in weights if row.max() > _ROUNDED}
+        for group in sorted(groups):
+            columns = [parts[i] for i in group]
+            if len(columns) > 1 and (np.abs(x[:, columns].sum(1) - whole) <= slack * whole).all():
+                found.append((columns, whole))
+    return found
+
+
+def sum_of(names: Sequence[str], whole: int) -> str:
+    """A sum as a constraint says it."""
+    return f"{' + '.join(name if name.isidentifier() else f'`{name}`' for name in names)} = {whole}"
+
+
 def _of_sum(rule: Linear, x: np.ndarray, rows: np.ndarray) -> list[str]:
-    """The rows that break an equality which most others hold, by more than a hundredth of its terms."""
+    """The rows that break an equality by more than a hundredth of its terms, and what may be wrong."""
     terms = np.stack([float(weight) * x[:, column] for column, weight in rule.weights], 1)
-    total, slack = terms.sum(1), 0.01 * np.maximum(np.abs(terms).sum(1), abs(float(rule.bound)))
+    total, slack = terms.sum(1), _ROUNDED * np.maximum(np.abs(terms).sum(1), abs(float(rule.bound)))
     broken = np.abs(total - float(rule.bound)) > slack
-    if 0 < broken.sum() <= _FEW * len(rows):
+    if not broken.any():
+        return []
+    if broken.sum() <= _FEW * len(rows):
         text = f"{rule.text} does not hold in {rows_told(rows[broken])}"
         return [f"{text}; the models learn from these: mend them, or leave them out, if they are slips"]
-    return []
+    span = f"{total[broken].min():.4g} to {total[broken].max():.4g}"
+    text = f"{rule.text} does not hold in {broken.sum():,} of {len(rows):,} rows, where the sum is {span} instead of "
+    return [f"{text}{float(rule.bound):g}; proposals satisfy it: check that it names all parts, in the units of the table"]
 
 
 def of_target(target: str, y: np.ndarray, rows: np.ndarray) -> list[str]:

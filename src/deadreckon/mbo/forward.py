@@ -103,7 +103,8 @@ class Forward(Designer):
         found = []
         for seed, (nets, _) in zip(setting.seeds, states):
             x = climb(value, nets, start, self.ascent_steps, self.design_lr * view.size**0.5, *setting.bounds)
-            made = self.decoded(setting, seed, x, lambda x, nets=nets: (value(nets, x), mixture(nets, x)[1]))
+            believed = lambda x, nets=nets: (value(nets, x), mixture(nets, x)[1])  # noqa: E731
+            made = self.decoded(setting, seed, x, believed, climbed=partial(value, nets))
             found.append(replace(made, fitted=self._fitted(made.fitted, setting.data, nets)))
         if not setting.validate or not checkable(setting.data, 2 * ENOUGH):
             return found

@@ -10,10 +10,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from deadreckon.mbo.batch import batch, least_distance, moved, pulled
+from deadreckon.mbo.batch import batch, moved
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.fitted import Fitted
+from deadreckon.mbo.local_search import improved
 from deadreckon.mbo.process import Process, fit
 from deadreckon.mbo.validation import ENOUGH, Predict, checkable, cross_validated
 from deadreckon.randomness import generator
@@ -21,13 +22,12 @@ from deadreckon.training.hyperparameters import Count, CountOrZero, Number, host
 
 KEPT = 128  # designs that a search keeps at least
 DRAWN = 512  # random designs that it begins with
-REACH = 0.5, 0.003  # of random changes in the first and the last round, in ranges of the data
 
 
 class GP(Designer):
     """The greatest predicted score under a Gaussian process with a length for each variable, and categories."""
 
-    revision: ClassVar[int] = 3
+    revision: ClassVar[int] = 4
 
     kappa: Number = host(0.0)
     """standard deviations added to the prediction: below 0 cautious (lower confidence bound), above 0 bold (upper one)"""
@@ -102,42 +102,9 @@ def search(data: Designs, process: Process, kappa: float, rounds: int, kept: int
     """(kept, variables) or fewer different designs of great m + kappa s, the greatest first, within bounds and constraints."""
     rng = generator(seed, "search of designs")
     start = data.x[rng.integers(len(data), size=DRAWN)]
-    x = _allowed(data, np.concatenate([data.x[data.best(min(len(data), 64))], moved(data, start, 1.0, rng), start[:64]]))
-    value, apart = sum_of(process, x, kappa), least_distance(data)
-    for i in range(rounds):
-        # Designs that are kept lie apart, so that they do not all become the same one.
-        order = spaced(data, x, value, apart, kept)
-        x, value = x[order], value[order]
-        reach = REACH[0] * (REACH[1] / REACH[0]) ** (i / max(rounds - 1, 1))
-        new = _allowed(data, np.concatenate([moved(data, x, reach, rng), _uphill(data, process, x, kappa, rng)]))
-        new = np.unique(new.astype(np.float32), axis=0)
-        x, value = np.concatenate([x, new]), np.concatenate([value, sum_of(process, new, kappa)])
-        _, first = np.unique(x.astype(np.float32), axis=0, return_index=True)
-        x, value = x[first], value[first]
-    return x[spaced(data, x, value, apart, kept)].astype(np.float32)
-
-
-def spaced(data: Designs, x: np.ndarray, value: np.ndarray, apart: float, kept: int) -> np.ndarray:
-    """(kept,) or fewer rows, the greatest values first, of which none lies nearer than `apart` to one before it."""
-    z = data.coordinates.encode(x).astype(np.float64)
-    free, order = np.ones(len(z), bool), []
-    for i in np.argsort(-value, kind="stable"):
-        if free[i]:
-            order.append(i)
-            if len(order) == kept:
-                break
-            free &= np.square(z - z[i]).sum(1) >= apart**2
-    return np.array(order)
-
-
-def _allowed(data: Designs, x: np.ndarray) -> np.ndarray:
-    """Designs within bounds and linear constraints, without those that are forbidden; all that satisfy the rules nearly."""
-    x = data.repair.nearly(x)
-    if data.rules.max_distance is not None:
-        x = pulled(data, x.astype(np.float32), data.rules.max_distance).astype(np.float64)
-    good = data.repair.allowed(x)
-    # Where all are forbidden, the nearest ones that are not are looked for one by one.
-    return x[good] if good.any() else data.repair.exact(x[:8])[0].astype(np.float64)
+    x = np.concatenate([data.x[data.best(min(len(data), 64))], moved(data, start, 1.0, rng), start[:64]])
+    uphill = lambda x: _uphill(data, process, x, kappa, rng)  # noqa: E731
+    return improved(data, x, lambda x: sum_of(process, x, kappa), rounds, kept, rng, uphill)
 
 
 def _uphill(data: Designs, process: Process, x: np.ndarray, kappa: float, rng: np.random.Generator) -> np.ndarray:

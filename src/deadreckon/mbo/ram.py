@@ -5,6 +5,7 @@ model learns their order (ListNet's cross-entropy). Its output is then standardi
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import Any, ClassVar
 
 import jax
@@ -68,5 +69,5 @@ class RaM(Designer):
             scaled = nets, out.mean(), jnp.maximum(out.std(), 1e-6)
             x = climb(ranked, scaled, start, self.ascent_steps, self.design_lr * view.size**0.5, *setting.bounds)
             order = Fitted.of(setting.data, lambda x, scaled=scaled: (ranked(scaled, x), None), is_order=True)
-            found.append(replace(self.decoded(setting, seed, x), fitted=order))
+            found.append(replace(self.decoded(setting, seed, x, climbed=partial(ranked, scaled)), fitted=order))
         return found

@@ -41,6 +41,10 @@ class Repair:
 
     def __init__(self, data: "Designs"):
         self.data, self.rules, self.variables = data, data.rules, data.variables
+        self.fixed = {column for column, _ in data.rules.fixed}
+        self.open = [i for i, v in enumerate(data.variables) if i not in self.fixed and not v.leveled]
+        self.stepped = [i for i in self.open if in_steps(data.variables[i])]
+        self.tied_steps = any(c in self.stepped for each in data.rules.linear for c, _ in each.weights)
         self.decimals = self.rules.decimals(data.variables)
         self.grids = grids(self.variables, self.rules, self.decimals, data.x)
         self.steps = self.grids[0]
@@ -61,8 +65,7 @@ class Repair:
         x = self._snapped(np.array(x, np.float64))
         if not self.rules.linear:
             return x
-        fixed = {column for column, _ in self.rules.fixed}
-        return projected(self, x, [i for i, v in enumerate(self.variables) if i not in fixed and not in_steps(v)])
+        return projected(self, x, [i for i, v in enumerate(self.variables) if i not in self.fixed and not in_steps(v)])
 
     def nearly(self, x: np.ndarray) -> np.ndarray:
         """(rows, variables) designs that satisfy bounds and linear constraints nearly, also those of numbers in steps.
@@ -70,15 +73,12 @@ class Repair:
         Whole numbers and steps are moved, too. Designs for which nothing is found that satisfies all are left out, but where
         there are no others.
         """
-        fixed = {column for column, _ in self.rules.fixed}
-        stepped = [i for i, v in enumerate(self.variables) if i not in fixed and in_steps(v) and not v.leveled]
-        if not any(c in stepped for each in self.rules.linear for c, _ in each.weights):
+        if not self.tied_steps:
             return self.relaxed(x)
-        free = [i for i, v in enumerate(self.variables) if i not in fixed and not v.leveled and v.kind != "categorical"]
         x = np.array(x, np.float64)
         for column, value in self.rules.fixed:
             x[:, column] = value
-        x = stepwise(self, self.relaxed(projected(self, x, free)), stepped)
+        x = stepwise(self, self.relaxed(projected(self, x, self.open)), self.stepped)
         good = satisfied(self, x)
         return x[good] if good.any() else x
 
@@ -150,9 +150,8 @@ class Repair:
     def _systems(self) -> list[list[System]]:
         """Of each grid the equalities, those together that share numbers, or one after the other where these are too many."""
         out: list[list[System]] = []
-        fixed = {column for column, _ in self.rules.fixed}
         for grid in self.grids:
-            free = {c for c, step in enumerate(grid) if step is not None} - fixed
+            free = {c for c, step in enumerate(grid) if step is not None} - self.fixed
             found: list[System] = []
             for group in tied([each for each in self.rules.linear if each.equal], free):
                 parts = [group] if len(group) <= AT_ONCE else [[each] for each in group]

@@ -82,16 +82,21 @@ class Quality:
         return (self.predicted, self.std) if self.calibration is None else self.calibration(self.predicted, self.std)
 
     @cached_property
-    def coverage(self) -> float:
-        """Share of scores within the 95 % interval that the other folds calibrate; NaN where it predicts an order alone."""
+    def crosswise(self) -> tuple[np.ndarray, np.ndarray]:
+        """(rows,) the same as the calibration of all other folds makes them, so that no row judges itself."""
         if not self.scored:
-            return np.nan
-        inside = []
+            return self.corrected
+        mean, std = np.empty(len(self.observed)), np.empty(len(self.observed))
         for k in np.unique(self.fold):
             held = self.fold == k
-            mean, std = self._calibration(~held)(self.predicted[held], self.std[held])
-            inside.append(np.abs(self.observed[held] - mean) <= NORMAL * std)
-        return float(np.concatenate(inside).mean())
+            mean[held], std[held] = self._calibration(~held)(self.predicted[held], self.std[held])
+        return mean, std
+
+    @cached_property
+    def coverage(self) -> float:
+        """Share of scores within the 95 % interval that the other folds calibrate; NaN where it predicts an order alone."""
+        mean, std = self.crosswise
+        return float((np.abs(self.observed - mean) <= NORMAL * std).mean()) if self.scored else np.nan
 
     def _calibration(self, rows: np.ndarray) -> Calibration:
         return Calibration.of(self.observed[rows], self.predicted[rows], self.std[rows], skilled=self.skilled)

@@ -1,6 +1,9 @@
 """What a design is made of: numbers, integers and categories, and how columns of a table become such."""
 
 import math
+import re
+import shlex
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -15,7 +18,9 @@ from deadreckon.mbo.design_table import numbers_of
 
 KINDS = ("continuous", "integer", "categorical", "ordinal")
 FEWEST = 10  # rows below which no model is worth fitting
+OWN = 0.9  # share of the designs from which on that many different texts are names of them
 FINE = 1e-3  # deviations of a column that float32 must be able to tell apart
+_WITH_UNIT = re.compile(r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?\s*([^\d\s.,+/:-]\S{0,9})")
 
 
 @dataclass(frozen=True)
@@ -115,11 +120,6 @@ def _category(
         known = tuple(category_codes(name, column, flat(table, column).take(pa.array(rows)))[1])
     else:
         known = tuple(sorted(set(values)))
-    if not told and len(known) == len(rows) >= FEWEST:
-        raise UserError(
-            f"{name}: column {column} holds another text in every row, from which nothing is learned; ignore it, or say "
-            "kind categorical"
-        )
     return codes(name, column, values, known, rows), Variable(column, "categorical", levels=known)
 
 
@@ -201,8 +201,34 @@ def filled(name: str, table: pa.Table, column: str, rows: np.ndarray) -> list[An
     return values
 
 
+def check_no_names(name: str, v: Variable, values: np.ndarray, x: np.ndarray) -> None:
+    """Refuses a column of texts of which nearly every design has its own, as a name of rows does.
+
+    Args:
+        name: of the data.
+        v: the variable.
+        values: (rows,) indices of its levels.
+        x: (rows, variables) the designs.
+
+    Raises:
+        UserError: it is one.
+    """
+    own = len(np.unique(values)) if v.kind == "categorical" else 0
+    if own >= FEWEST and own > OWN * (designs := len(np.unique(x, axis=0))):
+        text = f"holds {own:,} different texts in {designs:,} designs, as a name of rows does, from which nothing is learned"
+        raise UserError(f"{name}: column {v.name} {text}; ignore it (--ignore {shlex.quote(v.name)}), or say kind categorical")
+
+
 def _check_texts(name: str, column: str, values: Sequence[str], rows: np.ndarray) -> None:
-    """Refuses texts that are numbers in most rows: one bad cell would make a category of each."""
+    """Refuses texts that are numbers in most rows, or numbers with the same unit: each would be a category."""
+    units = Counter(found[1] for value in values if (found := _WITH_UNIT.fullmatch(value)))
+    if units and (most := units.most_common(1)[0])[1] > len(values) / 2:
+        example = next(value for value in values if value.endswith(most[0]))
+        more = " (in a mixture, which sums to 1, 40% is 0.4)" if most[0] == "%" else ""
+        raise UserError(
+            f"{name}: column {column} holds texts such as {example!r}; take the {most[0]!r} off, so that they are numbers, or "
+            f"say kind categorical{more}"
+        )
     bad = [row for row, value in enumerate(values) if not is_number(value)]
     if bad and len(bad) < len(values) / 2:
         row = bad[0]

@@ -2,11 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.effects import allowed
+from deadreckon.mbo.program import ends
 from deadreckon.mbo.rules import Rules, written
 from deadreckon.mbo.variables import Variable
 from deadreckon.report.design_edges import data_value
@@ -34,7 +36,7 @@ def asked(data: Sequence[Designs], count: int) -> Markup:
         best = int(each.y.argmax())
         if (rule := broken_rule(each, best)) is not None:
             of = f" in {each.target}" if len(data) > 1 else ""
-            lines.append(f"The best of the data{of}, {row_name(each, best)}, breaks a rule itself: {rule}. Proposals may not.")
+            lines.append(f"The best of the data{of}, {row_name(each, best)}, breaks a rule that proposals satisfy: {rule}.")
     fixed = dict(first.rules.fixed)
     rows = [
         tag("tr", tag("th", breakable(v.name), scope="row"), tag("td", v.kind), tag("td", _may_be(v, fixed.get(i))))
@@ -93,9 +95,11 @@ def _may_be(v: Variable, fixed: float | None) -> Markup | str:
     if v.leveled:
         more = f" and {len(v.levels) - LEVELS:,} more" if len(v.levels) > LEVELS else ""
         return f"{', '.join(map(str, v.levels[:LEVELS]))}{more}"
-    ends = [_plain(end) for end in (v.low, v.high) if np.isfinite(end)]
-    within = f"{_plain(v.low)} to {_plain(v.high)}" if len(ends) == 2 else "without two bounds"
-    step = "" if v.step is None else f", in steps of {_plain(v.step)}"
+    low, high, step = v.low, v.high, ""
+    if v.step is not None:
+        low, high = (float(end * Fraction(str(v.step))) for end in ends(v.low, v.high, Fraction(str(v.step))))
+        step = f", in steps of {_plain(v.step)}"
+    within = f"{_plain(low)} to {_plain(high)}" if np.isfinite([low, high]).all() else "without two bounds"
     return f"{within}{step}{', on a log scale' if v.log else ''}"
 
 

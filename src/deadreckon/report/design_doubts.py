@@ -52,7 +52,7 @@ def _of_batch(data: Designs, made: Proposals, far: np.ndarray, idle: set[int], r
     """Of the proposals: where they lie, and, where any model `ranks`, at which ends they stand."""
     return [
         *_of_distance(data, made, far),
-        *_of_each_other(data, made),
+        *_of_each_other(data, made, ranks),
         *_of_extrapolation(data, made),
         *(_of_ends(data, made, idle) if ranks else []),
     ]
@@ -111,7 +111,7 @@ def _of_calibration(quality: Quality) -> list[str]:
 def _of_optimism(data: Designs, quality: Quality) -> str:
     """How predictions that are the highest of many compare with their scores, and the typical error."""
     count = max(1, round(TOP * len(quality.observed)))
-    mean, top = quality.corrected[0], np.argsort(-quality.predicted, kind="stable")[:count]
+    mean, top = quality.crosswise[0], np.argsort(-quality.predicted, kind="stable")[:count]
     said, was = (number(float(data.shown(each[top].mean()))) for each in (mean, quality.observed))
     error = number(float(np.median(np.abs(quality.observed - mean))))
     best = "lowest" if data.minimise else "highest"
@@ -133,13 +133,13 @@ def _of_distance(data: Designs, made: Proposals, far: np.ndarray) -> list[str]:
     ]
 
 
-def _of_each_other(data: Designs, made: Proposals) -> list[str]:
+def _of_each_other(data: Designs, made: Proposals, ranks: bool) -> list[str]:
     """Proposals that are nearly the same experiment."""
     if len(made) < 2 or (middle := float(np.median(distance_to_others(data, made.x)))) > NEAR:
         return []
     return [
         f"Half of the proposals lie within {number(middle)} usual distances of another one, and are likely to be right or "
-        "wrong together; a least distance between them (--apart 1) spreads them, at the cost of lower predictions."
+        f"wrong together; a least distance between them (--apart 1) spreads them{', at some cost in predictions' * ranks}."
     ]
 
 
@@ -170,9 +170,7 @@ def _of_ends(data: Designs, made: Proposals, idle: set[int]) -> list[str]:
 
 def _of_effects(data: Designs, made: Proposals, effects: list[Effect]) -> list[str]:
     if effects and made.by_chance:
-        return [
-            "What it shows of the effects of variables cannot be told from none either, since its order may be chance."
-        ]
+        return ["What it shows of the effects of variables cannot be told from none either, for the same reason."]
     known = [each for each in effects if each.distinct(len(effects)) is not None]
     if made.fitted is not None and effects and not known:
         return [

@@ -50,11 +50,9 @@ def _lead(front: Front) -> str:
     """What is not known first, then the hypervolume, and what is expected to be gained where the models have any skill."""
     parts, bad = [], front.unskilled
     if bad:
-        orders = f"orders that the models of {words(bad)} give" if len(bad) > 1 else f"order that the model of {bad[0]} gives"
-        parts.append(
-            f"The {orders} unseen designs cannot be told from chance: in {words(bad)} the proposals may rest on nothing, and "
-            "what they would gain is not known."
-        )
+        doubts = {each.target: made.quality.doubt for each, made in zip(front.data, front.made) if made.quality}
+        parts += [f"Of {target}, {doubts[target]}." for target in bad]
+        parts.append(f"In {words(bad)} the proposals may rest on nothing, and what they would gain is not known.")
     elif front.warnings:
         parts.append(f"{str(front.made[0].warning).capitalize()}.")
     point = ", ".join(f"{each.target} {number(float(v))}" for each, v in zip(front.data, front.shown(front.reference)))

@@ -1,0 +1,81 @@
+"""A search of designs of great value by random changes, among those that satisfy bounds and linear constraints."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from deadreckon.mbo.batch import Value, least_distance, moved, pulled
+from deadreckon.mbo.designs import Designs
+
+REACH = 0.5, 0.003  # of random changes in the first and the last round, in ranges of the data
+NEAR, AFTER = 0.1, 12  # of those of designs that were climbed to before, and the rounds
+
+
+def improved(
+    data: Designs,
+    x: np.ndarray,
+    value: Value,
+    rounds: int,
+    kept: int,
+    rng: np.random.Generator,
+    more: Callable[[np.ndarray], np.ndarray] | None = None,
+    reach: tuple[float, float] = REACH,
+) -> np.ndarray:
+    """(kept, variables) or fewer different designs, those of the greatest values that were found, the greatest first.
+
+    Args:
+        data: with the rules.
+        x: (m, variables) where it begins.
+        value: of designs.
+        rounds: of changes.
+        kept: designs that are gone on with after each round; they lie apart, so that they do not all become the same one.
+        rng: of the changes.
+        more: (k, variables) designs that are tried beside (k, variables) others, such as steps up a gradient.
+        reach: of the changes in the first and the last round, in ranges of the data.
+    """
+    x = allowed(data, x)
+    worth, apart = value(x), least_distance(data)
+    for i in range(rounds):
+        order = spaced(data, x, worth, apart, kept)
+        x, worth = x[order], worth[order]
+        near = reach[0] * (reach[1] / reach[0]) ** (i / max(rounds - 1, 1))
+        tried = [moved(data, x, near, rng), *([] if more is None else [more(x)])]
+        new = np.unique(allowed(data, np.concatenate(tried)).astype(np.float32), axis=0)
+        x, worth = np.concatenate([x, new]), np.concatenate([worth, value(new)])
+        _, first = np.unique(x.astype(np.float32), axis=0, return_index=True)
+        x, worth = x[first], worth[first]
+    return x[spaced(data, x, worth, apart, kept)].astype(np.float32)
+
+
+def on_grid(data: Designs, x: np.ndarray, value: Value, rng: np.random.Generator) -> np.ndarray:
+    """Designs that a method has climbed to, as good ones around them where numbers in steps share a constraint.
+
+    The nearest allowed design to one that breaks a sum, often no neighbour of the best, can be worth much less. Others are
+    given back as they are.
+    """
+    if not data.repair.tied_steps:
+        return x
+    return improved(data, x, value, AFTER, 4 * len(x), rng, reach=(NEAR, REACH[1]))
+
+
+def spaced(data: Designs, x: np.ndarray, value: np.ndarray, apart: float, kept: int) -> np.ndarray:
+    """(kept,) or fewer rows, the greatest values first, of which none lies nearer than `apart` to one before it."""
+    z = data.coordinates.encode(x).astype(np.float64)
+    free, order = np.ones(len(z), bool), []
+    for i in np.argsort(-value, kind="stable"):
+        if free[i]:
+            order.append(i)
+            if len(order) == kept:
+                break
+            free &= np.square(z - z[i]).sum(1) >= apart**2
+    return np.array(order)
+
+
+def allowed(data: Designs, x: np.ndarray) -> np.ndarray:
+    """Designs within bounds and linear constraints, without those that are forbidden; all that satisfy the rules nearly."""
+    x = data.repair.nearly(x)
+    if data.rules.max_distance is not None:
+        x = pulled(data, x.astype(np.float32), data.rules.max_distance).astype(np.float64)
+    good = data.repair.allowed(x)
+    # Where all are forbidden, the nearest ones that are not are looked for one by one.
+    return x[good] if good.any() else data.repair.exact(x[:8])[0].astype(np.float64)
