@@ -22,6 +22,7 @@ at no deviation. It replaces spread 1 if on tables 3000 to 3039 the same holds a
 
 import argparse
 import dataclasses
+import warnings
 
 import numpy as np
 from scipy.stats import norm
@@ -46,7 +47,10 @@ def measured(seed: int, rows: int, inputs: int, level: float, repeats: int = 1) 
     x = np.repeat(x, repeats, 0)
     y = scores(x) + level * rng.standard_normal(len(x))
     variables = [Variable(f"x{i}", low=0.0, high=1.0) for i in range(inputs)]
-    made = GP().propose(pooled(Designs.from_arrays(x, y, variables)), PROPOSED)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*are replicates of")
+        data = pooled(Designs.from_arrays(x, y, variables))
+    made = GP().propose(data, PROPOSED)
     true = scores(made.x.astype(float))
     assert made.fitted is not None
     alone = dataclasses.replace(made.fitted, calibration=None).predict(made.x)
