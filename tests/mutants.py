@@ -2237,15 +2237,15 @@ MUTANTS = (
         ("mbo/test_rules.py::test_networks_find_good_designs_on_a_grid_with_a_sum",),
     ),
     Mutant(
-        "copies-hide-names-of-rows", "mbo/variables.py", "(designs := len(np.unique(x, axis=0)))", "(designs := len(x))",
+        "copies-hide-names-of-rows", "mbo/designs.py", "len(np.unique(x, axis=0)), {*(kinds", "len(x), {*(kinds",
         "a name of each row is an input, where rows of the file are copied", ("mbo/test_design_tables.py",),
     ),
     Mutant(
-        "units-make-levels", "mbo/variables.py", "if units and (most", "if False and (most",
+        "units-make-levels", "mbo/variables.py", "if len(cells) > len(values) / 2", "if len(cells) > len(values)",
         "numbers with a percent sign are read as categories", ("mbo/test_design_tables.py",),
     ),
     Mutant(
-        "loose-sums-alone", "mbo/doubts.py", "product(_WHOLES, (_EXACT, _ROUNDED))", "product(_WHOLES, (_ROUNDED,))",
+        "loose-sums-alone", "mbo/doubts.py", "for slack in _SLACKS * whole:", "for slack in _SLACKS[-1:] * whole:",
         "a trace is no part of the mixture that it belongs to", ("mbo/test_design_tables.py",),
     ),
     Mutant(
@@ -2253,7 +2253,7 @@ MUTANTS = (
         "the page tells errors of predictions that these rows have calibrated", ("report/test_design_page.py",),
     ),
     Mutant(
-        "steps-off-the-grid", "report/design_asked.py", "low, high = (float(", "_ = (float(",
+        "steps-off-the-grid", "mbo/program.py", "if v.step is None:", "if True:",
         "the page says that proposals begin where none can be", ("report/test_design_page.py",),
     ),
     Mutant(

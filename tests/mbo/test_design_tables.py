@@ -1,5 +1,6 @@
 """Tables of experiments as people have them: blanks, planned runs, missing cells, dates, slipped digits and yes or no."""
 
+import shlex
 import warnings
 
 import numpy as np
@@ -206,21 +207,22 @@ def test_a_sum_that_most_rows_break_is_told():
 
 
 @pytest.mark.parametrize(("whole", "digits"), [(1, 4), (100, 2)])
-def test_parts_that_sum_to_a_whole_are_told_and_drafted(tmp_path, whole, digits):
-    """Two mixtures, one with a trace of a dopant, one rounded, beside a number, a constant and a category."""
+@pytest.mark.parametrize("trace", [0.004, 0.02])
+def test_parts_that_sum_to_a_whole_are_told_and_drafted(tmp_path, whole, digits, trace):
+    """Two mixtures, one with a trace of a dopant, both rounded part by part, beside a number, a constant and a category."""
     rng = np.random.default_rng(0)
-    first, second = ((whole * rng.dirichlet([2.0] * size, 40)).round(digits) for size in (4, 3))
-    first[:, 3] = (0.004 * whole * rng.uniform(size=40)).round(digits)
-    first[:, 0] = (whole - first[:, 1:].sum(1)).round(digits)
+    first, second = (whole * rng.dirichlet([2.0] * size, 40) for size in (3, 3))
+    dopant = trace * rng.uniform(size=(40, 1))
+    first = np.concatenate([(1 - dopant) * first, whole * dopant], 1).round(digits)
+    second = second.round(digits)
     columns = {"temp": rng.uniform(0, whole, 40).round(digits), "same": [whole / 2] * 40} | dict(zip("abcd", first.T))
     columns |= dict(zip(["u", "v w", "x"], second.T)) | {"kind": ["p", "q"] * 20, "y": rng.normal(size=40).round(3)}
     sums = [f"a + b + c + d = {whole}", f"u + `v w` + x = {whole}"]
-    ways = ["--mixtures a,b,c,d", "--mixtures 'u,v w,x'"] if whole == 1 else [f"--constraints '{each}'" for each in sums]
     lines = told(Designs.from_frame, columns, "y")[1]
     assert len(lines) == 2
-    for line, said, way in zip(lines, sums, ways):
+    for line, said in zip(lines, sums):
         assert line.startswith(f"frame: {said} in every row, and proposals need not")
-        assert line.endswith(way)
+        assert line.endswith(f"say --constraints {shlex.quote(said)}")
     path = write(tmp_path / "t.csv", columns)
     schema, lines = describe(path, "y")
     assert schema.constraints == tuple(sums)
@@ -232,6 +234,16 @@ def test_parts_that_sum_to_a_whole_are_told_and_drafted(tmp_path, whole, digits)
     assert len(told(Designs.from_frame, columns, "y")[1]) == 1
 
 
+def test_binary_numbers_and_names_hide_no_sum(tmp_path):
+    a, b = np.array([0.1, 0.3, 0.9, 0.7] * 5), np.array([0.2, 0.4, 0.1, 0.1] * 5)
+    columns = {"wt, a": a, "b": b, "c": 1 - a - b, "y": np.random.default_rng(0).normal(size=20).round(2)}
+    assert columns["c"].min() < 0
+    (line,) = told(Designs.from_frame, columns, "y", pool=False)[1]
+    assert line.endswith("say --constraints '`wt, a` + b + c = 1'")
+    columns = {"a`x": a, "z": 1 - a, "y": columns["y"]}  # no rule can name the first
+    assert describe(write(tmp_path / "t.csv", columns), "y")[0].constraints == ()
+
+
 def test_numbers_of_runs_are_told():
     numbers = frame(run=[*range(18, 0, -1)])
     (line,) = told(Designs.from_frame, numbers, "y")[1]
@@ -239,6 +251,9 @@ def test_numbers_of_runs_are_told():
         "frame: column run has each whole number from 1 to 18 once, and is taken for an input; if it is the number of the run, "
         "leave it out (--ignore run)"
     )
+    low, high = {"bounds": {"run": (0, 40)}}, {"bounds": {"run": (1, 18)}}
+    assert told(Designs.from_frame, numbers, "y", **low)[1] == []
+    assert told(Designs.from_frame, numbers, "y", **high)[1] == [line]  # as in a drafted schema
     for other in ([*range(2, 38, 2)], [1, 1, *range(2, 18)], [i + 0.5 for i in range(18)]):
         assert told(Designs.from_frame, frame(run=other), "y")[1] == []
 
@@ -247,29 +262,39 @@ def test_names_of_rows_are_refused_also_where_rows_are_copies(tmp_path):
     names = frame(sample=[f"S-{i:03}" for i in range(18)])
     for copies in ([], [4], [4, 4, 7]):  # rows of the file, once more
         columns = {key: [*values, *(values[row] for row in copies)] for key, values in names.items()}
-        with pytest.raises(UserError, match=r"sample holds 18 different texts in 18 designs.*ignore it \(--ignore sample\)"):
+        with pytest.raises(UserError, match=r"sample holds 18 different values in 18 designs.*ignore it \(--ignore sample\)"):
             told(Designs.from_frame, columns, "y")
         schema, lines = describe(write(tmp_path / "t.csv", columns), "y")
         assert schema.columns["sample"].role == "ignore"
         assert schema.named("input") == ["temp", "solvent"]
-        assert any(line.startswith("column sample holds 18 different texts") for line in lines)
+        assert any(line.startswith("column sample holds 18 different values") for line in lines)
     assert len(told(Designs.from_frame, names, "y", kinds={"sample": "categorical"})[0].variables) == 3
+    both = frame(24, sample=[f"S-{i % 12:02}" for i in range(24)])
+    both["temp"] = (both["temp"][:12] * 2)[:24]  # of the same designs, but for their numbers
+    both["solvent"] = (both["solvent"][:12] * 2)[:24]
+    for order in ({"row": [f"r{i}" for i in range(24)]} | both, both | {"row": [f"r{i}" for i in range(24)]}):
+        schema, lines = describe(write(tmp_path / "t.csv", order), "y")
+        assert schema.named("input") == ["temp", "solvent"]
     few = frame(36, sample=[f"S-{i % 18:03}" for i in range(36)])  # each in two designs: something can be learned
     assert len(told(Designs.from_frame, few, "y")[0].variables) == 3
 
 
 @pytest.mark.parametrize(
-    ("cell", "unit"), [("{}%", "%"), ("{} C", "C"), ("{} °C", "°C"), ("{}.5mg/l", "mg/l"), ("-{},1 %", "%")]
+    ("cell", "unit"),
+    [("{}%", "%"), ("{} C", "C"), ("{} °C", "°C"), ("{}.5mg/l", "mg/l"), ("-{},1 %", "%"), ("{} mol %", "mol %")],
 )
 def test_numbers_with_a_unit_are_no_categories(tmp_path, cell, unit):
-    columns = frame(dose=[cell.format(i % 6) for i in range(18)])
-    with pytest.raises(UserError, match=f"column dose holds texts such as '.*'; take the '{unit}' off") as error:
-        told(Designs.from_frame, columns, "y")
+    columns = frame(dose=[f"none of {unit}", *(cell.format(i % 6) for i in range(17))])
+    for dose in (columns["dose"], pa.array(columns["dose"], pa.large_string())):
+        with pytest.raises(UserError, match=f"dose holds texts such as '{cell.format(0)}'; take the '{unit}' off") as error:
+            told(Designs.from_frame, columns | {"dose": dose}, "y")
     assert ("40% is 0.4" in str(error.value)) == (unit == "%")
     if "," not in cell:
         assert describe(write(tmp_path / "t.csv", columns), "y")[0].columns["dose"].role == "ignore"
     told(Designs.from_frame, columns, "y", kinds={"dose": "categorical"})
-    for names in (["3A", "4B", "5C"], ["5-methyl", "6-methyl", "7-methyl"], ["1e3x", "x1", "x2"], ["A 1", "B 2", "C 3"]):
+    steels = ["4CzIPN", "4CzIPN", "Ru(bpy)3"], ["316L", "304L", "316L"]
+    others = ["5-methyl", "6-methyl", "7-methyl"], ["1e3x", "x1", "x2"], ["A 1", "B 2", "C 3"]
+    for names in (*steels, *others, ["3A", "4B", "5C"]):
         told(Designs.from_frame, frame(dose=names * 6), "y")
 
 

@@ -71,7 +71,7 @@ def test_a_csv_goes_round(tmp_path):
         (table(), {"kinds": {"temperature": "integer"}}, "whole numbers are needed"),
         (table(), {"levels": {"solvent": ["water"]}}, "unknown level 'ethanol' in row 1; known are water"),
         ({"y": list(range(12))}, {}, "no column beside the target 'y'"),
-        (table(solvent=[f"S{i}" for i in range(12)]), {}, "column solvent holds 12 different texts in 12 designs"),
+        (table(solvent=[f"S{i}" for i in range(12)]), {}, "column solvent holds 12 different values in 12 designs"),
         (table(temperature=[1.7e9 + i for i in range(12)]), {}, "reaches 1.7e.09 .* which 32 bits hold in steps of 128 only"),
         (table(layers=[2**40 + i for i in range(12)]), {}, "beyond 16,777,216, .* take a constant off it"),
         (table(temperature=[datetime(2024, 1, 1)] * 12), {}, "column temperature holds times; make numbers of them"),

@@ -63,7 +63,8 @@ def chosen(compared: list[Quality]) -> tuple[int, str]:
     best = int(np.argmax(rank))
     if not any(each.skilled for each in compared):
         some = compared[best]
-        return 0, f"of {some.method}, which ranks unseen designs best of {len(compared)} methods, {some.doubt}"
+        told = f"of {some.method}, which ranks unseen designs best of {len(compared)} methods, {some.doubt}"
+        return 0, f"{told}; {first.method} is taken"
     if best == 0:
         return 0, f"{first.method} ranks unseen designs best ({rank[0]:.3f})"
     error = standard_error(first.observed, first.predicted, compared[best].predicted)

@@ -17,7 +17,7 @@ from deadreckon.mbo.design_schema import DesignColumn, DesignSchema
 from deadreckon.mbo.design_table import name_of, read_designs, scored, trimmed
 from deadreckon.mbo.doubts import of_inputs, of_target, sum_of, unsaid_sums
 from deadreckon.mbo.rules import Rules
-from deadreckon.mbo.variables import Variable, check_no_names, variable_of
+from deadreckon.mbo.variables import Variable, name_of_rows, variable_of
 
 
 def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[DesignSchema, list[str]]:
@@ -50,7 +50,7 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
         try:
             values, v = variable_of(name, table, column, None, None, None, rows)
         except UserError as error:  # what must be mended in the table, or said in the schema
-            columns[column] = _left_out(name, error)
+            columns[column] = DesignColumn("ignore", about=str(error).removeprefix(f"{name}: "))
             told.append(f"{columns[column].about}{': ignored so far' * (column != target)}")
             continue
         if v.leveled:
@@ -65,13 +65,10 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
         else:
             inputs[column] = v, values
     columns[target] = DesignColumn("target", about=columns[target].about)
-    x = _stacked(inputs, rows)
-    for column, (v, values) in list(inputs.items()):
-        try:
-            check_no_names(name, v, values, x)
-        except UserError as error:
-            columns[column] = _left_out(name, error)
-            told.append(f"{columns[column].about}: ignored so far")
+    while names := _names_of_rows(inputs, rows):
+        for column, why in names.items():
+            columns[column] = DesignColumn("ignore", about=why)
+            told.append(f"{why}: ignored so far")
             del inputs[column]
     variables, x = [v for v, _ in inputs.values()], _stacked(inputs, rows)
     sums = [sum_of([variables[i].name for i in group], whole) for group, whole in unsaid_sums(variables, x)]
@@ -85,8 +82,13 @@ def _stacked(inputs: Mapping[str, tuple[Variable, np.ndarray]], rows: np.ndarray
     return np.reshape([values for _, values in inputs.values()], (len(inputs), len(rows))).T
 
 
-def _left_out(name: str, error: UserError) -> DesignColumn:
-    return DesignColumn("ignore", about=str(error).removeprefix(f"{name}: "))
+def _names_of_rows(inputs: Mapping[str, tuple[Variable, np.ndarray]], rows: np.ndarray) -> dict[str, str]:
+    """The first column that names rows, and why, if there is one: without it there may be fewer different designs."""
+    designs = len(np.unique(_stacked(inputs, rows), axis=0))
+    for column, (v, values) in inputs.items():
+        if why := name_of_rows(v, values, designs):
+            return {column: why}
+    return {}
 
 
 def _last_of_numbers(name: str, table: pa.Table, names: Sequence[str]) -> str:

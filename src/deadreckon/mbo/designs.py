@@ -21,7 +21,7 @@ from deadreckon.mbo.design_table import check_filled, name_of, numbers_of, read_
 from deadreckon.mbo.repair import Repair
 from deadreckon.mbo.replicates import errors_of, pooled
 from deadreckon.mbo.rules import NO_RULES, Rules
-from deadreckon.mbo.variables import FEWEST, Variable, check_no_names, codes, filled, variable_of
+from deadreckon.mbo.variables import FEWEST, Variable, codes, filled, name_of_rows, variable_of
 from deadreckon.provided import Shown
 
 LARGEST = 1e150  # score: squares of larger ones would overflow
@@ -199,9 +199,10 @@ class Designs(Shown):
             variables.append(replace(variable, step=(steps or {}).get(column), log=column in logs))
         error = None if std_error is None else errors_of(name, table, std_error, rows)
         x, scores = np.stack(columns, 1), -y if minimise else y
-        for i, v in enumerate(variables):
-            if v.name not in {*(kinds or {}), *(levels or {})}:
-                check_no_names(name, v, x[:, i], x)
+        designs, said = len(np.unique(x, axis=0)), {*(kinds or {}), *(levels or {})}
+        for v, values in zip(variables, columns):
+            if v.name not in said and (why := name_of_rows(v, values, designs)):
+                raise UserError(f"{name}: {why}")
         made = cls(
             x, scores, tuple(variables), name, score_name(target, weights), minimise,
             Rules.of(variables, name=name, **rules), std_error=error, table_rows=rows if planned else None,

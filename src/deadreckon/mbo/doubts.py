@@ -4,7 +4,6 @@ import shlex
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from fractions import Fraction
-from itertools import product
 
 import numpy as np
 
@@ -18,7 +17,9 @@ _SEVERAL = 2  # rows of a level more than which another, of one row, may be a sl
 _ALIKE = 0.8  # similarity of two texts (`difflib`) from which on they are written nearly alike
 _FEW = 0.2  # share of rows up to which what others hold may be broken by a slip
 _FEWEST = 3  # different values among the others, fewer of which say nothing of their range
-_EXACT, _ROUNDED = 1e-6, 0.01  # share of a sum by which binary numbers may change it, and decimals that were rounded
+_ROUNDED = 0.01  # share of a sum by which decimals that were rounded may change it
+_SLACKS = np.geomspace(1e-6, _ROUNDED, 41)  # of a whole, by which parts miss it; the least first, so that traces are parts too
+_LEAST = 0.01  # weight of a column within the space of constant sums, of parts of one at least a hundredth
 _MANY = 200  # variables beyond which sums are not looked for
 _WHOLES = (1, 100)  # what parts of a whole sum to
 
@@ -52,14 +53,14 @@ def of_inputs(
             if not _excluded(rules, column, x[row, column]):
                 text += f"; --constraints {shlex.quote(f'`{v.name}` {end}')} would keep proposals within the others' range"
             lines.append(text)
-        elif _run_number(v, x[:, column]):
-            text = f"column {v.name} has each whole number from {v.low:g} to {v.high:g} once, and is taken for an input"
+        elif _run_number(v, x[:, column]) and _not_meant((bounds or {}).get(v.name), x[:, column]):
+            ends = f"{x[:, column].min():g} to {x[:, column].max():g}"
+            text = f"column {v.name} has each whole number from {ends} once, and is taken for an input"
             lines.append(f"{text}; if it is the number of the run, leave it out (--ignore {shlex.quote(v.name)})")
     for columns, whole in unsaid_sums(variables, x, rules):
-        names = [variables[column].name for column in columns]
-        said = sum_of(names, whole)
-        way = f"--mixtures {shlex.quote(','.join(names))}" if whole == 1 else f"--constraints {shlex.quote(said)}"
-        lines.append(f"{said} in every row, and proposals need not satisfy it; if these are parts of a whole, say {way}")
+        said = sum_of([variables[column].name for column in columns], whole)
+        text = f"{said} in every row, and proposals need not satisfy it; if these are parts of a whole, say"
+        lines.append(f"{text} --constraints {shlex.quote(said)}")
     return lines + [line for each in rules.linear if each.equal for line in _of_sum(each, x, rows)]
 
 
@@ -93,28 +94,34 @@ def _run_number(v: Variable, values: np.ndarray) -> bool:
 
 
 def unsaid_sums(variables: Sequence[Variable], x: np.ndarray, rules: Rules = NO_RULES) -> list[tuple[list[int], int]]:
-    """Columns of parts that sum to 1 or to 100 in every row but for roundings, and that no equality is about.
+    """Columns that vary and sum to 1 or to 100 in every row but for roundings, and that no equality is about.
 
     Within the space of all sums that are the same in every row, the projection of a column's direction has the same weight on
     each column of its group and none on others, where no other sum is constant.
     """
     said = {column for each in rules.linear if each.equal for column, _ in each.weights}
-    open_ = [i for i, v in enumerate(variables) if not v.leveled and i not in said and np.ptp(x[:, i]) > 0]
+    varied = np.ptp(x, axis=0) > 0
+    open_ = [i for i, v in enumerate(variables) if not v.leveled and i not in said and varied[i] and "`" not in v.name]
     found: list[tuple[list[int], int]] = []
-    for whole, slack in product(_WHOLES, (_EXACT, _ROUNDED)):
+    for whole in _WHOLES:
         taken = {column for columns, _ in found for column in columns}
-        parts = [i for i in open_ if i not in taken and x[:, i].min() >= 0 and x[:, i].max() <= whole]
+        parts = [i for i in open_ if i not in taken and _within(x[:, i] / whole)]
         if not 1 < len(parts) < min(len(x), _MANY):
             continue
         _, deviations, directions = np.linalg.svd(x[:, parts] - x[:, parts].mean(0), full_matrices=False)
-        same = directions[deviations <= slack * whole * len(x) ** 0.5]
-        weights = same.T @ same
-        groups = {tuple(np.flatnonzero(row > row.max() / 2)) for row in weights if row.max() > _ROUNDED}
-        for group in sorted(groups):
-            columns = [parts[i] for i in group]
-            if len(columns) > 1 and (np.abs(x[:, columns].sum(1) - whole) <= slack * whole).all():
-                found.append((columns, whole))
-    return found
+        for slack in _SLACKS * whole:
+            same = directions[deviations <= slack * len(x) ** 0.5]
+            weights = same.T @ same
+            for group in sorted({tuple(np.flatnonzero(row > row.max() / 2)) for row in weights if row.max() > _LEAST}):
+                columns = [parts[i] for i in group if parts[i] not in taken]
+                if 1 < len(columns) == len(group) and (np.abs(x[:, columns].sum(1) - whole) <= slack).all():
+                    found.append((columns, whole))
+                    taken |= set(columns)
+    return sorted(found)
+
+
+def _within(share: np.ndarray) -> bool:
+    return bool(share.min() >= -_SLACKS[0] and share.max() <= 1 + _SLACKS[0])
 
 
 def sum_of(names: Sequence[str], whole: int) -> str:
@@ -134,7 +141,7 @@ def _of_sum(rule: Linear, x: np.ndarray, rows: np.ndarray) -> list[str]:
         return [f"{text}; the models learn from these: mend them, or leave them out, if they are slips"]
     span = f"{total[broken].min():.4g} to {total[broken].max():.4g}"
     text = f"{rule.text} does not hold in {broken.sum():,} of {len(rows):,} rows, where the sum is {span} instead of "
-    return [f"{text}{float(rule.bound):g}; proposals satisfy it: check that it names all parts, in the units of the table"]
+    return [f"{text}{float(rule.bound):g}; proposals satisfy it: check that it is right in the units of the table"]
 
 
 def of_target(target: str, y: np.ndarray, rows: np.ndarray) -> list[str]:

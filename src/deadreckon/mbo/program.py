@@ -24,6 +24,15 @@ def ends(low: float, high: float, step: Fraction) -> tuple[float, float]:
     return first, last
 
 
+def ends_of(v: Variable) -> tuple[float, float]:
+    """The least and the greatest value of a variable of numbers that may be proposed: multiples of its step, if it has one."""
+    if v.step is None:
+        return v.low, v.high
+    step = Fraction(str(v.step))
+    first, last = ends(v.low, v.high, step)
+    return float(first * step), float(last * step)
+
+
 class Program:
     """Rows and columns of the program; what differs between designs is the objective, the sum of scaled distances.
 

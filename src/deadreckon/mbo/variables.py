@@ -3,7 +3,6 @@
 import math
 import re
 import shlex
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -12,15 +11,16 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.arrow import category_codes, flat, is_category, is_number
+from deadreckon.data.arrow import category_codes, flat, is_category, is_number, is_text
 from deadreckon.errors import UserError, unknown
 from deadreckon.mbo.design_table import numbers_of
 
 KINDS = ("continuous", "integer", "categorical", "ordinal")
 FEWEST = 10  # rows below which no model is worth fitting
 OWN = 0.9  # share of the designs from which on that many different texts are names of them
+SEVERAL = 3  # different numbers from which on those with a unit are no names, such as 316L and 304L
 FINE = 1e-3  # deviations of a column that float32 must be able to tell apart
-_WITH_UNIT = re.compile(r"[-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?\s*([^\d\s.,+/:-]\S{0,9})")
+_WITH_UNIT = re.compile(r"[-+\u2212]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?\s*([^\d\s.,+/:-]\S{0,9}(?:\s\S{1,9})?)")
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def _category(
 ) -> tuple[np.ndarray, Variable]:
     """Codes of a column and the variable; unless somebody `told` that it is categorical, likely mistakes are refused."""
     stored, values = table.column(column).type, filled(name, table, column, rows)
-    if not told and pa.types.is_string(stored):
+    if not told and is_text(stored) and not pa.types.is_dictionary(stored):
         _check_texts(name, column, values, rows)
     if levels:
         known = _typed(levels, stored)
@@ -201,32 +201,32 @@ def filled(name: str, table: pa.Table, column: str, rows: np.ndarray) -> list[An
     return values
 
 
-def check_no_names(name: str, v: Variable, values: np.ndarray, x: np.ndarray) -> None:
-    """Refuses a column of texts of which nearly every design has its own, as a name of rows does.
+def name_of_rows(v: Variable, values: np.ndarray, designs: int) -> str | None:
+    """What is said of a column of which nearly every design has its own level, as a name of rows does; None: it is no such.
 
     Args:
-        name: of the data.
         v: the variable.
         values: (rows,) indices of its levels.
-        x: (rows, variables) the designs.
-
-    Raises:
-        UserError: it is one.
+        designs: how many different ones there are.
     """
     own = len(np.unique(values)) if v.kind == "categorical" else 0
-    if own >= FEWEST and own > OWN * (designs := len(np.unique(x, axis=0))):
-        text = f"holds {own:,} different texts in {designs:,} designs, as a name of rows does, from which nothing is learned"
-        raise UserError(f"{name}: column {v.name} {text}; ignore it (--ignore {shlex.quote(v.name)}), or say kind categorical")
+    if own < FEWEST or own <= OWN * designs:
+        return None
+    text = f"holds {own:,} different values in {designs:,} designs, as a name of rows does, from which nothing is learned"
+    return f"column {v.name} {text}; ignore it (--ignore {shlex.quote(v.name)}), or say kind categorical"
 
 
 def _check_texts(name: str, column: str, values: Sequence[str], rows: np.ndarray) -> None:
-    """Refuses texts that are numbers in most rows, or numbers with the same unit: each would be a category."""
-    units = Counter(found[1] for value in values if (found := _WITH_UNIT.fullmatch(value)))
-    if units and (most := units.most_common(1)[0])[1] > len(values) / 2:
-        example = next(value for value in values if value.endswith(most[0]))
-        more = " (in a mixture, which sums to 1, 40% is 0.4)" if most[0] == "%" else ""
+    """Refuses texts that are numbers in most rows, or several numbers with the same unit: each would be a category."""
+    by_unit: dict[str, list[str]] = {}
+    for value in values:
+        if found := _WITH_UNIT.fullmatch(value):
+            by_unit.setdefault(found[1], []).append(value)
+    unit, cells = max(by_unit.items(), key=lambda each: len(each[1]), default=("", []))
+    if len(cells) > len(values) / 2 and len(set(cells)) >= SEVERAL:
+        more = " (in a mixture, which sums to 1, 40% is 0.4)" if unit == "%" else ""
         raise UserError(
-            f"{name}: column {column} holds texts such as {example!r}; take the {most[0]!r} off, so that they are numbers, or "
+            f"{name}: column {column} holds texts such as {cells[0]!r}; take the {unit!r} off, so that they are numbers, or "
             f"say kind categorical{more}"
         )
     bad = [row for row, value in enumerate(values) if not is_number(value)]

@@ -2,13 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from fractions import Fraction
 
 import numpy as np
 
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.effects import allowed
-from deadreckon.mbo.program import ends
+from deadreckon.mbo.program import ends_of
 from deadreckon.mbo.rules import Rules, written
 from deadreckon.mbo.variables import Variable
 from deadreckon.report.design_edges import data_value
@@ -95,10 +94,7 @@ def _may_be(v: Variable, fixed: float | None) -> Markup | str:
     if v.leveled:
         more = f" and {len(v.levels) - LEVELS:,} more" if len(v.levels) > LEVELS else ""
         return f"{', '.join(map(str, v.levels[:LEVELS]))}{more}"
-    low, high, step = v.low, v.high, ""
-    if v.step is not None:
-        low, high = (float(end * Fraction(str(v.step))) for end in ends(v.low, v.high, Fraction(str(v.step))))
-        step = f", in steps of {_plain(v.step)}"
+    (low, high), step = ends_of(v), "" if v.step is None else f", in steps of {_plain(v.step)}"
     within = f"{_plain(low)} to {_plain(high)}" if np.isfinite([low, high]).all() else "without two bounds"
     return f"{within}{step}{', on a log scale' if v.log else ''}"
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from deadreckon.mbo.constraints import Forbidden, Linear
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.program import ends_of
 from deadreckon.mbo.variables import Variable
 from deadreckon.report.text import number
 
@@ -28,7 +29,7 @@ def at_ends(data: Designs, x: np.ndarray, idle: set[int]) -> list[str]:
         if i in idle or v.low == v.high or v.kind == "categorical":
             continue
         slack = 1e-5 * max(float(np.ptp(data.x[:, i])), 1e-30)
-        for end, name in ((v.low, "lower"), (v.high, "upper")):
+        for end, name in zip(ends_of(v), ("lower", "upper")):
             count = int((np.abs(x[:, i] - end) <= slack).sum()) if np.isfinite(end) else 0
             if 2 * count >= len(x):
                 found.append((count, f"in {count:,} {v.name} is at its {name} end ({shown_value(data_value(v, end))})"))
