@@ -607,8 +607,8 @@ MUTANTS = (
         ("ope/test_case.py::test_the_saddle_point_looks_ahead_where_the_episode_goes_on_and_nowhere_else",),
     ),
     Mutant(
-        "rank-correlation-order", "ope/metrics.py", "np.corrcoef(rankdata(estimates), rankdata(truth))",
-        "np.corrcoef(estimates, truth)", "rank correlation is of values", ("ope/test_metrics.py",),
+        "rank-correlation-order", "stats/ranks.py", "np.corrcoef(rankdata(a), rankdata(b))",
+        "np.corrcoef(a, b)", "rank correlation is of values", ("ope/test_metrics.py",),
     ),
     Mutant(
         "regret-k", "ope/metrics.py", "np.sort(estimates)[::-1][k - 1]", "np.sort(estimates)[k - 1]",
@@ -2235,6 +2235,18 @@ MUTANTS = (
         "networks-off-the-grid", "mbo/designer.py", "if climbed is not None:", "if False:",
         "networks propose what lies near designs that break a sum, and not what they predict to be best",
         ("mbo/test_rules.py::test_networks_find_good_designs_on_a_grid_with_a_sum",),
+    ),
+    Mutant(
+        "gain-beyond-the-rules", "mbo/effects.py", "np.where(permitted(data), data.y, -np.inf)", "data.y",
+        "no gain is predicted, since a row that breaks a rule scored more", ("report/test_design_page.py",),
+    ),
+    Mutant(
+        "front-of-forbidden-rows", "mbo/front.py", "np.flatnonzero(permitted(data[0]))", "np.arange(len(data[0]))",
+        "the front of the data is of rows that no proposal may be like", ("mbo/test_front.py",),
+    ),
+    Mutant(
+        "relations-of-noise", "mbo/doubts.py", "directions[deviations <= _RELATED * len(x) ** 0.5]", "directions[:0]",
+        "a cost that follows from other inputs is proposed at will, and nobody is told", ("mbo/test_design_tables.py",),
     ),
     Mutant(
         "copies-hide-names-of-rows", "mbo/designs.py", "len(np.unique(x, axis=0)), {*(kinds", "len(x), {*(kinds",

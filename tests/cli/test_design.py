@@ -34,7 +34,7 @@ def test_from_a_table_to_proposals(table, capsys):
     asked = ["--data", "alloys.csv", "--target", "cost", "--minimise", "-n", "5", "--bounds", "heat", "0", "12"]
     assert main(["design", *FORWARD, *asked]) == 0
     out, told = (text.splitlines() for text in capsys.readouterr())
-    assert out[0].startswith("alloys: 60 designs, 3 variables (heat, layers, colour); best cost 0.")
+    assert out[0].startswith("alloys: 60 designs, 3 variables (heat, layers, colour with 3 levels); best cost 0.")
     assert out[1].startswith("Forward: 5 proposals, best predicted ")
     # So small and short a network knows nothing of designs that it has not seen, and that is said.
     assert out[2].startswith("Forward out of fold: R2 -")
@@ -103,6 +103,10 @@ def test_with_a_judge(table, capsys):
          "alloys: bounds is of inputs, and cost is the target"),
         (["--method", "best", "--data", "alloys.csv", "--target", "cost", "--levels", "colour", "red,green"],
          "alloys: column colour has the unknown level 'blue' in row "),
+        (["--data", "alloys.csv", "--target", "cost", "--bounds", "heat", "2"],
+         "--bounds takes names and values in turn, with blanks between them: STR FLOAT FLOAT"),
+        (["--data", "alloys.csv", "--target", "cost", "--weights", "heat=-0.1"],
+         "--weights takes names and values in turn, with blanks between them: STR FLOAT"),
         (["--method", "best", "--data", "few.csv", "--target", "y"], "few: 9 rows are too few to learn from"),
         (["--method", "best", "--data", "same.csv", "--target", "y"], "same: y is 1 in all rows, so nothing"),
         (["--method", "best", "--data", "hole.csv", "--target", "y"], "hole: column a is empty in row 3, counted from 0; fill"),

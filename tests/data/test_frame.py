@@ -195,7 +195,7 @@ def test_what_is_noticed():
         ({}, {"observations": []}, "no column is left to be an observation"),
         ({"gain": [1, None, 0, 0, 0]}, {}, "column gain is empty in row 1"),
         ({"gain": [1, float("inf"), 0, 0, 0]}, {}, "column gain has inf in row 1"),
-        ({"gain": list("abcde")}, {}, "column gain holds string, numbers are needed"),
+        ({"gain": list("abcde")}, {}, "column gain holds texts, numbers are needed"),
         ({"done": [0, 1, 2, 0, 0]}, {}, "column done has 2 in row 2, 0 or 1 is needed"),
         ({"who": ["a", "b", None, "a", "a"]}, {}, "column who is empty in row 2"),
         ({"when": [1, 2, 3, None, 4]}, {}, "column when is empty in row 3"),

@@ -467,7 +467,7 @@ def written(tmp_path, **columns):
 
 def test_a_reward_of_percentages_says_what_to_do():
     table = {"x": np.arange(30.0), "action": np.arange(30) % 2, "reward": [f"{i}%" for i in range(30)]}
-    with pytest.raises(UserError, match="column reward holds string, numbers are needed; row 0 has '0%'; write all cells as"):
+    with pytest.raises(UserError, match="column reward holds texts, numbers are needed; row 0 has '0%'; write all cells as"):
         Dataset.from_frame(table, action="action", reward="reward")
 
 

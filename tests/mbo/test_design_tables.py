@@ -283,19 +283,65 @@ def test_names_of_rows_are_refused_also_where_rows_are_copies(tmp_path):
     ("cell", "unit"),
     [("{}%", "%"), ("{} C", "C"), ("{} °C", "°C"), ("{}.5mg/l", "mg/l"), ("-{},1 %", "%"), ("{} mol %", "mol %")],
 )
-def test_numbers_with_a_unit_are_no_categories(tmp_path, cell, unit):
+def test_numbers_with_a_unit_are_no_categories(cell, unit):
     columns = frame(dose=[f"none of {unit}", *(cell.format(i % 6) for i in range(17))])
     for dose in (columns["dose"], pa.array(columns["dose"], pa.large_string())):
         with pytest.raises(UserError, match=f"dose holds texts such as '{cell.format(0)}'; take the '{unit}' off") as error:
             told(Designs.from_frame, columns | {"dose": dose}, "y")
     assert ("40% is 0.4" in str(error.value)) == (unit == "%")
-    if "," not in cell:
-        assert describe(write(tmp_path / "t.csv", columns), "y")[0].columns["dose"].role == "ignore"
     told(Designs.from_frame, columns, "y", kinds={"dose": "categorical"})
     steels = ["4CzIPN", "4CzIPN", "Ru(bpy)3"], ["316L", "304L", "316L"]
     others = ["5-methyl", "6-methyl", "7-methyl"], ["1e3x", "x1", "x2"], ["A 1", "B 2", "C 3"]
     for names in (*steels, *others, ["3A", "4B", "5C"]):
         told(Designs.from_frame, frame(dose=names * 6), "y")
+
+
+def test_a_number_that_follows_from_others_is_told():
+    rng = np.random.default_rng(5)
+    columns = frame(30, conc=rng.uniform(0, 1, 30).round(2), flow=rng.normal(size=30))
+    price = {"DMF": 3.0, "THF": 8.0, "EtOH": 1.0}
+    cost = np.array([price[each] for each in columns["solvent"]]) + 0.5 * np.array(columns["temp"]) + 2 * columns["conc"]
+    (line,) = told(Designs.from_frame, columns | {"cost": cost.round(3)}, "y")[1]
+    assert line == (
+        "frame: temp, solvent, conc and cost satisfy a linear relation in every row, and proposals need not; if one of them "
+        "follows from the others, as a cost does, ignore it"
+    )
+    rule = {"constraints": ["`cost` - 0.5 temp = 3"], "bounds": {"cost": (0, 99)}}
+    assert not any("linear relation" in each for each in told(Designs.from_frame, columns | {"cost": cost}, "y", **rule)[1])
+    nearly = cost + rng.normal(0, 0.5, 30)
+    assert told(Designs.from_frame, columns | {"cost": nearly}, "y")[1] == []
+    few = {f"x{i}": rng.normal(size=12) for i in range(8)} | {"y": rng.normal(size=12)}  # that many fit any rows nearly
+    assert told(Designs.from_frame, few, "y")[1] == []
+
+
+def test_another_outcome_is_told(tmp_path):
+    columns = frame(30)
+    columns |= {"conversion": (-np.array(columns["y"])).round(1)}
+    (line,) = told(Designs.from_frame, columns, "y")[1]
+    assert line.startswith("frame: conversion orders the rows nearly as y does (rank correlation -")
+    assert line.endswith("if it is another outcome, ignore it (--ignore conversion)")
+    assert line.removeprefix("frame: ") in describe(write(tmp_path / "t.csv", columns), "y")[1]
+    columns["conversion"] = columns["conversion"] + np.random.default_rng(1).normal(0, 0.3, 30)
+    assert told(Designs.from_frame, columns, "y")[1] == []
+
+
+def test_a_column_that_must_be_mended_stays_an_input_of_the_draft(tmp_path):
+    for cell in ("{} C", "{}-{}", "{}"):
+        dose = [cell.format(i % 6, i % 6 + 2) for i in range(17)] + ["warm"]
+        path = write(tmp_path / "t.csv", frame(dose=dose))
+        schema, lines = describe(path, "y")
+        assert schema.columns["dose"].role == "input"
+        assert any(line.endswith("; it is drafted as an input, and refused until then") for line in lines)
+        with pytest.raises(UserError, match="column dose holds"):
+            told(schema.read, path)
+    with pytest.raises(UserError, match="column dose holds texts such as '0-2'; write one number, such as the middle of"):
+        Designs.from_frame(frame(dose=[f"{i % 6}-{i % 6 + 2}" for i in range(18)]), "y")
+
+
+def test_rows_without_any_input_are_left_out_and_nothing_else_is_said():
+    columns = {"temp": [*np.arange(17.0), None], "size": [*np.arange(17.0) ** 2, None], "y": [*np.arange(18.0) % 5]}
+    with pytest.raises(UserError, match="^frame: all inputs are empty in row 17, counted from 0; leave it out$"):
+        Designs.from_frame(columns, "y")
 
 
 def test_few_rows_are_too_few_and_nothing_else_is_wrong():

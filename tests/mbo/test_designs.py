@@ -59,7 +59,7 @@ def test_a_csv_goes_round(tmp_path):
     ("columns", "options", "words"),
     [
         (table(), {"target": "z"}, "unknown column 'z'"),
-        (table(y=[*map(str, range(11)), "n.a."]), {}, "column y holds string, numbers are needed; row 11 has 'n.a.'"),
+        (table(y=[*map(str, range(11)), "n.a."]), {}, "column y holds texts, numbers are needed; row 11 has 'n.a.'"),
         (table(y=[1.0] * 12), {}, "y is 1 in all rows, so nothing tells good from bad"),
         (table(y=[None] * 12), {}, "y is empty in all rows, so nothing tells good from bad"),
         (table(temperature=[1.0, None, *range(10)]), {}, "column temperature is empty in row 1"),

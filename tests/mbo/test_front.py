@@ -9,7 +9,8 @@ from deadreckon.errors import UserError
 from deadreckon.mbo.batch import keys
 from deadreckon.mbo.calibration import OWN, Calibration
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.front import Gains, Scalarised, propose_front, targets_of
+from deadreckon.mbo.effects import permitted
+from deadreckon.mbo.front import Gains, Scalarised, on_front, propose_front, targets_of
 from deadreckon.mbo.hypervolume import hypervolume, improvement, non_dominated, reference_of
 from deadreckon.mbo.nn_distance import distance_to_others
 from deadreckon.mbo.process import fit
@@ -61,6 +62,19 @@ def two():
     return targets_of(read, ["gain", "cost"], ["cost"])
 
 
+def test_rows_that_break_a_rule_are_on_no_front(two):
+    a, b = two[0].x.T.astype(float)
+    kept = np.flatnonzero(a + b <= 1.2)
+    assert 0 < len(kept) < len(a)
+    y = np.stack([each.y for each in two], 1)
+    front = on_front(two)
+    assert set(np.flatnonzero(front)) == set(kept[non_dominated(y[kept])])
+    assert set(np.flatnonzero(non_dominated(y))) - set(kept)  # else nothing is seen here
+    found = propose_front(two, 2)
+    assert found.before == pytest.approx(hypervolume(y[kept], found.reference))
+    assert found.best.tolist() == front.tolist()
+
+
 @pytest.mark.slow
 def test_a_batch_moves_the_front(two):
     front = propose_front(two, 6)
@@ -68,13 +82,14 @@ def test_a_batch_moves_the_front(two):
     assert len(set(keys(two[0], x))) == 6
     assert two[0].repair.good(x).all()
     true = np.stack([1 - (x[:, 0] - 1) ** 2 - (x[:, 1] - 0.5) ** 2, -(x[:, 0] ** 2) - (x[:, 1] - 0.5) ** 2], 1)
-    gained = hypervolume(np.concatenate([front.observed, true]), front.reference) - front.before
+    kept = front.observed[permitted(two[0])]
+    gained = hypervolume(np.concatenate([kept, true]), front.reference) - front.before
     assert gained > 0
     assert gained == pytest.approx(front.gain, rel=0.35)
     assert np.ptp(x[:, 0]) > 0.4  # all along the front, not at one of its places
     np.testing.assert_allclose(front.shown(front.predicted)[:, 1], -front.predicted[:, 1])
     assert all(made.quality.rank_correlation > 0.9 for made in front.made)
-    rows, worth = np.flatnonzero(non_dominated(front.observed)), [made.quality.calibration for made in front.made]
+    rows, worth = np.flatnonzero(front.best), [made.quality.calibration for made in front.made]
     again = Gains([fit(each) for each in two], front.made[0].x, two[0].x[rows], front.reference, 0, worth).total()
     assert front.gain == pytest.approx(again)
 
@@ -100,7 +115,7 @@ def test_a_spread_batch_is_chosen_for_the_front_too(two):
     spread = tuple(dataclasses.replace(each, rules=dataclasses.replace(each.rules, apart=1.0)) for each in two)
     made = propose_front(spread, 8)
     assert distance_to_others(two[0], near.made[0].x).min() < 1.0 <= distance_to_others(two[0], made.made[0].x).min()
-    assert made.gain > 1.2 * near.gain  # 1.30; 1.15 where the choice does not know the distance
+    assert made.gain > 1.08 * near.gain  # 1.12; 1.05 where the choice does not know the distance
 
 
 def test_the_slope_of_a_scalarisation_is_that_of_its_value(two):

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from test_browser import PHONE
 
+from deadreckon.cli.design import _told
 from deadreckon.cli.design_front import told
 from deadreckon.mbo import designer
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.effects import permitted
 from deadreckon.mbo.fitted import Fitted
 from deadreckon.mbo.front import Front, targets_of
 from deadreckon.mbo.nn_distance import neighbours, nn_distance
@@ -181,6 +183,20 @@ def test_the_page_says_what_was_asked_and_which_rules_bind(tmp_path):
         '"never kind = x & temp > 60": better values may lie beyond.',
     ):  # fmt: skip
         assert part in said, part
+
+
+def test_a_gain_is_one_over_rows_that_satisfy_the_rules(tmp_path):
+    a = np.arange(20) / 20
+    data = Designs.from_frame({"a": a, "b": np.arange(20) % 7, "y": a}, "y", constraints=["a <= 0.5"], fixed=["b = 3"])
+    x = np.array([[0.5, 3.0], [0.4, 3.0]], np.float32)
+    made = Proposals("m", x, np.array([0.6, 0.55]), np.array([0.1, 0.1]), 0, fitted=Fitted(lambda x: (x[:, 0], None)))
+    _, said = page(data, made, tmp_path)
+    assert "The best of the data has y 0.950, within the rules 0.500." in said  # row 10, where b is 3
+    assert "above the best score of rows that satisfy the rules, 0.500, but the interval reaches below it" in said
+    assert re.search(r"best within the rules\s*0.500\s*row 10", said)
+    assert _told(data, made)[0] == "frame: 20 designs, 2 variables (a, b); best y 0.95, within the rules 0.5"
+    nothing = Designs.from_frame({"a": a, "b": np.arange(20) % 7, "y": a}, "y", fixed=["a = 0.5", "b = 2"])
+    assert permitted(nothing).all()  # where no row satisfies them, all are what is known
 
 
 def test_rules_that_do_not_bind_are_not_told():

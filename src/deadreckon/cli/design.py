@@ -153,10 +153,14 @@ def _write_proposals(method: Any, data: Any, problem: Any, options: Design, out:
 
 
 def _told(data: Any, made: Any) -> list[str]:
+    from deadreckon.mbo.effects import best_permitted
+
     best, most = (float(data.shown(scores.max())) for scores in (data.y, made.predicted))
     tied = int((data.y == data.y.max()).sum())
     ties = f" (shared by {tied:,} designs)" if tied > 1 else ""
-    lines = [f"{size_told(data)}; best {data.target} {best:,.4g}{ties}"]
+    within = float(data.shown(data.y[best_permitted(data)]))
+    inside = f", within the rules {within:,.4g}" if within != best else ""
+    lines = [f"{size_told(data)}; best {data.target} {best:,.4g}{ties}{inside}"]
     predicted = f", best predicted {data.target} {most:,.4g}" if made.predicts else ""
     lines.append(f"{made.method}: {len(made):,} proposals{predicted} ({made.seconds:,.0f} s)")
     if made.compared:

@@ -46,8 +46,8 @@ def designs(options: Any) -> Any:
 
 def size_told(data: Any) -> str:
     """How many designs and variables there are, and which ones, so that an outcome that is taken for an input is seen."""
-    names = [v.name for v in data.variables]
-    listed = f" ({', '.join(map(shown, names))})" if len(names) <= NAMED else ""
+    names = [f"{shown(v.name)}{f' with {len(v.levels)} levels' * v.leveled}" for v in data.variables]
+    listed = f" ({', '.join(names)})" if len(names) <= NAMED else ""
     return f"{data.name}: {len(data):,} designs, {len(names):,} variables{listed}"
 
 

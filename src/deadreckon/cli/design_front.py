@@ -110,12 +110,10 @@ def write_proposals(options: Any, asked: dict[str, Any]) -> None:
 
 def told(front: Any) -> list[str]:
     """Lines for the terminal."""
-    from deadreckon.mbo.hypervolume import non_dominated
-
-    data, y = front.data[0], front.observed
+    data = front.data[0]
     names = ", ".join(f"{'least' if each.minimise else 'greatest'} {each.target}" for each in front.data)
     point = ", ".join(f"{each.target} {value:,.4g}" for each, value in zip(front.data, front.shown(front.reference)))
-    best, n = non_dominated(y).sum(), len(front.made[0])
+    best, n = front.best.sum(), len(front.made[0])
     gain = f"what the {n:,} proposals add to it is not known"
     if not front.unskilled:
         gain = f"the {n:,} proposals are expected to add {front.gain:,.4g}"

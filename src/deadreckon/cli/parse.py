@@ -125,6 +125,8 @@ def _line(kind: type, box: str, prog: str) -> str:
         near = _nearest(kind, unknown[1], _options(kind))
         return f"unknown option {unknown[1]}" + (f": did you mean {' or '.join(near)}?" if near else f" (see {prog} --help)")
     message = re.sub(rf"Missing from {prog}:", "missing", message)
+    if pairs := re.match(r"Error parsing (--[\w.-]+): Failed to parse key-value pairs", message):
+        return f"{pairs[1]} takes names and values in turn, with blanks between them: {_taken(pairs[1], text)}"
     if wrong := _NOT_PARSED.match(message):
         got = re.findall(r"'([^']*)'", message.rpartition("[")[2])  # all that were given, or the one
         return f"{wrong[1]} takes {_taken(wrong[1], text)}, got {' '.join(got)!r}"

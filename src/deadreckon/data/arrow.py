@@ -185,7 +185,8 @@ def some_numbers(name: str, column: str, values: Any) -> tuple[np.ndarray, np.nd
         return np.full(len(values), np.nan), np.ones(len(values), bool)
     elif not (pa.types.is_integer(kind) or pa.types.is_floating(kind)):
         hint = "; give it as time, or leave it out" if pa.types.is_temporal(kind) else first_text(values)
-        raise UserError(f"{name}: column {column} holds {kind}, numbers are needed{hint}")
+        what = "texts" if is_text(kind) else str(kind)
+        raise UserError(f"{name}: column {column} holds {what}, numbers are needed{hint}")
     out = values.to_numpy(zero_copy_only=False).astype(np.float64)
     return out, np.isnan(out)
 
@@ -248,7 +249,7 @@ def first_text(values: Any) -> str:
     """Which cell keeps a column of texts from being numbers; nothing for another kind of column."""
     for row, value in enumerate(values.to_pylist() if is_category(values.type) else ()):
         if isinstance(value, str) and not is_number(value):
-            return f"; row {row} has {value!r}; write all cells as plain numbers"
+            return f"; row {row} has {value!r}; write all cells as plain numbers, or leave them empty"
     return ""
 
 

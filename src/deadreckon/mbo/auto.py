@@ -16,8 +16,9 @@ from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.forward import Forward, on_held_out
 from deadreckon.mbo.gp import GP
 from deadreckon.mbo.ram import RaM
-from deadreckon.mbo.validation import ENOUGH, Quality, checkable, spearman
+from deadreckon.mbo.validation import ENOUGH, Quality, checkable
 from deadreckon.randomness import generator
+from deadreckon.stats.ranks import spearman
 from deadreckon.training.hyperparameters import Count, Number, Sizes, host
 
 DRAWS = 200  # of rows, for the standard error of a difference

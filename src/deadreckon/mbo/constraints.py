@@ -85,6 +85,9 @@ def _column(given: str, variables: Sequence[Variable], name: str) -> int:
     names = [v.name for v in variables]
     given = given.strip().strip("`")
     if given not in names:
+        odd = next((each for each in names if given and each.startswith(given) and not each.isidentifier()), None)
+        if odd is not None:
+            raise UserError(f"{name}: unknown variable {given!r}: {odd!r} stands in backticks in rules, as `{odd}`")
         raise UserError(f"{name}: {unknown('variable', given, names)}")
     return names.index(given)
 
@@ -105,11 +108,11 @@ def quoted(value: Any) -> str:
     return f"{mark}{value}{mark}"
 
 
-def _sides(text: str, name: str, what: str) -> tuple[str, str, str]:
-    """What stands before a relation, the relation, and what stands behind it."""
+def _sides(text: str, name: str, what: str, several: str = "") -> tuple[str, str, str]:
+    """What stands before a relation, the relation, and what stands behind it; `several`: what to do about more than one."""
     found = list(_RELATION.finditer(_bare(text)))
     if len(found) != 1:
-        hint = "; levels that hold such signs stand in quotes" if found else ""
+        hint = f"; {several}levels that hold such signs stand in quotes" if found else ""
         raise UserError(f"{name}: {what} needs one relation, got {text!r}{hint}")
     at = found[0]
     return text[: at.start()], {"==": "="}.get(at[0], at[0]), text[at.end() :]
@@ -117,7 +120,7 @@ def _sides(text: str, name: str, what: str) -> tuple[str, str, str]:
 
 def read_linear(text: str, variables: Sequence[Variable], name: str) -> Linear:
     """`a + 2 b <= 0.8` as a constraint."""
-    left, relation, right = _sides(text, name, 'a constraint such as "a + b <= 0.8"')
+    left, relation, right = _sides(text, name, 'a constraint such as "a + b <= 0.8"', "two of them are two constraints; ")
     if relation not in ("<=", ">=", "="):
         raise UserError(f"{name}: constraint {text!r} takes <=, >= or =, not {relation}")
     weights: dict[int, Fraction] = {}
@@ -148,7 +151,8 @@ def _terms(side: str, text: str, variables: Sequence[Variable], name: str) -> li
         found = term.match(side, at)
         if found is None or (found[2] is None and found[3] is None) or (out and found[1] is None):
             where = side[at:].strip()
-            raise UserError(f"{name}: constraint {text!r} cannot be read at {where!r}; a sum such as a + 2 b is needed")
+            needed = "numbers have a decimal point" if where.startswith(",") else "a sum such as a + 2 b is needed"
+            raise UserError(f"{name}: constraint {text!r} cannot be read at {where!r}; {needed}")
         head, power, tail = re.match(r"([^eE]*)([eE]?)(.*)", found[2] or "").groups()  # type: ignore[union-attr]
         if power and {power + tail, power if tail[0] in "+-" else ""} & {v.name for v in variables}:
             times = f"{head} * {power}{tail}"
@@ -169,7 +173,8 @@ def conditions(text: str) -> list[str]:
 
 def read_clause(part: str, variables: Sequence[Variable], name: str, text: str) -> Clause:
     """`temp > 80` as a condition."""
-    left, relation, right = _sides(part, name, f"each condition of the forbidden combination {text!r}")
+    what = f"each condition of the forbidden combination {text!r}"
+    left, relation, right = _sides(part, name, what, "conditions are joined by &; ")
     column = _column(left, variables, name)
     v = variables[column]
     if v.leveled and relation not in ("=", "!=") and not v.numeric_levels:
@@ -221,7 +226,8 @@ def _fraction(text: str, v: Variable, name: str) -> Fraction:
     except (ValueError, ZeroDivisionError) as error:
         if isinstance(error, UserError):
             raise
-        raise UserError(f"{name}: {v.name} is compared with {text.strip()!r}, a number is needed") from None
+        needed = "a number with a decimal point" if "," in text else "a number"
+        raise UserError(f"{name}: {v.name} is compared with {text.strip()!r}, {needed} is needed") from None
 
 
 def places(number: Fraction) -> int:

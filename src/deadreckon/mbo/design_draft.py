@@ -15,9 +15,9 @@ from deadreckon.data.roles import row_numbers
 from deadreckon.errors import UserError
 from deadreckon.mbo.design_schema import DesignColumn, DesignSchema
 from deadreckon.mbo.design_table import name_of, read_designs, scored, trimmed
-from deadreckon.mbo.doubts import of_inputs, of_target, sum_of, unsaid_sums
+from deadreckon.mbo.doubts import of_inputs, of_outcomes, of_target, sum_of, unsaid_sums
 from deadreckon.mbo.rules import Rules
-from deadreckon.mbo.variables import Variable, name_of_rows, variable_of
+from deadreckon.mbo.variables import Mend, Variable, name_of_rows, variable_of
 
 
 def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[DesignSchema, list[str]]:
@@ -43,13 +43,18 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
     told += [planned] if planned else []
     columns: dict[str, DesignColumn] = {}
     inputs: dict[str, tuple[Variable, np.ndarray]] = {}
+    y = None
     for column in names:
         if column in left:
             columns[column] = DesignColumn("ignore", about="looks like a row number")
             continue
         try:
             values, v = variable_of(name, table, column, None, None, None, rows)
-        except UserError as error:  # what must be mended in the table, or said in the schema
+        except Mend as error:  # an input it is: leaving it out without a word would be worse than a refusal
+            columns[column] = DesignColumn("input", about=str(error).removeprefix(f"{name}: "))
+            told.append(f"{columns[column].about}; it is drafted as an input, and refused until then")
+            continue
+        except UserError as error:
             columns[column] = DesignColumn("ignore", about=str(error).removeprefix(f"{name}: "))
             told.append(f"{columns[column].about}{': ignored so far' * (column != target)}")
             continue
@@ -61,6 +66,7 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
             about = f"{len(set(values.tolist())):,} different values"
             columns[column] = DesignColumn("input", v.kind, v.low, v.high, about=about)
         if column == target:
+            y = values
             told += of_target(target, values, rows)
         else:
             inputs[column] = v, values
@@ -74,6 +80,7 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
     sums = [sum_of([variables[i].name for i in group], whole) for group, whole in unsaid_sums(variables, x)]
     told += [f"{each} in every row, and the draft has it as a constraint of proposals" for each in sums]
     told += of_inputs(variables, x, rows, rules=Rules.of(variables, constraints=sums, name=name))
+    told += [] if y is None else of_outcomes(variables, x, target, y)
     return DesignSchema(columns, constraints=tuple(sums), table=pinned(dialect) | ways), told
 
 

@@ -78,6 +78,9 @@ def check_filled(name: str, table: pa.Table, inputs: Sequence[str], others: Sequ
     holes = {column: gone for column, gone in found.items() if len(gone)}
     if not holes:
         return
+    empty = rows[np.all([np.isin(rows, found[column]) for column in inputs], axis=0)]
+    if len(inputs) > 1 and rows[-1] in empty:  # such as a line of means below the table
+        raise UserError(f"{name}: all inputs are empty in {rows_told(empty)}; leave {'it' if len(empty) == 1 else 'them'} out")
     named = list(holes)[:_SHOWN]
     listed = ", ".join(f"{column} is empty in {rows_told(holes[column], '')}" for column in named)
     more = f" and {len(holes) - _SHOWN} more columns" if len(holes) > _SHOWN else ""

@@ -188,7 +188,7 @@ class Designs(Shown):
         warn(name, told := told + ([planned] if planned else []))
         check_filled(name, table, inputs, outputs, rows)
         y, columns, variables = numbers_of(name, table, target, rows), [], []
-        slips = doubts.of_target(target, y, rows)
+        raw, slips = y, doubts.of_target(target, y, rows)
         for column, weight in (weights or {}).items():
             y = y + weight * numbers_of(name, table, column, rows)
         for column in inputs:
@@ -208,7 +208,8 @@ class Designs(Shown):
             Rules.of(variables, name=name, **rules), std_error=error, table_rows=rows if planned else None,
         )  # fmt: skip
         made.repair.check_possible()
-        warn(name, slips := [*doubts.of_inputs(variables, x, rows, bounds, made.rules), *slips])
+        slips = [*doubts.of_inputs(variables, x, rows, bounds, made.rules), *slips]
+        warn(name, slips := [*slips, *doubts.of_outcomes(variables, x, target, raw)])
         unused = [f"not used: {', '.join(left)}"] if (left := [each for each in ignore if each not in targets]) else []
         made = replace(made, noticed=(*noticed, *told, *slips, *unused))
         return pooled(made) if pool else made

@@ -11,6 +11,7 @@ from deadreckon.mbo.constraints import Linear
 from deadreckon.mbo.design_table import rows_told
 from deadreckon.mbo.rules import NO_RULES, Rules
 from deadreckon.mbo.variables import Variable
+from deadreckon.stats.ranks import spearman
 
 _RANGES = 3.0  # ranges of all other values that lie between these and a value that is far
 _SEVERAL = 2  # rows of a level more than which another, of one row, may be a slip of
@@ -19,6 +20,8 @@ _FEW = 0.2  # share of rows up to which what others hold may be broken by a slip
 _FEWEST = 3  # different values among the others, fewer of which say nothing of their range
 _ROUNDED = 0.01  # share of a sum by which decimals that were rounded may change it
 _SLACKS = np.geomspace(1e-6, _ROUNDED, 41)  # of a whole, by which parts miss it; the least first, so that traces are parts too
+_RELATED = 1e-3  # deviation, in those of the variables, by which a linear relation may be missed
+_SAME = 0.98  # rank correlation with the score from which on an input may be another outcome
 _LEAST = 0.01  # weight of a column within the space of constant sums, of parts of one at least a hundredth
 _MANY = 200  # variables beyond which sums are not looked for
 _WHOLES = (1, 100)  # what parts of a whole sum to
@@ -57,10 +60,12 @@ def of_inputs(
             ends = f"{x[:, column].min():g} to {x[:, column].max():g}"
             text = f"column {v.name} has each whole number from {ends} once, and is taken for an input"
             lines.append(f"{text}; if it is the number of the run, leave it out (--ignore {shlex.quote(v.name)})")
-    for columns, whole in unsaid_sums(variables, x, rules):
+    sums = unsaid_sums(variables, x, rules)
+    for columns, whole in sums:
         said = sum_of([variables[column].name for column in columns], whole)
         text = f"{said} in every row, and proposals need not satisfy it; if these are parts of a whole, say"
         lines.append(f"{text} --constraints {shlex.quote(said)}")
+    lines += _of_relations(variables, x, said_in(rules) | {column for columns, _ in sums for column in columns})
     return lines + [line for each in rules.linear if each.equal for line in _of_sum(each, x, rows)]
 
 
@@ -99,7 +104,7 @@ def unsaid_sums(variables: Sequence[Variable], x: np.ndarray, rules: Rules = NO_
     Within the space of all sums that are the same in every row, the projection of a column's direction has the same weight on
     each column of its group and none on others, where no other sum is constant.
     """
-    said = {column for each in rules.linear if each.equal for column, _ in each.weights}
+    said = said_in(rules)
     varied = np.ptp(x, axis=0) > 0
     open_ = [i for i, v in enumerate(variables) if not v.leveled and i not in said and varied[i] and "`" not in v.name]
     found: list[tuple[list[int], int]] = []
@@ -118,6 +123,50 @@ def unsaid_sums(variables: Sequence[Variable], x: np.ndarray, rules: Rules = NO_
                     found.append((columns, whole))
                     taken |= set(columns)
     return sorted(found)
+
+
+def said_in(rules: Rules) -> set[int]:
+    """Columns that equalities are about."""
+    return {column for each in rules.linear if each.equal for column, _ in each.weights}
+
+
+def _of_relations(variables: Sequence[Variable], x: np.ndarray, known: set[int]) -> list[str]:
+    """Variables that satisfy a linear relation in every row, where each level adds a number; `known` ones are not looked at."""
+    parts, of = [], []
+    for i, v in enumerate(variables):
+        if i in known or np.ptp(x[:, i]) == 0:
+            continue
+        levels = np.unique(x[:, i])[1:] if v.kind == "categorical" else []
+        columns = [(x[:, i] == level).astype(float) for level in levels] if v.kind == "categorical" else [x[:, i]]
+        parts += columns
+        of += [i] * len(columns)
+    if not 1 < len(parts) < min(len(x) / 2, _MANY):
+        return []
+    z = np.stack(parts, 1)
+    z = (z - z.mean(0)) / z.std(0)
+    _, deviations, directions = np.linalg.svd(z, full_matrices=False)
+    same = directions[deviations <= _RELATED * len(x) ** 0.5]
+    weights = np.abs(same.T @ same) > _LEAST
+    lines, told = [], set()
+    for row in weights:
+        group = tuple(dict.fromkeys(of[i] for i in np.flatnonzero(row)))
+        if len(group) < 2 or told & set(group) or all(variables[i].kind == "categorical" for i in group):
+            continue
+        told |= set(group)
+        names = [variables[i].name for i in group]
+        text = f"{', '.join(names[:-1])} and {names[-1]} satisfy a linear relation in every row, and proposals need not"
+        lines.append(f"{text}; if one of them follows from the others, as a cost does, ignore it")
+    return lines
+
+
+def of_outcomes(variables: Sequence[Variable], x: np.ndarray, target: str, y: np.ndarray) -> list[str]:
+    """Numbers that nearly order the rows as the scores (rows,) `y` do, as another outcome of the same experiment does."""
+    lines = []
+    for i, v in enumerate(variables):
+        if not v.leveled and np.ptp(x[:, i]) > 0 and abs(found := spearman(x[:, i], y)) > _SAME:
+            text = f"{v.name} orders the rows nearly as {target} does (rank correlation {found:.2f}), and is taken for an input"
+            lines.append(f"{text}; if it is another outcome, ignore it (--ignore {shlex.quote(v.name)})")
+    return lines
 
 
 def _within(share: np.ndarray) -> bool:

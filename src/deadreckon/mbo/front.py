@@ -17,6 +17,7 @@ from deadreckon.mbo.batch import batch, check_batch, least_distance
 from deadreckon.mbo.calibration import Calibration
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.effects import permitted
 from deadreckon.mbo.gp import GP, search
 from deadreckon.mbo.hypervolume import hypervolume, improvement, non_dominated, reference_of
 from deadreckon.mbo.process import Process, fit
@@ -40,7 +41,7 @@ class Front:
         data: (targets,) the same designs with the scores of each target.
         made: (targets,) the same proposals with what is predicted of each target.
         reference: (targets,) the point from which hypervolumes are measured.
-        before: hypervolume of the data's scores, as they were measured.
+        before: hypervolume of the data's scores, as they were measured, of rows that satisfy the rules.
         gain: what the proposals' true scores are expected to add to the hypervolume of the data's true scores.
     """
 
@@ -54,6 +55,11 @@ class Front:
     def observed(self) -> np.ndarray:
         """(rows, targets) scores of the data."""
         return np.stack([each.y for each in self.data], 1)
+
+    @property
+    def best(self) -> np.ndarray:
+        """(rows,) which rows of the data are on its front."""
+        return on_front(self.data)
 
     @property
     def predicted(self) -> np.ndarray:
@@ -147,7 +153,7 @@ def propose_front(
         used = gp.used(each)
         processes.append(fit(used, rows=gp.fit_rows))
         qualities.append(cross_validated(used, gp.predictor, each.target) if checkable(each) else None)
-    rows = np.flatnonzero(non_dominated(y))
+    rows = np.flatnonzero(on_front(data))
     pool = candidates(data[0], tuple(processes), y, n, seed)
     gains = Gains(processes, pool, data[0].x[rows], point, seed)
     order = gains.greedy(2 * n, data[0].coordinates.encode(pool).astype(np.float64), least_distance(data[0]))
@@ -157,13 +163,21 @@ def propose_front(
     made = tuple(_predicted(process, x, seed, quality) for process, quality in zip(processes, qualities))
     worth = [None if quality is None else quality.calibration for quality in qualities]
     gain = Gains(processes, x, data[0].x[rows], point, seed, worth).total()
-    return Front(data, made, point, hypervolume(y, point), gain)
+    return Front(data, made, point, hypervolume(y[rows], point), gain)
 
 
 def _predicted(process: Process, x: np.ndarray, seed: int, quality: Quality | None) -> Proposals:
     mean, std = process.posterior(x)
     made = Proposals(LABEL, x, mean, np.hypot(std, process.noise), seed, mean_std=std, beyond=process.beyond)
     return made.calibrated(quality) if quality else made
+
+
+def on_front(data: Sequence[Designs]) -> np.ndarray:
+    """(rows,) which designs of the data are on its front; those that break a rule of proposals do not count."""
+    rows = np.flatnonzero(permitted(data[0]))
+    found = np.zeros(len(data[0]), bool)
+    found[rows[non_dominated(np.stack([each.y[rows] for each in data], 1))]] = True
+    return found
 
 
 def _range(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -18,6 +18,7 @@ from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.variables import FEWEST
 from deadreckon.randomness import generator
 from deadreckon.stats.interval import NORMAL
+from deadreckon.stats.ranks import spearman
 
 FOLDS = 5
 CHANCE = 0.025  # share of tables without any relation on which a method may be called skilled
@@ -176,11 +177,3 @@ def judged(y: np.ndarray, mean: np.ndarray, std: np.ndarray, fold: np.ndarray, m
         return Quality(method, y, mean, std, np.nan, rank, fold, scored=False)
     r2 = 0.0 if np.ptp(y) == 0 else float(1 - np.square(y - mean).sum() / np.square(y - y.mean()).sum())
     return Quality(method, y, mean, std, r2, rank, fold)
-
-
-def spearman(a: np.ndarray, b: np.ndarray) -> float:
-    """The rank correlation of two (rows,) lists; 0 where one of them is flat."""
-    from scipy.stats import rankdata
-
-    flat = np.ptp(a) == 0 or np.ptp(b) == 0
-    return 0.0 if flat else float(np.corrcoef(rankdata(a), rankdata(b))[0, 1])

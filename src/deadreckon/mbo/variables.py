@@ -20,7 +20,12 @@ FEWEST = 10  # rows below which no model is worth fitting
 OWN = 0.9  # share of the designs from which on that many different texts are names of them
 SEVERAL = 3  # different numbers from which on those with a unit are no names, such as 316L and 304L
 FINE = 1e-3  # deviations of a column that float32 must be able to tell apart
+_RANGE = re.compile(r"\d+(?:[.,]\d*)?\s*[-\u2013\u2014]\s*\d+(?:[.,]\d*)?")
 _WITH_UNIT = re.compile(r"[-+\u2212]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?\s*([^\d\s.,+/:-]\S{0,9}(?:\s\S{1,9})?)")
+
+
+class Mend(UserError):
+    """A column of numbers cannot be read before its cells are mended."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +97,8 @@ def variable_of(
     """A column's numbers in the rows that count, and what it may be."""
     stored, given = table.column(column).type, kind
     if pa.types.is_temporal(stored):
-        raise UserError(f"{name}: column {column} holds times; make numbers of them, or ignore the column")
+        remedy = f"make numbers of them, or ignore the column (--ignore {shlex.quote(column)})"
+        raise UserError(f"{name}: column {column} holds times; {remedy}")
     if kind is None:
         kind = "categorical" if is_category(stored) or levels else "integer" if pa.types.is_integer(stored) else "continuous"
     if kind not in KINDS:
@@ -217,7 +223,11 @@ def name_of_rows(v: Variable, values: np.ndarray, designs: int) -> str | None:
 
 
 def _check_texts(name: str, column: str, values: Sequence[str], rows: np.ndarray) -> None:
-    """Refuses texts that are numbers in most rows, or several numbers with the same unit: each would be a category."""
+    """Refuses texts that are numbers in most rows, or several numbers with the same unit, or ranges: each would be a category.
+
+    Raises:
+        Mend: they are.
+    """
     by_unit: dict[str, list[str]] = {}
     for value in values:
         if found := _WITH_UNIT.fullmatch(value):
@@ -225,14 +235,18 @@ def _check_texts(name: str, column: str, values: Sequence[str], rows: np.ndarray
     unit, cells = max(by_unit.items(), key=lambda each: len(each[1]), default=("", []))
     if len(cells) > len(values) / 2 and len(set(cells)) >= SEVERAL:
         more = " (in a mixture, which sums to 1, 40% is 0.4)" if unit == "%" else ""
-        raise UserError(
+        raise Mend(
             f"{name}: column {column} holds texts such as {cells[0]!r}; take the {unit!r} off, so that they are numbers, or "
             f"say kind categorical{more}"
         )
+    ranges = [value for value in values if _RANGE.fullmatch(value)]
+    if len(ranges) > len(values) / 2 and len(set(ranges)) >= SEVERAL:
+        text = f"holds texts such as {ranges[0]!r}; write one number, such as the middle of the range, or say kind categorical"
+        raise Mend(f"{name}: column {column} {text}")
     bad = [row for row, value in enumerate(values) if not is_number(value)]
     if bad and len(bad) < len(values) / 2:
         row = bad[0]
-        raise UserError(
+        raise Mend(
             f"{name}: column {column} holds {values[row]!r} in row {rows[row]}, where most rows hold numbers; "
             "mend it, or say kind categorical"
         )

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.stats.ranks import spearman
 
 RESAMPLES = 1000  # of the policies
 PUBLIC_CLIP = 2.0  # what the public notebook cuts normalised estimates at, which makes ties of overestimates
@@ -71,9 +72,7 @@ def rank_correlation(estimates: np.ndarray, truth: np.ndarray) -> float:
     """Spearman's rank correlation; NaN where all estimates, or all true values, are the same."""
     if np.ptp(estimates) == 0 or np.ptp(truth) == 0:
         return float("nan")
-    from scipy.stats import rankdata  # slow to import, and few need it
-
-    return float(np.corrcoef(rankdata(estimates), rankdata(truth))[0, 1])
+    return spearman(estimates, truth)
 
 
 def regret(estimates: np.ndarray, truth: np.ndarray, k: int = 1) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 from deadreckon.files import replacing
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.effects import averages
+from deadreckon.mbo.effects import averages, best_permitted
 from deadreckon.mbo.first_choice import FAR, first_choice
 from deadreckon.mbo.problems.problem import Scores
 from deadreckon.report import charts
@@ -59,10 +59,10 @@ def write_design(data: Designs, made: Proposals, far: np.ndarray, out: Path | st
 
 def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None) -> str:
     """The most important thing in a sentence or two."""
-    best = number(float(data.shown(data.y.max())))
+    best, within = (number(float(data.shown(data.y[row]))) for row in (int(data.y.argmax()), best_permitted(data)))
     warning = made.warning if scores is None else None
     parts = [f"{warning.capitalize()}."] if warning else []
-    parts.append(f"The best of the data has {data.target} {best}.")
+    parts.append(f"The best of the data has {data.target} {best}{'' if within == best else f', within the rules {within}'}.")
     if made.predicts and not made.by_chance:
         parts.append(f"The best predicted score is {number(float(data.shown(made.predicted.max())))}.")
     if scores is not None:

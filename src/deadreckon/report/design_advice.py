@@ -4,6 +4,7 @@ import numpy as np
 
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.effects import best_permitted
 from deadreckon.mbo.first_choice import FAR, first_choice, shown_interval
 from deadreckon.mbo.nn_distance import neighbours
 from deadreckon.report.design_asked import broken_rule, row_name
@@ -24,8 +25,11 @@ def one_to_try(data: Designs, made: Proposals, far: np.ndarray) -> Markup:
     near = int(rows[0])
     values = {name: column[0] for name, column in data.decode(made.x[chosen : chosen + 1]).items()}
     settings = [tag("div", tag("dt", breakable(name)), tag("dd", shown_value(value))) for name, value in values.items()]
-    predicted, best = number(float(data.shown(made.predicted)[chosen])), int(data.y.argmax())
+    predicted, best, within = number(float(data.shown(made.predicted)[chosen])), int(data.y.argmax()), best_permitted(data)
     breaks = "" if broken_rule(data, best) is None else ", breaks a rule"
+    inside = [] if within == best else [
+        _tile("best within the rules", number(float(data.shown(data.y[within]))), row_name(data, within))
+    ]  # fmt: skip
     tiles = [
         _tile(
             f"predicted {data.target}",
@@ -33,6 +37,7 @@ def one_to_try(data: Designs, made: Proposals, far: np.ndarray) -> Markup:
             None if np.isnan(low) else f"{PERCENT} interval {number(low)} to {number(high)}",
         ),
         _tile("best of the data", number(float(data.shown(data.y[best]))), row_name(data, best) + breaks),
+        *inside,
         _tile("distance to the data", number(float(distances[0])), "usual distances"),
         _tile("nearest scored row", row_name(data, near), f"{data.target} {number(float(data.shown(data.y)[near]))}"),
     ]
@@ -66,8 +71,10 @@ def _why(data: Designs, made: Proposals, far: np.ndarray, chosen: int) -> str:
     of = f"the {len(made):,} proposals" if near in (0, len(made)) else (
         f"the {near:,} proposals within {FAR:g} usual distances of a scored row"
     )  # fmt: skip
-    best, mean = float(data.y.max()), float(made.predicted[chosen])
+    row, mean = best_permitted(data), float(made.predicted[chosen])
+    best, of_all = float(data.y[row]), row == int(data.y.argmax())
     shown_best = number(float(data.shown(best)))
+    known = f"the best score of {'the data' if of_all else 'rows that satisfy the rules'}, {shown_best}"
     if not made.predicts:
         return f"The model ranks it first among {of}. {made.method} learns an order and predicts no scores."
     ends = shown_interval(data, made.predicted, made.predicted_std)
@@ -77,11 +84,11 @@ def _why(data: Designs, made: Proposals, far: np.ndarray, chosen: int) -> str:
     else:
         rule = f"Among {of} the {lower} end of its {PERCENT} interval, {number(end)}, is the {highest}."
     if mean <= best:
-        return f"{rule} The prediction is not {above} the best score of the data, {shown_best}, so no gain is predicted."
+        return f"{rule} The prediction is not {above} {known}, so no gain is predicted."
     if np.isnan(end) or data.shown(end) <= best:
         doubt = "" if np.isnan(end) else f", but the interval reaches {below} it: the proposal may score no better"
-        return f"{rule} The prediction is {above} the best score of the data, {shown_best}{doubt}."
-    return f"{rule} The whole interval is {above} the best score of the data, {shown_best}."
+        return f"{rule} The prediction is {above} {known}{doubt}."
+    return f"{rule} The whole interval is {above} {known}."
 
 
 def _tile(name: str, value: str, more: str | None) -> Markup:

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from deadreckon.files import replacing
+from deadreckon.mbo.effects import permitted
 from deadreckon.mbo.front import Front
-from deadreckon.mbo.hypervolume import non_dominated
 from deadreckon.mbo.nn_distance import nn_distance
 from deadreckon.report import charts
 from deadreckon.report.design_asked import asked, learned_from
@@ -61,6 +61,8 @@ def _lead(front: Front) -> str:
         f"The hypervolume of the data is {number(front.before)}, measured from {point}: the {size} of outcomes, better than "
         f"this point, that some row of the data already reaches in {both} at once."
     )
+    if broken := int((~permitted(front.data[0])).sum()):
+        parts.append(f"{broken:,} row{'s that break' if broken > 1 else ' that breaks'} a rule of the proposals left out.")
     if not bad:
         parts.append(f"The proposals are expected to add {number(front.gain)}.")
     return " ".join(parts)
@@ -68,7 +70,7 @@ def _lead(front: Front) -> str:
 
 def _chart(front: Front) -> Markup:
     observed, predicted = front.shown(front.observed), front.shown(front.predicted)
-    best, rows = non_dominated(front.observed), np.arange(len(observed))
+    best, rows = front.best, np.arange(len(observed))
     kept = rows[best | np.isin(rows, np.linspace(0, len(rows) - 1, min(len(rows), POINTS)).astype(int))]
     half = NORMAL * np.stack([made.predicted_std for made in front.made], 1)
     nan, mark = float("nan"), ("", " (front)")
@@ -90,7 +92,7 @@ def _chart(front: Front) -> Markup:
 
 def _observed(front: Front) -> Markup:
     """The front of the data by the first target, the best first."""
-    first, best = front.data[0], np.flatnonzero(non_dominated(front.observed))
+    first, best = front.data[0], np.flatnonzero(front.best)
     rows = best[np.argsort(-front.observed[best, 0], kind="stable")][:SHOWN]
     scores, table = front.shown(front.observed[rows]), first.decode(first.x[rows])
     lines = []

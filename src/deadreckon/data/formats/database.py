@@ -163,7 +163,7 @@ def _all_of(path: Path | str, known: dict[str, str], table: str | None) -> str:
         if not known:
             raise UserError(f"{path}: the database has no tables")
         listed = ", ".join(known)
-        raise UserError(f"{path}: which table holds the log? --table NAME, or --query 'SELECT ...'; it has {listed}")
+        raise UserError(f"{path}: which table is it? --table NAME, or --query 'SELECT ...'; it has {listed}")
     if table is not None and table not in known:
         raise UserError(f"{path}: {unknown('table', table, known)}")
     return f"SELECT * FROM {known[table] if table is not None else next(iter(known.values()))}"

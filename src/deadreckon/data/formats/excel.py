@@ -104,7 +104,7 @@ def _chosen(path: Path | str, sheet: str | int | None, names: list[str], shown: 
         if len(shown) == 1:
             return shown[0]
         listed = ", ".join(repr(name) for name in shown or names)
-        raise UserError(f"{path}: which sheet holds the log? --sheet NAME, or its number; it has {listed}")
+        raise UserError(f"{path}: which sheet holds the table? --sheet NAME, or its number; it has {listed}")
     if str(sheet) in names:
         return str(sheet)
     if str(sheet).isdecimal():

@@ -48,7 +48,7 @@ def of_totals(table: pa.Table) -> list[str]:
 
 
 def _line(row: int, why: str) -> str:
-    return f"the last row, {row}, looks like a total ({why}); take it out of the table if it is none of the steps"
+    return f"the last row, {row}, looks like a total ({why}); take it out of the table if it is no row of data"
 
 
 def _summed(values: Any, last: float) -> bool:
