@@ -303,8 +303,8 @@ def test_a_number_that_follows_from_others_is_told():
     cost = np.array([price[each] for each in columns["solvent"]]) + 0.5 * np.array(columns["temp"]) + 2 * columns["conc"]
     (line,) = told(Designs.from_frame, columns | {"cost": cost.round(3)}, "y")[1]
     assert line == (
-        "frame: temp, solvent, conc and cost satisfy a linear relation in every row, and proposals need not; if one of them "
-        "follows from the others, as a cost does, ignore it"
+        "frame: temp, solvent, conc and cost satisfy a linear relation in every row, and proposals need not; ignore one that "
+        "follows from the others, as a cost does, or say the relation as a constraint"
     )
     rule = {"constraints": ["`cost` - 0.5 temp = 3"], "bounds": {"cost": (0, 99)}}
     assert not any("linear relation" in each for each in told(Designs.from_frame, columns | {"cost": cost}, "y", **rule)[1])

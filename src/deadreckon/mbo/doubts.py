@@ -155,7 +155,7 @@ def _of_relations(variables: Sequence[Variable], x: np.ndarray, known: set[int])
         told |= set(group)
         names = [variables[i].name for i in group]
         text = f"{', '.join(names[:-1])} and {names[-1]} satisfy a linear relation in every row, and proposals need not"
-        lines.append(f"{text}; if one of them follows from the others, as a cost does, ignore it")
+        lines.append(f"{text}; ignore one that follows from the others, as a cost does, or say the relation as a constraint")
     return lines
 
 
