@@ -249,7 +249,7 @@ def first_text(values: Any) -> str:
     """Which cell keeps a column of texts from being numbers; nothing for another kind of column."""
     for row, value in enumerate(values.to_pylist() if is_category(values.type) else ()):
         if isinstance(value, str) and not is_number(value):
-            return f"; row {row} has {value!r}; write all cells as plain numbers, or leave them empty"
+            return f"; row {row} has {value!r}; write all cells as plain numbers"
     return ""
 
 

@@ -62,7 +62,8 @@ def _lead(front: Front) -> str:
         f"this point, that some row of the data already reaches in {both} at once."
     )
     if broken := int((~permitted(front.data[0])).sum()):
-        parts.append(f"{broken:,} row{'s that break' if broken > 1 else ' that breaks'} a rule of the proposals left out.")
+        counted = "rows that break a rule of the proposals do" if broken > 1 else "row that breaks a rule of the proposals does"
+        parts.append(f"{broken:,} {counted} not count.")
     if not bad:
         parts.append(f"The proposals are expected to add {number(front.gain)}.")
     return " ".join(parts)
