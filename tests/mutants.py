@@ -2169,8 +2169,18 @@ MUTANTS = (
         "the command that makes a run again holds other episodes out", ("report/test_page.py",),
     ),
     Mutant(
-        "constant-decides", "bench/claims.py", "self.undefined or self.constant or not", "self.undefined or not",
+        "constant-decides", "bench/claims.py", "self.undefined or doubtful or not", "self.undefined or not",
         "a log on which all seeds differ by the same is taken as certain", ("bench/test_claims.py",),
+    ),
+    Mutant(
+        "equal-differences-are-certain", "stats/comparison.py",
+        "        other = 1.0 - miss ** (1.0 / len(gap))", "        other = 0.0",
+        "a task whose differences are all the same is taken as certain within a range, too", ("stats/test_scores.py",),
+    ),
+    Mutant(
+        "equal-differences-cost-no-level", "stats/comparison.py",
+        "miss = (1.0 - level) / (1 + len(same))", "miss = 1.0 - level",
+        "parts of one interval are each made at the level of the whole", ("stats/test_scores.py",),
     ),
     Mutant(
         "offsets-are-usual", "data/sizes.py", "return _size(seen) > LARGE", "return seen.std > LARGE",

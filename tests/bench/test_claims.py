@@ -163,6 +163,18 @@ def test_a_log_on_which_all_seeds_differ_by_the_same_decides_nothing(folder, las
     assert (one.constant, one.state) == (constant, state)
 
 
+@pytest.mark.parametrize(("margin", "state"), [(-40.0, "open"), (-90.0, "holds")])
+def test_within_a_range_such_a_log_widens_the_interval(folder, margin, state):
+    """Differences of 0 four times of four: each other one may have a probability of 1 - 0.025 ** (1 / 4) = 0.60."""
+    text = CLAIMS.replace(", each = true", ", range = [0, 100]").replace("margin = -10.0", f"margin = {margin}")
+    (folder / "claims.toml").write_text(text)
+    known = {("BC", "walker2d"): BC, ("TD3", "walker2d"): TD3, ("BC", "hopper"): [40.0] * 4, ("TD3", "hopper"): [40.0] * 4}
+    [one] = verdict(claims("claims.toml")[1], kept(known)).comparisons
+    gaps = [np.array(TD3) - BC, np.zeros(4)]
+    assert (one.constant, one.state) == (("hopper-medium-v2",), state)
+    assert one.gain.low == pytest.approx(paired(gaps, [np.zeros(4)] * 2, 0.975).low - (1 - 0.025**0.25) * 100 / 2)
+
+
 def test_a_metric_that_no_result_has_is_refused(folder):
     text = CLAIMS.replace("than = 20.0", 'metric = "scores", than = 20.0')
     (folder / "claims.toml").write_text(text)
@@ -280,6 +292,10 @@ def test_logs_of_a_task_are_compared_with_each_other(folder, gap, state):
         ("than = 20.0, ", "", "claim C: a test has one of than, beside and among, got none"),
         ("than = 20.0, less = true", "among = true, each = true", "claim C: with among, all logs are taken together"),
         ("than = 20.0, less = true", "among = true, less = true", "claim C: with among, neither more nor less is claimed"),
+        ("than = 20.0", "than = 20.0, range = [1, 0]", "claim C: range must be two numbers, the lower one first, got [1, 0]"),
+        ("than = 20.0", 'than = 20.0, range = [0, "1"]', "claim C: range must be two numbers, the lower one first, got [0"),
+        ("than = 20.0", "than = 20.0, range = [0, 1]", "claim C: than must be within the range, got 20"),
+        ("than = 20.0", "than = 20.0, range = [0, 99], log = true", "claim C: range is for tests with than and without log"),
         ("than = 20.0", "among = 1", "claim C: among must be true or false, got 1"),
         ("less = true", "less = 1", "claim C: less must be true or false, got 1"),
         ('id = "B"', 'id = "A"', "claims.toml: 2 claims have the id A; give each its own"),

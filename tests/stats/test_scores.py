@@ -11,7 +11,7 @@ from scipy import stats
 
 from deadreckon.errors import UserError
 from deadreckon.stats import scores as s
-from deadreckon.stats.comparison import between, bold, paired, variance_ratio
+from deadreckon.stats.comparison import between, bold, paired, paired_within, variance_ratio
 
 FEW = 200  # resamples
 UNEVEN = [np.array([1.0, 5.0, 2.0]), np.array([10.0]), np.array([-3.0, 4.0, 8.0, 7.0, 90.0])]
@@ -393,3 +393,37 @@ def test_the_ratio_of_variances_needs_groups_and_runs_that_differ():
     for blocks in ([], [np.ones((1, 3))], [np.ones((2, 1))], [np.ones((2, 3)), np.ones((2, 4))]):
         with pytest.raises(UserError, match="two or more groups, and two or more runs"):
             variance_ratio(blocks)
+
+
+def test_paired_within_counts_what_tasks_of_equal_differences_leave_open():
+    """One of two tasks has -1 four times: at level 0.975 another value has a probability of at most 1 - 0.025 ** (1 / 4)."""
+    ours, theirs = [np.array([0.2, 0.4, 0.3, 0.7]), np.zeros(4)], [np.zeros(4), np.ones(4)]
+    found, rest = paired_within(ours, theirs, 1.0), paired(ours, theirs, 0.975)
+    assert (found.value, found.low) == (pytest.approx(-0.3), pytest.approx(rest.low))  # -1 is the least that there is
+    assert found.high == pytest.approx(rest.high + (1.0 - 0.025**0.25) * 2.0 / 2.0)
+    back = paired_within(theirs, ours, 1.0)
+    assert (back.low, back.high) == (pytest.approx(-found.high), pytest.approx(-found.low))
+    both = paired_within([np.ones(5)] * 2, [np.ones(5)] * 2, 1.0)
+    assert (both.low, both.high) == (pytest.approx(-1 + (0.05 / 3) ** 0.2), pytest.approx(1 - (0.05 / 3) ** 0.2))
+
+
+def test_paired_within_is_paired_where_every_task_varies():
+    x, y = random_table(3, 2, 7)
+    found, same = paired_within([x], [y], 20.0), paired([x], [y])
+    assert (found.value, found.low, found.high) == (same.value, same.low, same.high)
+
+
+def test_paired_within_holds_its_level_where_one_task_seldom_varies():
+    """Of four runs that are 0, but 1 in one of five; where all are 0, the other task's interval alone leaves their mean out."""
+    rng, often = np.random.default_rng(0), {"paired": [], "within": []}
+    for _ in range(600):
+        ours, theirs = [0.01 * rng.uniform(-1, 1, 4), 1.0 * (rng.uniform(size=4) < 0.2)], [np.zeros(4)] * 2
+        for name, found in (("paired", paired(ours, theirs)), ("within", paired_within(ours, theirs, 1.0))):
+            often[name].append(found.low <= 0.1 <= found.high)
+    assert np.mean(often["paired"]) < 0.65
+    assert np.mean(often["within"]) >= 0.95
+
+
+def test_paired_within_refuses_differences_beyond_the_range():
+    with pytest.raises(UserError, match=r"a difference of 1.5 is beyond the range of the scores, which is 1 wide"):
+        paired_within([np.array([0.0, 1.5])], [np.zeros(2)], 1.0)

@@ -3,8 +3,9 @@
 A test compares the method with each of its rivals: the gain is the mean over logs of the mean difference between runs of the
 same seed, with Student's interval (`stats.comparison.paired`). It *holds* where the whole interval lies above the margin, is
 *contradicted* where it lies below, and is *open* else, or where cells are missing or have no finite number, or where all
-differences on one of the logs are equal: that says that there are too few runs, not that there is no doubt. A claim holds where
-all its comparisons hold. It is contradicted where one of its k comparisons is, of level 1 - alpha / k then (Bonferroni).
+differences on one of the logs are equal: that says that there are too few runs, not that there is no doubt. Where a test has
+the `range` of its metric, such logs widen the interval instead (`stats.comparison.paired_within`). A claim holds where all its
+comparisons hold. It is contradicted where one of its k comparisons is, of level 1 - alpha / k then (Bonferroni).
 
 Where a test has `again`, a second suite with fresh seeds, and is open with all its cells, all of them finite, the comparison
 is made there, of those cells alone, with intervals of 1 - alpha / 2 and 1 - alpha / 2k, and what it says counts. As the two
@@ -33,7 +34,7 @@ from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import read
 from deadreckon.errors import UserError, unknown
-from deadreckon.stats.comparison import between, paired, variance_ratio
+from deadreckon.stats.comparison import between, paired, paired_within, variance_ratio
 from deadreckon.stats.interval import ALPHA, Interval
 from deadreckon.tasks.registry import of_log
 
@@ -58,6 +59,8 @@ class Test:
         among: whether it is claimed that logs of a task differ.
         log: whether a number x counts as sign(x) log10(1 + |x|), for numbers of very different sizes; `than`, too, but not the
             margin, which is a difference of such logarithms.
+        range: least and greatest number that the metric can have, so that logs on which all seeds differ by the same widen the
+            interval; with None such a log leaves the test open.
         again: the same with fresh seeds, for where this one is open with all its cells; never where these are of the full size.
     """
 
@@ -73,6 +76,7 @@ class Test:
     beside_on: tuple[str, ...] = ()
     among: bool = False
     log: bool = False
+    range: tuple[float, float] | None = None
     again: "Test | None" = None
 
     @property
@@ -119,7 +123,8 @@ class Comparison:
         missing: of these, that are not there.
         undefined: of these, that are there and have no finite number for the metric, such as a correlation of equal estimates.
         level: of the interval of the gain.
-        constant: logs on which all seeds differ by the same: how they vary there is not known, and the interval too narrow.
+        constant: logs on which all seeds differ by the same: how they vary there is not known, and the interval too narrow
+            unless the test has a range.
         again: the same with fresh seeds, where this one leaves it open with all cells and they are declared.
     """
 
@@ -148,7 +153,8 @@ class Comparison:
     @property
     def alone(self) -> State:
         """What it says by itself, without a second stage."""
-        if self.missing or self.undefined or self.constant or not self.gain.low < self.gain.high:  # also where they are NaN
+        doubtful = bool(self.constant) and self.test.range is None
+        if self.missing or self.undefined or doubtful or not self.gain.low < self.gain.high:  # also where they are NaN
             return "open"
         if self.gain.low > self.test.margin:
             return "holds"
@@ -279,6 +285,8 @@ def _gain(test: Test, ours: Mapping[str, np.ndarray], theirs: Mapping[str, np.nd
         return Interval(math.nan, math.nan, math.nan)
     if test.among:
         return variance_ratio([logs for logs in _by_task(ours).values() if len(logs) > 1], level)
+    if test.beside is None and test.range is not None:
+        return paired_within(ours, theirs, test.range[1] - test.range[0], level)
     if test.beside is None:
         return paired(ours, theirs, level)
     # Logs of one task are no samples of their own.

@@ -20,6 +20,8 @@
     beside = "other.toml"                   # in the place of `than`: a suite on whose tasks the same methods do worse
     among = true                            # in the place of `than`: logs of a task differ, by more than seeds do
     log = false                             # whether a number x, and `than`, counts as sign(x) log10(1 + |x|)
+    range = [0.0, 1.0]                      # least and greatest number that the metric can have: logs on which all seeds differ
+                                            # by the same widen the interval then, where they leave the test open else
     again = { suite = "fresh.toml" }        # a suite of the same methods and logs and other seeds (`first_seed`), which decides
                                             # where this one is open with all its cells; it may have a `log` of its own
 """
@@ -97,7 +99,7 @@ _KINDS: dict[str, tuple[Any, str]] = {
     "suite": _TEXT, "beside": _TEXT, "method": (str | list, "a method, or a list of methods"),
     "than": (list | int | float, "a list of methods, or a number"), "on": _NAMES, "metric": _TEXT, "less": _TRUTH,
     "margin": (int | float, "a number"), "each": _TRUTH, "among": _TRUTH, "log": _TRUTH,
-    "again": (dict, "a table with a suite"),
+    "range": (list, "two numbers, the lower one first"), "again": (dict, "a table with a suite"),
 }  # fmt: skip
 
 
@@ -115,11 +117,15 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
             raise UserError(f"{where}: with {forms[0]}, all logs are taken together; leave each out")
         for key, value in test.items():
             wanted, kind = _KINDS[key]
-            texts = not isinstance(value, list) or all(isinstance(each, str) for each in value)
-            if not isinstance(value, wanted) or (isinstance(value, bool) and wanted is not bool) or not texts:
+            alike = _rising(value) if key == "range" else not isinstance(value, list) or all(isinstance(v, str) for v in value)
+            if not isinstance(value, wanted) or (isinstance(value, bool) and wanted is not bool) or not alike:
                 raise UserError(f"{where}: {key} must be {kind}, got {value!r}")
         own: list[str] = [test["method"]] if isinstance(test["method"], str) else test["method"]
         than: list[str] | float = test.get("than", []) if isinstance(test.get("than", []), list) else float(test["than"])
+        if "range" in test and (forms != ["than"] or test.get("log", False) or "log" in test.get("again", {})):
+            raise UserError(f"{where}: range is for tests with than and without log; leave range or the others out")
+        if "range" in test and isinstance(than, float) and not test["range"][0] <= than <= test["range"][1]:
+            raise UserError(f"{where}: than must be within the range, got {than:g}")
         if not own or len(set(own)) < len(own):
             raise UserError(f"{where}: method must be a method, or different ones, got {own!r}")
         names = [test["suite"], *([test["beside"]] if "beside" in test else [])]
@@ -150,11 +156,18 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
             raise UserError(f"{where}: {min(both)} is in {names[0]} and in {names[1]}, which must have logs of their own")
         given = test | {"suite": places[names[0]], "method": tuple(own), "on": left}
         given |= {"than": tuple(than) if isinstance(than, list) else than}
+        given |= {"range": tuple(map(float, test["range"]))} if "range" in test else {}
         given |= {"beside": places[names[1]], "beside_on": other} if "beside" in test else {}
         again = given.pop("again", None)
         first = Test(**given)
         tests.append(first if again is None else replace(first, again=_again(path, where, first, again, suite, suites)))
     return Claim(said["id"], said["says"], said["place"], tuple(tests), said.get("note", ""))
+
+
+def _rising(value: Any) -> bool:
+    """Whether it is two numbers, the lower one first."""
+    numbers = isinstance(value, list) and all(isinstance(each, int | float) and not isinstance(each, bool) for each in value)
+    return numbers and len(value) == 2 and value[0] < value[1]
 
 
 def _again(

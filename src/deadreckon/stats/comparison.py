@@ -44,6 +44,15 @@ def paired(ours: Scores, theirs: Scores, level: float = LEVEL) -> Difference:
         UserError: tasks that are not the same, other numbers of runs, or what `interval` raises.
     """
     check_level(level)
+    gaps = _gaps(ours, theirs)
+    value = float(np.mean([_moments(gap)[0] for gap in gaps]))
+    if min(map(len, gaps)) < 2:
+        return Difference(value, *[math.nan] * 5)
+    return _student(value, *_pool([(_moments(gap)[1] / len(gaps) ** 2, len(gap) - 1) for gap in gaps]), level)
+
+
+def _gaps(ours: Scores, theirs: Scores) -> list[np.ndarray]:
+    """Differences between runs of the same seed, for each task."""
     pairs = pairs_of(ours, theirs)
     for task, x, y in pairs:
         if len(x) != len(y):
@@ -51,11 +60,39 @@ def paired(ours: Scores, theirs: Scores, level: float = LEVEL) -> Difference:
                 f"paired runs share seeds, but task {task!r} has {len(x)} runs of ours and {len(y)} of theirs: "
                 "give as many, or use probability_of_improvement"
             )
-    gaps = [_moments(x - y) for _, x, y in pairs]
-    value = float(np.mean([gap[0] for gap in gaps]))
-    if min(len(x) for _, x, _ in pairs) < 2:
-        return Difference(value, *[math.nan] * 5)
-    return _student(value, *_pool([(gap[1] / len(pairs) ** 2, len(x) - 1) for gap, (_, x, _) in zip(gaps, pairs)]), level)
+    return [x - y for _, x, y in pairs]
+
+
+def paired_within(ours: Scores, theirs: Scores, extent: float, level: float = LEVEL) -> Interval:
+    """As `paired`, of scores within a range, where tasks whose differences are all the same are not taken as certain.
+
+    Student's interval has no width where a metric such as the regret is the same in every run, though other runs may differ. Of
+    n differences that are all c, another value has a probability of at most q = 1 - a^(1/n), at level 1 - a (Clopper and
+    Pearson 1934); as differences lie between -extent and extent, the task's mean lies between c - q (extent + c) and
+    c + q (extent - c). The level is shared in equal parts (Bonferroni) by Student's interval of the other tasks and by each of
+    these.
+
+    Args:
+        ours, theirs: as in `paired`.
+        extent: greatest less least value that a score can have.
+        level: of the interval.
+
+    Raises:
+        UserError: differences beyond the extent, or what `paired` raises.
+    """
+    check_level(level)
+    gaps = _gaps(ours, theirs)
+    if (most := max(float(np.abs(gap).max()) for gap in gaps)) > extent:
+        raise UserError(f"a difference of {most:g} is beyond the range of the scores, which is {extent:g} wide")
+    same = [gap for gap in gaps if np.ptp(gap) == 0.0]
+    miss = (1.0 - level) / (1 + len(same))
+    found = paired(ours, theirs, 1.0 - miss)
+    low, high = found.low, found.high
+    for gap in same:
+        other = 1.0 - miss ** (1.0 / len(gap))
+        low -= other * (extent + float(gap[0])) / len(gaps)
+        high += other * (extent - float(gap[0])) / len(gaps)
+    return Interval(found.value, low, high)
 
 
 def between(ours: Scores, theirs: Scores, level: float = LEVEL) -> Difference:
