@@ -2178,6 +2178,15 @@ MUTANTS = (
         "a task whose differences are all the same is taken as certain within a range, too", ("stats/test_scores.py",),
     ),
     Mutant(
+        "copies-paired-with-themselves", "runs/diagnostics.py", "    np.fill_diagonal(k, 0.0)\n", "",
+        "what a copy's MMD stays below counts rows beside themselves", ("runs/test_train.py",),
+    ),
+    Mutant(
+        "noise-departs-from-the-log", "report/simulated.py",
+        "best.mmd > max(cloning.mmd, best.copy or 0.0)", "best.mmd > cloning.mmd",
+        "a distance that a copy of the log's policy has too is called one", ("report/test_page.py",),
+    ),
+    Mutant(
         "equal-differences-cost-no-level", "stats/comparison.py",
         "miss = (1.0 - level) / (1 + len(same))", "miss = 1.0 - level",
         "parts of one interval are each made at the level of the whole", ("stats/test_scores.py",),

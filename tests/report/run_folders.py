@@ -32,11 +32,13 @@ def write_run(
     seed: int = 0,
     first: int = 0,
     online: dict[str, float] | None = None,
+    copy: float | None = None,
 ) -> Path:
     """A run whose returns lie around `level` after 200 updates; failed lanes have NaN metrics from their step on.
 
     Its seeds begin with `first`; `failures` are of lanes.
-    With `online` (copies, explore, updates_per_step, block) it learned in the simulator and has no log.
+    With `online` (copies, explore, updates_per_step, block) it learned in the simulator and has no log. `copy` is what the MMD
+    of a copy of the log's policy stays below; of runs from before this was measured it is None.
     """
     rng = np.random.default_rng([seed, len(agent)])
     folder, lanes = Folder(path), list(range(first, first + seeds))
@@ -74,6 +76,8 @@ def write_run(
         columns = {"step": np.full(seeds * count, step), "seed": np.repeat(lanes, count),
                    "episode": np.tile(np.arange(count), seeds), "mmd_to_data": np.full(seeds * count, 0.05 * len(agent)),
                    "outside_range": np.repeat([0.1 * lane for lane in range(seeds)], count)}  # fmt: skip
+        if copy is not None:
+            columns["mmd_of_copy"] = np.full(seeds * count, copy)
         if online:
             columns = {key: column for key, column in columns.items() if key in ("step", "seed", "episode")}
         if task:

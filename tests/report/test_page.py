@@ -59,6 +59,22 @@ def test_a_chart_in_percent_shows_percent(tmp_path):
     assert [point[2:] for point in series["p"]] == [["100", "5.00"], ["200", "5.00"]]
 
 
+@pytest.mark.parametrize(
+    ("copy", "said"),
+    [
+        (None, "BEAR's actions are further from the logged ones than the clone's (MMD 0.200 against 0.100)"),
+        (0.15, "are further from the logged ones than the clone's (MMD 0.200 against 0.100; a copy stays below 0.150 in"),
+        (0.25, "are no further from the logged ones than the clone's (MMD 0.200 against 0.100; a copy stays below 0.250 in"),
+    ],
+)
+def test_a_distance_that_a_copy_has_too_is_not_called_one(tmp_path, copy, said):
+    paths = [write_run(tmp_path / agent, agent, level, copy=copy) for agent, level in (("bc", 30.0), ("bear", 90.0))]
+    text = html.unescape(render(read(paths)))
+    assert said in text
+    assert ("it departs from the log" in text) == (copy != 0.25)
+    assert text.count(">a copy stays below<") == (copy is not None)
+
+
 def test_without_a_task(tmp_path):
     paths = [write_run(tmp_path / agent, agent, task=None) for agent in ("bc", "bear")]
     text = render(read(paths))

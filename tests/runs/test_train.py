@@ -9,7 +9,7 @@ from deadreckon.collect import generate
 from deadreckon.data.spec import Box
 from deadreckon.files import read_json, write_json
 from deadreckon.policies import BlackBoxPolicy
-from deadreckon.runs.diagnostics import LogProbe, logged_value, two_sample_mmd
+from deadreckon.runs.diagnostics import LogProbe, logged_value, mmd_of_copy, two_sample_mmd
 from deadreckon.runs.evaluate import evaluate
 from deadreckon.stats.crossed import mean_interval
 from deadreckon.tasks import task
@@ -394,6 +394,19 @@ def test_two_sample_mmd_equals_numpy_and_the_probe_tells_copies_from_strangers(l
     assert probe(far)["mmd_to_data"] > 0.02
     copy = two_sample_mmd(probe.logged, probe.logged[::-1], probe.variance)
     assert float(copy) < 0.05
+    assert probe(far)["mmd_of_copy"] == probe.copy < probe(far)["mmd_to_data"]
+
+
+@pytest.mark.parametrize("n", [40, 400])
+def test_samples_of_one_distribution_stay_below_the_mmd_of_a_copy_as_often_as_it_says(n):
+    rng, beyond, far = np.random.default_rng(0), [], []
+    for _ in range(300):
+        x, y, z = (rng.normal(size=(n, 3)).astype("f4") for _ in range(3))
+        bound = mmd_of_copy(x, 6.0, rng)
+        beyond.append(two_sample_mmd(y[: n // 2], z[: n // 2], 6.0) > bound)
+        far.append(two_sample_mmd(y[: n // 2], z[: n // 2] + 1.0, 6.0) > bound)
+    assert np.mean(beyond) == pytest.approx(0.05, abs=0.035)
+    assert np.mean(far) > 0.9
 
 
 @pytest.mark.slow

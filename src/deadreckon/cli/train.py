@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,6 +12,7 @@ from deadreckon.cli.data import Mapping, advise, mapping_options
 from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar
 from deadreckon.errors import UserError
+from deadreckon.stats.interval import PERCENT
 
 if TYPE_CHECKING:
     from deadreckon.cli.options import Train, TrainOnline
@@ -181,9 +183,11 @@ def summary(run) -> str:
         last = np.asarray(evaluations["step"]) == max(evaluations["step"])
         if "mmd_to_data" in evaluations:
             distance, outside = (np.asarray(evaluations[key])[last].mean() for key in ("mmd_to_data", "outside_range"))
+            copy = evaluations.get("mmd_of_copy", [math.nan])[-1]
+            near = "0 for a copy" if math.isnan(copy) else f"which for a copy is below {copy:.3f} in {PERCENT} of samples"
             lines.append(
                 f"MMD to the log {distance:.3f}: the distance of the policy's actions from those logged in the same states, "
-                f"0 for a copy; {outside:.1%} of its actions, sampled, are outside the log's range"
+                f"{near}; {outside:.1%} of its actions, sampled, are outside the log's range"
             )
         if "return" in evaluations:
             from deadreckon.stats.crossed import mean_interval

@@ -6,8 +6,8 @@ from deadreckon.report import charts, maze, spacetime
 from deadreckon.report.entries import Entry, Page
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import figure, legend, note, unit_of
-from deadreckon.report.rows import behavior, to_score
-from deadreckon.stats.interval import Interval
+from deadreckon.report.rows import behavior, row, to_score
+from deadreckon.stats.interval import PERCENT, Interval
 from deadreckon.tasks.flow import Flow
 from deadreckon.tasks.mazes import Maze
 
@@ -110,18 +110,26 @@ def distance(page: Page) -> Markup | None:
             inside = "No agent took an action outside the log's range at any evaluation. "
         elif series:
             title = f"{unit} against {page.across}"
-            figures.append(figure(charts.lines(series, title=title, unit=unit, across=page.across)))
+            lines = [("a copy stays below", value) for value in _of_copies(page)] if name == "mmd_to_data" else []
+            figures.append(figure(charts.lines(series, title=title, unit=unit, across=page.across, references=lines)))
     if not figures:
         return None
+    told = f" Horizontal line: what a copy of the log's policy stays below in {PERCENT} of samples." if _of_copies(page) else ""
     return join(
         legend(page),
         tag("div", figures, class_="charts two"),
         note(
             inside + "How far each policy's actions moved from the logged ones at the same states. Imitation stays near zero; "
             "an agent that improves on the log has to leave it somewhat; one that leaves it far has nothing to hold its "
-            "values to."
+            f"values to.{told}"
         ),
     )
+
+
+def _of_copies(page: Page) -> list[float]:
+    """What the MMD of a copy of each log's policy stays below."""
+    found = {row(e).copy for e in page.entries}
+    return sorted(value for value in found if value is not None and np.isfinite(value))
 
 
 def training(page: Page) -> Markup | None:

@@ -25,6 +25,7 @@ class Row:
         value: the critic's estimate at the start of the episodes.
         truth: the discounted return that came of it.
         mmd: distance of the policy's actions to the logged ones.
+        copy: what that of a copy of the log's policy stays below in 95 % of samples; None of runs from before it was measured.
         outside: share of its actions beyond the log's range.
         updates: before the evaluation.
         acted: steps in the environment before it; None of a run that learned from a log.
@@ -38,6 +39,7 @@ class Row:
     value: float | None = None
     truth: float | None = None
     mmd: float | None = None
+    copy: float | None = None
     outside: float | None = None
     updates: int | None = None
     acted: int | None = None
@@ -112,6 +114,9 @@ def versus(a: Row, b: Row, miss: float = ALPHA) -> Difference | None:
     return Difference(paired(mine, theirs, miss), score)
 
 
+_MEANS = "estimated_value", "discounted_return", "mmd_to_data", "mmd_of_copy", "outside_range"
+
+
 def row(entry: Entry) -> Row:
     """The numbers of one run at its last evaluation."""
     returns, scores = entry.last("return"), entry.last("score")
@@ -123,7 +128,7 @@ def row(entry: Entry) -> Row:
         None if returns is None else mean_interval(returns),
         None if scores is None else mean_interval(scores),
         () if values is None else tuple(float(v) for v in values.mean(1)),
-        *(_mean(entry.last(name)) for name in ("estimated_value", "discounted_return", "mmd_to_data", "outside_range")),
+        *(_mean(entry.last(name)) for name in _MEANS),
         updates=updates,
         acted=entry.environment_steps(updates),
     )

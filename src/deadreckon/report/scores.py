@@ -81,8 +81,8 @@ def scores(page: Page) -> Markup:
         )
     if any(r.mmd is not None for r in found):
         text += (
-            " MMD: Gaussian-kernel two-sample distance between (state, logged action) and (state, policy's action) on 1,024 "
-            "logged rows; a perfect copy has about 0."
+            " MMD: Gaussian-kernel two-sample distance between (state, logged action) and (state, policy's action) on up to "
+            "1,024 logged rows; a perfect copy has about 0."
         )
     return join(scroll(table), note(text), _published(page))
 

@@ -160,12 +160,14 @@ def _why(page: Page, best: Row, cloning: Row, log: Row | None) -> list[str]:
             f"repeats the average of all goals and is worth {score(cloning.worth.value if cloning.worth else None)}."
         )
     if best.mmd is not None and cloning.mmd is not None:
-        far = "further from" if best.mmd > cloning.mmd else "no further from"
+        further, copy = best.mmd > max(cloning.mmd, best.copy or 0.0), best.copy
+        far = "further from" if further else "no further from"
         said = f"{best.label}'s actions are {far} the logged ones than the clone's (MMD {number(best.mmd)} against "
-        said += f"{number(cloning.mmd)})"
+        said += number(cloning.mmd)
+        said += ")" if copy is None else f"; a copy stays below {number(copy)} in {PERCENT} of samples)"
         if best.outside is not None:
             said += f", with {percent(best.outside)} of them outside the log's range"
-        if best.mmd > cloning.mmd:
+        if further:
             said += ": it departs from the log where its values see more reward"
             said += (
                 ", as joining pieces of logged paths into one to the goal needs (see its trajectories)" if undirected else ""

@@ -14,19 +14,19 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.policies.deployed import EnvPolicy, first_actions
 from deadreckon.runs.evaluate import action_key
-from deadreckon.stats.interval import ALPHA
+from deadreckon.stats.interval import ALPHA, LEVEL
 from deadreckon.tasks.task import Task
 from deadreckon.training.pictures import Seen, of_pictures
 
 SAMPLE = 1024  # logged rows that policies are compared on
+SPLITS = 400  # of them, for what a copy of the log's policy gives
 
 
 def two_sample_mmd(x: Float[np.ndarray, "n d"], y: Float[np.ndarray, "m d"], variance: float) -> float:
     """Root of the unbiased Gaussian-kernel MMD^2 between two samples, zero where the estimate is negative (Gretton 2012)."""
 
     def mean(a: np.ndarray, b: np.ndarray, same: bool) -> float:
-        squared = np.square(a).sum(-1)[:, None] + np.square(b).sum(-1)[None] - 2.0 * a @ b.T
-        k = np.exp(-np.maximum(squared, 0.0) / np.float32(2.0 * variance))
+        k = _kernel(a, b, variance)
         if not same:
             return float(k.mean())
         n = len(a)
@@ -35,12 +35,33 @@ def two_sample_mmd(x: Float[np.ndarray, "n d"], y: Float[np.ndarray, "m d"], var
     return math.sqrt(max(mean(x, x, True) + mean(y, y, True) - 2.0 * mean(x, y, False), 0.0))
 
 
+def _kernel(a: np.ndarray, b: np.ndarray, variance: float) -> np.ndarray:
+    """(n, m) Gaussian kernel between rows."""
+    squared = np.square(a).sum(-1)[:, None] + np.square(b).sum(-1)[None] - 2.0 * a @ b.T
+    return np.exp(-np.maximum(squared, 0.0) / np.float32(2.0 * variance))
+
+
+def mmd_of_copy(rows: Float[np.ndarray, "n d"], variance: float, rng: np.random.Generator) -> float:
+    """What `two_sample_mmd` stays below in `LEVEL` of random splits of one sample into halves (a permutation test's bound).
+
+    A policy whose MMD is no greater than that cannot be told from the one that made the rows.
+    """
+    half = len(rows) // 2
+    k = _kernel(rows[: 2 * half], rows[: 2 * half], variance)
+    np.fill_diagonal(k, 0.0)
+    first = np.argsort(rng.random((SPLITS, 2 * half)), 1) < half  # of each split, which rows are in the first half
+    within = (first @ k * first).sum(1) + (~first @ k * ~first).sum(1)
+    squared = within / (half * (half - 1)) - 2.0 * (k.sum() - within) / 2.0 / half**2
+    return math.sqrt(max(float(np.quantile(squared, LEVEL)), 0.0))
+
+
 class LogProbe:
     """A fixed sample of the log on which policies are compared with what was logged.
 
     `mmd_to_data`: two-sample MMD between (state, logged action) and (state, policy's action), states standardised, actions
     in [-1, 1], the kernel's variance the median squared distance; two disjoint halves of the sample, so that a perfect
     copy gives about zero. Of pictures actions alone are compared: thousands of pixels would outweigh them.
+    `mmd_of_copy`: what such a copy stays below in 95 % of samples of this size.
     `outside_range`: share of the policy's actions beyond the range of the log in some dimension.
     """
 
@@ -56,18 +77,20 @@ class LogProbe:
         self.range = log.spec.actions.min - 1e-5, log.spec.actions.max + 1e-5
         self.discrete = log.spec.action.size if log.spec.discrete else 0
         self.half = half = len(rows) // 2
-        self.logged = np.concatenate([self.states, self._scaled(np.asarray(log.actions[rows]))], -1)[:half]
+        logged = np.concatenate([self.states, self._scaled(np.asarray(log.actions[rows]))], -1)
+        self.logged = logged[:half]
         pairs = np.square(self.logged[: half // 2] - self.logged[half // 2 : 2 * (half // 2)]).sum(-1)
-        self.variance = float(np.median(pairs)) if len(pairs) else 1.0
+        self.variance = max(float(np.median(pairs)), 1e-6) if len(pairs) else 1.0
+        # Two rows per side are the fewest that the estimate is defined for.
+        self.copy = mmd_of_copy(logged, self.variance, rng) if half >= 2 else math.nan
 
     def __call__(self, policy: EnvPolicy, seed: int = 0) -> dict[str, float]:
-        """The two measures of one policy, its actions drawn, not greedy."""
+        """The measures of one policy, its actions drawn, not greedy."""
         actions = np.asarray(first_actions(policy, jax.device_put(self.observations), jax.random.key(seed), False))
         outside = ((actions < self.range[0]) | (actions > self.range[1])).reshape(len(actions), -1).any(1).mean()
         drawn = np.concatenate([self.states, self._scaled(actions)], -1)[self.half :]
-        # Two rows per side are the fewest that the estimate is defined for.
-        distance = two_sample_mmd(self.logged, drawn, max(self.variance, 1e-6)) if self.half >= 2 else np.nan
-        return {"mmd_to_data": float(distance), "outside_range": float(outside)}
+        distance = two_sample_mmd(self.logged, drawn, self.variance) if self.half >= 2 else math.nan
+        return {"mmd_to_data": distance, "mmd_of_copy": self.copy, "outside_range": float(outside)}
 
     def _scaled(self, actions: np.ndarray) -> np.ndarray:
         """Actions to compare: one-hot, or scaled so that the log's range is [-1, 1]."""
