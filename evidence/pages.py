@@ -8,7 +8,8 @@ A page holds blocks between `<!-- NAME ARGUMENTS -->` and `<!-- end -->`, whose 
     table SUITE          the suite's tables, as `deadreckon bench show evidence/SUITE --format markdown` prints them
     curves SUITE         learning curves, a panel for each log: means over seeds, bands from the lowest to the highest
     ranking SUITE        interquartile means over logs, probability of improvement over the first method, performance profiles
-    constraint SUITE     BEAR's scores beside its constraint at the end of each run: MMD and multiplier, with a picture
+    constraint SUITE     BEAR's scores beside its constraint at the end of each run: MMD and multiplier
+    story                the same of all such suites, in a picture with threshold and floor
     changed              agents beside what they were before a change of their defaults
     improved             agents beside the logs' own mean scores
     above                on which design problems NEMO is above the forward model and the ensemble
@@ -16,8 +17,6 @@ A page holds blocks between `<!-- NAME ARGUMENTS -->` and `<!-- end -->`, whose 
     pending              declared cells without results, and what they would take
 """
 
-import json
-import math
 import re
 import sys
 import tempfile
@@ -44,6 +43,7 @@ from deadreckon.report.picture import PANEL, sheet
 from deadreckon.report.text import words
 from deadreckon.stats.interval import LEVEL, PERCENT
 from deadreckon.stats.scores import interval, iqm, performance_profile, probability_of_improvement
+from evidence import bear
 from evidence.changed import changed
 from evidence.designs_above import above
 from evidence.improved import improved
@@ -53,7 +53,7 @@ trust(STUDIES)
 
 HERE = Path(__file__).resolve().parent
 PAGES = HERE.parent / "docs" / "results"
-_NAMES = "table|curves|ranking|constraint|above|claims|changed|improved|pending"
+_NAMES = "table|curves|ranking|constraint|story|above|claims|changed|improved|pending"
 OPENING = rf"<!-- ({_NAMES})(?: ([\w.-]+))? -->\n"
 BLOCK = re.compile(rf"({OPENING})((?:(?!<!-- ).)*?)(<!-- end -->)", re.S)
 
@@ -134,38 +134,7 @@ def ranking(name: str, files: dict[str, bytes]) -> str:
 
 def constraint(name: str, files: dict[str, bytes]) -> str:
     """Whether BEAR's constraint is met at the end of runs, and what they score."""
-    suite, store = _suite(name)
-    results = {row["cell"]: row for row in store.results().to_pylist()}
-    names = [method.name for method in suite.methods]
-    rows = [f"| variant on {', '.join(suite.on)} | seeds | score | MMD | multiplier |", "|---|---:|---:|---:|---:|"]
-    by_mmd, by_multiplier = [], []
-    for slot, method in enumerate(names):
-        cells = [cell for job in plan(suite) if job.method == method for cell in job.cells]
-        found = [(results[cell]["score"], json.loads(results[cell]["more"])) for cell in cells if cell in results]
-        if not found:
-            continue
-        columns = [score for score, _ in found], *([more[key] for _, more in found] for key in ("mmd", "multiplier"))
-        shown = (
-            f"{np.mean(x):,.{digits}f} ({min(x):,.{digits}f} to {max(x):,.{digits}f})" for x, digits in zip(columns, (1, 3, 0))
-        )
-        rows.append(f"| {method} | {len(found)} | {' | '.join(shown)} |")
-        for value, more in found:
-            rest = 0.0, value, math.nan, math.nan
-            by_mmd.append((method, slot, more["mmd"], *rest))
-            by_multiplier.append((method, slot, math.log10(max(more["multiplier"], 1e-30)), *rest))
-    if not by_mmd:
-        return "No result yet.\n"
-    charted = {
-        "Score against the MMD at the end": charts.scatter(by_mmd, "MMD", "normalised score", diagonal=False),
-        "Score against the multiplier at the end": charts.scatter(
-            by_multiplier, "logarithm to base 10 of the multiplier", "normalised score", diagonal=False
-        ),
-    }
-    with tempfile.TemporaryDirectory() as folder:
-        files[picture := f"{suite.name}.svg"] = sheet(Path(folder) / "constraint.svg", charted, names).read_bytes()
-    text = "Mean (lowest to highest) over seeds, at the last update."
-    image = f"![Score of each run against its MMD and against its multiplier]({picture})"
-    return "\n".join([*rows, "", text, "", image, ""])
+    return bear.constraint(*_suite(name))
 
 
 def _reads(verdict: Verdict) -> str:
@@ -218,6 +187,12 @@ def claimed(name: str, files: dict[str, bytes]) -> str:
     return "\n".join([*rows, "", *details, ""])
 
 
+def story(name: str, files: dict[str, bytes]) -> str:
+    """Floor, threshold, multiplier and score of BEAR's forms."""
+    suites = [read(HERE / f"{each}.toml") for each in bear.SUITES]
+    return bear.story(suites, store_of(suites, HERE), files)
+
+
 def of_queue(make: Callable[[Sequence[Suite], Store], str]) -> Callable[[str, dict[str, bytes]], str]:
     """What is made of all suites of the queue and their results."""
 
@@ -247,7 +222,7 @@ def pending(name: str, files: dict[str, bytes]) -> str:
 
 
 MAKE: dict[str, Callable[[str, dict[str, bytes]], str]] = {
-    "table": table, "curves": curves, "ranking": ranking, "constraint": constraint, "claims": claimed,
+    "table": table, "curves": curves, "ranking": ranking, "constraint": constraint, "story": story, "claims": claimed,
     "above": of_queue(above), "changed": of_queue(changed), "improved": of_queue(improved), "pending": pending,
 }  # fmt: skip
 

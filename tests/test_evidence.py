@@ -9,11 +9,12 @@ from deadreckon.bench import claims as declared
 from deadreckon.bench.claims import Claim, Comparison, Verdict
 from deadreckon.bench.claims_file import claims
 from deadreckon.bench.ledger import store_of
-from deadreckon.bench.plan import plan_all
-from deadreckon.bench.suite import queue
+from deadreckon.bench.plan import plan, plan_all
+from deadreckon.bench.suite import queue, read
 from deadreckon.errors import UserError
 from deadreckon.stats.interval import Interval
-from evidence import pages
+from evidence import bear, improved, pages
+from tests.results import keep
 
 ROOT = Path(__file__).resolve().parent.parent / "evidence"
 MOST = 30e6  # bytes of the ledger
@@ -69,6 +70,28 @@ def test_a_claim_that_is_contradicted_says_so_before_all_scores_are_there():
     assert pages._reads(Verdict(claim, (there, missing))) == "**contradicted**"
     assert pages._reads(Verdict(claim, (missing,))) == "open: 4 of 6 scores"
     assert pages._reads(Verdict(claim, (undefined,))) == "**open**: all scores are there, 1 of them not finite"
+
+
+def test_every_log_of_the_agents_that_improve_has_a_mean_or_is_left_out_by_name():
+    """A log without a mean is passed over in silence, and with it all that the suites find there."""
+    used = {(on, suite.rows) for suite in queue(ROOT / "queue.toml") if suite.name in improved.SUITES for on in suite.on}
+    assert {on for on, rows in used if (on, rows) not in improved.BEHAVIOUR} == improved.LEFT_OUT
+
+
+def test_what_is_missing_of_bears_constraint_is_said(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    lines = 'kind = "learn"', 'ledger = "ledger"', "seeds = 2", "steps = 100", "evaluations = 1", 'logs = ["hopper-medium-v2"]'
+    methods = "[methods]", 'a = { agent = "bear" }', 'b = { agent = "bear", fields = { threshold = 0.2 } }'
+    (tmp_path / "suite.toml").write_text("\n".join([*lines, *methods]))
+    suite = read("suite.toml")
+    store = store_of([suite], tmp_path)
+    nothing = "No result yet.\nWithout a result yet: 4 of 4 cells, among them all of a; b."
+    assert bear.constraint(suite, store).strip() == nothing
+    [first] = [job for job in plan(suite) if job.method == "a"]
+    keep(store, first, [30.0, 50.0], mmd=[0.1, 0.1], multiplier=[20.0, 20.0])
+    text = bear.constraint(suite, store)
+    assert "| a | 2 | 40.0 (30.0 to 50.0) | 0.100 (0.100 to 0.100) | 20 (20 to 20) |" in text
+    assert "Without a result yet: 2 of 4 cells, among them all of b." in text
 
 
 def test_a_block_that_does_not_end_is_refused():

@@ -42,7 +42,7 @@ def test_a_logs_preset_has_what_its_domain_has_and_its_own_wins():
     assert preset("xql", "antmaze-umaze") | {"loss_temperature": 0.6} == preset("xql", "antmaze") | {
         "max_clip": 7.0, "batch_size": 256,
     }  # fmt: skip
-    assert preset("cql", "antmaze")["hidden"] == (256,) * 5
+    assert preset("cql", "antmaze")["critic_hidden"] == (256,) * 5
 
 
 def test_what_is_no_preset_says_so():

@@ -12,7 +12,6 @@ from typing import ClassVar
 
 from jaxtyping import Array, Float
 
-from deadreckon.agents.agent import create_critics
 from deadreckon.agents.cql import CQL, soft_maximum
 from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.errors import UserError
@@ -27,7 +26,8 @@ class CalQL(CQL):
 
     temperature_lr: NonNegative = 1e-4  # learning rate of the logarithm of the entropy temperature
     hidden: Sizes = static((256, 256))  # width of each hidden layer of the actor
-    critic_hidden: Sizes = static((256, 256))  # width of each hidden layer of the critics (AntMaze: four of 256)
+    critic_hidden: Sizes | None = static((256, 256))
+    """width of each hidden layer of the critics (AntMaze: four of 256); None: as the actor's"""
     max_target_backup: bool = static(True)
     """whether targets take the best of as many actions of the policy as `samples` says, and not one"""
 
@@ -49,10 +49,6 @@ class CalQL(CQL):
         """Transitions, and what the episodes returned."""
         columns = *BatchSpec.columns, "monte_carlo"
         return BatchSpec(columns, self.batch_size, standardise=self.standardise, gamma=self.discount)
-
-    def first_critics(self, spec, key):
-        """Fresh Q-networks."""
-        return create_critics(spec, self.critic_hidden, self.critics, key, init=self.critic_init)
 
     def reference(self, batch: Batch) -> Float[Array, "b"]:
         """V(s): the return from each row on, in the units that are learned from; -inf where it is not known yet."""

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
-from deadreckon.agents.agent import backup, imitation_loss
+from deadreckon.agents.agent import backup, create_critics, imitation_loss
 from deadreckon.agents.sac import SAC
 from deadreckon.agents.scaled_rewards import ScaledRewards
 from deadreckon.data.batch import Batch
@@ -26,6 +26,7 @@ from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.policies.kinds import Categorical
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Number, Sizes, static
+from deadreckon.training.later_fields import later
 
 
 class CQLState(NamedTuple):
@@ -64,6 +65,7 @@ class CQL(ScaledRewards, SAC):
     cql_weight_lr: NonNegative = 3e-4  # learning rate of the multiplier, with lagrange
     warm_start: CountOrZero = static(0)  # updates in which the actor imitates the log at first (public code: 40,000)
     standardise: bool = static(False)  # whether observations are standardised to mean 0 and standard deviation 1
+    critic_hidden: Sizes | None = later(None)  # width of each hidden layer of the critics; None: as the actor's
 
     def going_on(self):
         """See `Agent`; the actor does not imitate again at first."""
@@ -74,6 +76,10 @@ class CQL(ScaledRewards, SAC):
         log_weight = jnp.log(jnp.maximum(jnp.asarray(self.cql_weight), 1e-6))
         held = CQLState(log_weight, init_opt(log_weight), jnp.asarray(self.warm_start > 0))
         return super().init(spec, key)._replace(model=held)
+
+    def first_critics(self, spec, key):
+        """Fresh Q-networks."""
+        return create_critics(spec, self.critic_hidden or self.hidden, self.critics, key, init=self.critic_init)
 
     def target(self, state, batch, key):
         """SAC's, or r + discount max_i (min_j Q'_j(s', a_i) + bonus), a_i of the policy."""

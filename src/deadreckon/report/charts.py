@@ -172,8 +172,9 @@ def legend(names: Sequence[tuple[str, int]]) -> Markup:
 
 
 def scatter(
-    points: Sequence[tuple[str, int, float, float, float, float, float]], across: str, unit: str, diagonal: bool = True
-) -> Markup:
+    points: Sequence[tuple[str, int, float, float, float, float, float]], across: str, unit: str, diagonal: bool = True,
+    references: Sequence[tuple[str, float]] = (),
+) -> Markup:  # fmt: skip
     """Points with whiskers both ways, and the diagonal on which both axes agree. What is much wider ends in arrows.
 
     Args:
@@ -181,13 +182,15 @@ def scatter(
         across: unit of the horizontal axis.
         unit: of the vertical one, written above it.
         diagonal: whether both axes measure the same.
+        references: named vertical lines.
     """
     width, height, left, right, top, bottom = 480, 340, 58, 462, 30, 302
     finite = [p for p in points if math.isfinite(p[2]) and math.isfinite(p[4])]
     if not finite:
         return tag("p", "nothing finite to draw", class_="empty")
     wide = [Interval(p[2], p[2] - p[3], p[2] + p[3]) for p in finite]
-    x = Axis(*robust([p[2] for p in finite], wide), left, right)
+    wide += [Interval(value, value, value) for _, value in references]
+    x = Axis(*robust([*(p[2] for p in finite), *(value for _, value in references)], wide), left, right)
     y = Axis(*robust([p[4] for p in finite], [Interval(*p[4:]) for p in finite]), bottom, top)
     parts = [tag("title", f"{unit} against {across}")]
     for t in y.ticks:
@@ -200,6 +203,11 @@ def scatter(
     if diagonal and both[0] < both[1]:
         where = {f"{axis}{i + 1}": f"{of(v):.1f}" for i, v in enumerate(both) for axis, of in (("x", x), ("y", y))}
         parts.append(tag("line", **where, class_="reference"))
+    for i, (name, value) in enumerate(references):
+        at, late = float(x(value)), x(value) > (left + right) / 2
+        parts.append(tag("line", x1=f"{at:.1f}", x2=f"{at:.1f}", y1=top, y2=bottom, class_="reference"))
+        place = {"x": f"{at + (-5 if late else 5):.1f}", "y": bottom - 6 - 16 * i}
+        parts.append(tag("text", name, class_="name end" if late else "name", **place))
     for name, slot, across_value, half, value, lower, upper in finite:
         px, py = float(x(across_value)), float(y(value))
         ends = f" [{number(lower)}, {number(upper)}]" if not math.isnan(lower) else ""
