@@ -161,8 +161,15 @@ def test_warm_start_and_defaults_come_from_the_run():
     assert BEAR(behavior="vae").resolve(SPEC, 1_000).behavior_hidden == (750, 750)
     with pytest.raises(UserError, match="needs densities"):
         BEAR(behavior="vae", constraint="kl").resolve(SPEC, 10)
-    with pytest.raises(UserError, match="actor_samples"):
+    with pytest.raises(UserError, match=r"BEAR.actor_samples \(9\) must not exceed policy_samples \(4\)"):
         BEAR(actor_samples=9).resolve(SPEC, 10)
+    with pytest.raises(UserError, match=r"ISBEAR.actor_samples \(19\)"):
+        ISBEAR(actor_samples=19).resolve(SPEC, 10)
+    with pytest.raises(UserError, match=r"BEAR.multiplier_min \(2\) must not exceed multiplier_max \(1\)"):
+        BEAR(multiplier_min=2.0, multiplier_max=1.0).resolve(SPEC, 10)
+    with pytest.raises(UserError, match="BEAR.threshold must be 0 or more, as no MMD is less, got -1"):
+        BEAR(threshold=-1.0).resolve(SPEC, 10)
+    assert BEAR(threshold=-1.0, constraint="cross_entropy").resolve(SPEC, 10).threshold == -1.0
     with pytest.raises(UserError, match="kernel takes"):
         BEAR(kernel="cosine").resolve(SPEC, 10)
     for kind in (BEAR, ISBEAR):

@@ -14,7 +14,6 @@ import pytest
 
 from deadreckon.agents import agent_class
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.ope.tables import Actor
 from deadreckon.policies import EnvPolicy, store
@@ -22,7 +21,7 @@ from deadreckon.policies.file import numpy_player, read_policy
 from deadreckon.policies.portable import load as load_portable
 from deadreckon.training.fit import Fit, fit
 from tests import golden
-from tests.agents.tiny import LOG, rows_of, small
+from tests.agents.tiny import LOG, assert_function_of_state, rows_of, small
 
 
 def same(a, b):
@@ -174,13 +173,7 @@ def test_greedy_actions_are_a_function_of_the_state(trained):
     """And of nothing else: not of the place in a batch, its size, or a key."""
     agent, rows, result, _ = trained
     policy = EnvPolicy.of(agent.policy(result.lane(0)), rows.view)
-    observations = np.linspace(-1, 1, 9, dtype=np.float32)[:, None]
-    actions, order = policy(observations), np.random.default_rng(0).permutation(9)
-    np.testing.assert_allclose(policy(observations[order]), actions[order], atol=1e-5)
-    np.testing.assert_allclose(np.concatenate([policy(part) for part in np.split(observations, 3)]), actions, atol=1e-5)
-    step = Step(jnp.asarray(observations), jnp.zeros(9), jnp.ones(9, bool))
-    other, _ = policy.act(step, policy.start(9), jax.random.key(7), greedy=True)
-    np.testing.assert_allclose(other, actions, atol=1e-5)
+    assert_function_of_state(policy, np.linspace(-1, 1, 9, dtype=np.float32)[:, None])
 
 
 def test_floats_are_traced_and_all_else_is_static(trained):
@@ -225,6 +218,7 @@ def test_value_estimates_have_one_number_a_row(trained):
 # Everything is in the support of uniform data, so BEAR's multiplier is zero; IS-BEAR's set policy stays at the data's
 # spread, and its clipped ratios bound how far the actor may go from it. BCQ's clamped latents make a part of uniform actions
 # alone, so what moves them is given a longer reach.
+MODELLED = {"model_hidden": (16,), "model_epochs": 30, "rollout_batch_size": 500, "refresh": 500, "actor_decay_steps": 1500.0}
 LEARNERS = {
     "td3": (0.25, {}),
     "td3_bc": (0.35, {"alpha": 10.0}),
@@ -249,6 +243,12 @@ LEARNERS = {
     "dqfd": (0.25, {"margin": 0.02, "margin_weight": 0.02}),
     "fql": (0.35, {"alpha": 0.1}),
     "bear": (0.25, {"warm_start": 50, "dual": False, "multiplier": 0.0, "test_action": "actor"}),
+    "cal_ql": (0.35, {"temperature": 0.01, "cql_weight": 0.1, "samples": 5}),
+    "rlpd": (0.25, {"temperature": 0.01}),
+    "mopo": (0.35, {"temperature": 0.01, "penalty": 0.01, **MODELLED}),
+    "combo": (0.35, {"temperature": 0.01, "cql_weight": 0.1, **MODELLED}),
+    "morel": (0.35, {"temperature": 0.01, "threshold": 1.0, **MODELLED}),
+    "mobile": (0.35, {"temperature": 0.01, "penalty": 0.1, **MODELLED}),
     "bear_is": (0.5, {"warm_start": 300, "dual": False, "multiplier": 10.0, "behavior_lr": 1e-3, "test_action": "actor"}),
 }
 

@@ -208,7 +208,7 @@ def test_mobiles_temperature_is_one_at_most(log_prob):
 def test_refusals(fields, words):
     with pytest.raises(UserError, match=words):
         MOPO(**TINY | fields).resolve(LOG.spec, 1)
-    with pytest.raises(UserError, match="COMBO needs logged rows in a batch, got 0"):
+    with pytest.raises(UserError, match="COMBO.real_batch_size, the logged rows in a batch, must be 1 or more, got 0"):
         COMBO(**TINY | {"real_batch_size": 0}).resolve(LOG.spec, 1)
     with pytest.raises(UserError, match="MOBILE.elites must be 2 or more, got 1"):
         MOBILE(**TINY | {"elites": 1}).resolve(LOG.spec, 1)

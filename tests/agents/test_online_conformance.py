@@ -9,8 +9,11 @@ from deadreckon.agents.model_based import ModelBasedAgent
 from deadreckon.data.spec import Spec
 from deadreckon.online import Online
 from deadreckon.online.experience import experience_of
+from deadreckon.policies import EnvPolicy
 from deadreckon.tasks import task
 from deadreckon.training.fit import Fit
+from deadreckon.training.learner import unstack
+from tests.agents.tiny import assert_function_of_state
 from tests.agents.worlds import swinging
 
 PENDULUM = task("inverted-pendulum")
@@ -55,6 +58,14 @@ def done(name, seeds, bad=None, **options):
     for _ in found.chunks():
         pass
     return found, experience
+
+
+@pytest.mark.parametrize("name", ONLINE)
+def test_greedy_actions_are_a_function_of_the_state(name):
+    """Of networks as they begin, which is all that a policy is made of."""
+    fitted, experience = job(name, [3])
+    policy = EnvPolicy.of(unstack(fitted.learner, 1)[0].policy(unstack(fitted.states, 1)[0]), experience.view)
+    assert_function_of_state(policy, np.random.default_rng(0).uniform(-0.2, 0.2, (9, 4)).astype(np.float32))
 
 
 def test_all_are_looked_at():

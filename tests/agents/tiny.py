@@ -1,8 +1,14 @@
 """Every agent with tiny networks on one small log: what tests compile is the same program, so that it is compiled once."""
 
+import jax
+import jax.numpy as jnp
+import numpy as np
+
 from deadreckon.agents import agent_class
 from deadreckon.agents.offline_mbrl import OfflineMBRL
 from deadreckon.data.batch import TransitionSource
+from deadreckon.data.step import Step
+from deadreckon.policies import EnvPolicy
 from tests.agents.worlds import corridor
 
 LOG = corridor()
@@ -17,7 +23,7 @@ OWN = {"cal_ql": {"critic_hidden": (16, 16), "samples": 3}, "rlpd": {"critics": 
        "d4pg": {"critic_hidden": (16, 16), "v_min": -5.0, "v_max": 5.0, "target_update_period": 10, "n_step": 2},
        "crr_d": {"critic_hidden": (16, 16), "v_min": -5.0, "v_max": 5.0, "target_update_period": 10},
        "abm": {"window": 8, "samples": 4, "epsilon": 0.5, "target_update_period": 10},
-       "rem": {"heads": 5}, "kl_control": {"behavior_steps": 20}, "awr": {"window": 8},
+       "mobile": {"min_target": None}, "rem": {"heads": 5}, "kl_control": {"behavior_steps": 20}, "awr": {"window": 8},
        "decision_transformer": {"context_length": 4, "layers": 1, "hidden": (16,), "batch_size": 16}}  # fmt: skip
 
 
@@ -30,3 +36,14 @@ def small(name, **fields):
 
 def rows_of(agent, log=LOG):
     return TransitionSource(log, agent.needs(log.spec))
+
+
+def assert_function_of_state(policy: EnvPolicy, observations: np.ndarray) -> None:
+    """That greedy actions depend on the state alone: not on the place in a batch, its size, or a key; `observations` are 9."""
+    actions, order = policy(observations), np.random.default_rng(0).permutation(9)
+    assert len(np.unique(actions, axis=0)) > 1  # or there is nothing to see
+    np.testing.assert_allclose(policy(observations[order]), actions[order], atol=1e-5)
+    np.testing.assert_allclose(np.concatenate([policy(part) for part in np.split(observations, 3)]), actions, atol=1e-5)
+    step = Step(jnp.asarray(observations), jnp.zeros(9), jnp.ones(9, bool))
+    other, _ = policy.act(step, policy.start(9), jax.random.key(7), greedy=True)
+    np.testing.assert_allclose(other, actions, atol=1e-5)

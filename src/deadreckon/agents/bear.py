@@ -95,15 +95,21 @@ class BEAR(Agent):
     def resolve(self, spec, steps):
         """Fills in threshold, warm start and the behaviour model's width."""
         agent = super().resolve(spec, steps)
+        who = type(self).__name__
         if (self.constraint != "mmd" or self.density_weighting) and self.behavior != "gaussian":
             name = "density_weighting" if self.constraint == "mmd" else f"constraint={self.constraint!r}"
-            raise UserError(f"BEAR.{name} needs densities: behavior='gaussian', got {self.behavior!r}")
+            raise UserError(f"{who}.{name} needs densities: behavior='gaussian', got {self.behavior!r}")
         references = self.behavior_samples if self.mmd_reference == "model" else 1
         if self.mmd_estimate == "unbiased" and min(self.policy_samples, references) < 2:
             needed = "policy_samples and behavior_samples of 2 or more, with mmd_reference='model'"
-            raise UserError(f"BEAR.mmd_estimate='unbiased' needs {needed}")
+            raise UserError(f"{who}.mmd_estimate='unbiased' needs {needed}")
         if self.actor_samples > self.policy_samples:
-            raise UserError(f"BEAR.actor_samples ({self.actor_samples}) must not exceed policy_samples ({self.policy_samples})")
+            raise UserError(f"{who}.actor_samples ({self.actor_samples}) must not exceed policy_samples ({self.policy_samples})")
+        if self.multiplier_min > self.multiplier_max:
+            limits = f"multiplier_min ({self.multiplier_min:g}) must not exceed multiplier_max ({self.multiplier_max:g})"
+            raise UserError(f"{who}.{limits}")
+        if self.constraint != "cross_entropy" and self.threshold is not None and self.threshold < 0.0:
+            raise UserError(f"{who}.threshold must be 0 or more, as no {self.constraint.upper()} is less, got {self.threshold:g}")
         return agent.replace(
             threshold=self.threshold if self.threshold is not None else (-2.0 if self.constraint == "cross_entropy" else 0.05),
             warm_start=self.warm_start if self.warm_start is not None else min(WARM_STEPS, int(WARM_SHARE * steps)),

@@ -34,7 +34,7 @@ class COMBO(OfflineMBRL):
     def resolve(self, spec, steps):
         """Refuses a batch without logged rows, from which critics could be held down without end."""
         if self.real_batch_size < 1:
-            raise UserError(f"COMBO needs logged rows in a batch, got {self.real_batch_size}")
+            raise UserError(f"COMBO.real_batch_size, the logged rows in a batch, must be 1 or more, got {self.real_batch_size}")
         return super().resolve(spec, steps)
 
     def critic_loss(self, critics, state, batch, target, key):

@@ -31,14 +31,19 @@ class MOBILE(OfflineMBRL):
     other_names: ClassVar[dict[str, str]] = {"floor": "min_target", "penalty_coef": "penalty", "draws": "samples"}
 
     entropy_backup: bool = static(False)  # whether the critics' targets include the entropy bonus
-    min_target: Number | None = 0.0  # smallest target, where rewards are positive; None: no limit
+    min_target: Number | None = 0.0  # smallest target; None: no limit, which rewards that are all negative need
     penalty: NonNegative = 1.5  # penalty per unit of Bellman inconsistency (published: 0.1 to 5, by log)
     samples: Count = static(10)  # next observations sampled from each network
 
     def resolve(self, spec, steps):
-        """Refuses a single network, which has nobody to disagree with."""
+        """Refuses a single network, which has nobody to disagree with, and a floor that would be every target."""
         if self.elites < 2:
             raise UserError(f"MOBILE.elites must be 2 or more, got {self.elites}")
+        if spec.rows and self.min_target is not None and spec.reward.max <= 0.0 <= self.min_target:
+            raise UserError(
+                f"MOBILE.min_target is {self.min_target:g}, the smallest target of the critics, but no reward of {spec.name} is "
+                "above 0, so that all targets would be the same: give min_target=None"
+            )
         return super().resolve(spec, steps)
 
     def mixed(self, state, batch, key):
