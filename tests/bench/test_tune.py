@@ -52,7 +52,17 @@ def test_every_known_space_is_of_fields_that_take_its_values():
             assert hasattr(kind(), name), (agent, name)
             for choice in choices:
                 check_fields(kind(**{name: choice}))
-    assert known >= 20
+    assert known >= 22
+
+
+@pytest.mark.parametrize("agent", ["mopo", "combo", "mobile"])
+def test_agents_with_a_model_try_published_values_from_the_least_to_the_greatest(agent):
+    from deadreckon.agents import presets, space
+
+    for name, choices in space(agent).items():
+        published = {each[name] for each in presets()[agent].values()}
+        assert choices == sorted(choices)
+        assert (choices[0], choices[-1]) == (min(published), max(published))
 
 
 @pytest.mark.parametrize(

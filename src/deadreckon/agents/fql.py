@@ -5,7 +5,9 @@ t = 1 gives actions like the log's. The actor mu(s, z) is held to where the flow
 critics:
 
     L_flow  = E[ | v(s, (1 - t) z + t a, t) - (a - z) |^2 ],
-    L_actor = E[ imitation | mu(s, z) - flow(s, z) |^2 - mean_j Q_j(s, mu(s, z)) ].
+    L_actor = E[ alpha | mu(s, z) - flow(s, z) |^2 - mean_j Q_j(s, mu(s, z)) / c ],
+
+where c is E[ | mean_j Q_j(s, mu(s, z)) | ] without gradient, or 1 with `scale_q=False`.
 """
 
 from typing import ClassVar, Literal, NamedTuple
@@ -49,7 +51,8 @@ class FQL(ScaledRewards):
     critic_lr: NonNegative = 3e-4  # learning rate of the critics
     discount: UnitInterval = 0.99  # discount factor per step
     tau: UnitInterval = 0.005  # Polyak rate of the target critics, per update
-    alpha: NonNegative = 10.0  # weight of the distance to the actions of the flow (published: 3 to 30000, by log)
+    alpha: NonNegative = 10.0
+    """weight of the distance to the actions of the flow (published: 0.03 to 10 with scale_q; 3 to 30,000 without, by log)"""
     target_q: Literal["mean", "min"] = static("mean")  # value of the critics in the targets: mean or minimum (Adroit: min)
     flow_steps: Count = static(10)  # Euler steps of the flow from noise to actions
     scale_q: bool = static(True)  # whether the actor loss divides Q by its mean absolute value
@@ -95,7 +98,7 @@ class FQL(ScaledRewards):
         return backup(batch, self.discount, q.mean(0) if self.target_q == "mean" else minimum(q))
 
     def actor_loss(self, actor: MLP, state, batch, key) -> tuple[Array, Array]:
-        """imitation |mu(s, z) - flow(s, z)|^2 - mean_j Q_j(s, mu(s, z)), means over rows; also gives the distance."""
+        """alpha |mu(s, z) - flow(s, z)|^2 - mean_j Q_j(s, mu(s, z)) / c, means over rows; also gives the distance."""
         noise = jax.random.normal(key, batch.action.shape)
         made = actor(jnp.concatenate([batch.observation, noise], -1))
         away = jnp.square(made - self.followed(state.flow, batch.observation, noise)).mean()
