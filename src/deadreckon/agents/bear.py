@@ -104,12 +104,14 @@ class BEAR(Agent):
             needed = "policy_samples and behavior_samples of 2 or more, with mmd_reference='model'"
             raise UserError(f"{who}.mmd_estimate='unbiased' needs {needed}")
         if self.actor_samples > self.policy_samples:
-            raise UserError(f"{who}.actor_samples ({self.actor_samples}) must not exceed policy_samples ({self.policy_samples})")
+            most = f"policy_samples ({self.policy_samples})"
+            raise UserError(f"{who}.actor_samples ({self.actor_samples}) must not exceed {most}")
         if self.multiplier_min > self.multiplier_max:
             limits = f"multiplier_min ({self.multiplier_min:g}) must not exceed multiplier_max ({self.multiplier_max:g})"
             raise UserError(f"{who}.{limits}")
         if self.constraint != "cross_entropy" and self.threshold is not None and self.threshold < 0.0:
-            raise UserError(f"{who}.threshold must be 0 or more, as no {self.constraint.upper()} is less, got {self.threshold:g}")
+            least = f"must be 0 or more, as no {self.constraint.upper()} is less"
+            raise UserError(f"{who}.threshold {least}, got {self.threshold:g}")
         return agent.replace(
             threshold=self.threshold if self.threshold is not None else (-2.0 if self.constraint == "cross_entropy" else 0.05),
             warm_start=self.warm_start if self.warm_start is not None else min(WARM_STEPS, int(WARM_SHARE * steps)),

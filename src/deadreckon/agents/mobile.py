@@ -41,8 +41,8 @@ class MOBILE(OfflineMBRL):
             raise UserError(f"MOBILE.elites must be 2 or more, got {self.elites}")
         if spec.rows and self.min_target is not None and spec.reward.max <= 0.0 <= self.min_target:
             raise UserError(
-                f"MOBILE.min_target is {self.min_target:g}, the smallest target of the critics, but no reward of {spec.name} is "
-                "above 0, so that all targets would be the same: give min_target=None"
+                f"MOBILE.min_target is {self.min_target:g}, the smallest target of the critics, but no reward of {spec.name} "
+                "is above 0, so that all targets would be the same: give min_target=None"
             )
         return super().resolve(spec, steps)
 
