@@ -73,6 +73,33 @@ def test_returns_in_a_model_are_compared_with_those_of_its_run(monkeypatch, home
 
 
 @pytest.mark.slow
+def test_what_a_run_of_mbpo_shows_of_its_falls(monkeypatch, home):
+    monkeypatch.syspath_prepend(str(ROOT))
+    import evidence.studies.mbpo_falls as study
+
+    small = {"hidden": (8,), "model_hidden": (16,), "model_weight_decay": (), "members": 2, "elites": 2, "model_epochs": 3}
+    found = study.falls("hopper", seed=0, steps=5_400, updates_per_step=0.08, every=200, rollout_length=[1, 2, 0, 1], **small)
+    assert np.isfinite(list(found.values())).all()
+    assert found["last"] <= found["best"]
+    assert 0.0 < found["behind"] < 1.0
+    assert found["error_of_falls"] > 0.0
+
+
+def test_the_last_steps_before_a_fall_are_those_of_episodes_that_ended_so(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    import evidence.studies.mbpo_falls as study
+
+    from deadreckon.data.dataset import Dataset
+
+    terminals, timeouts = np.zeros(40, bool), np.zeros(40, bool)
+    terminals[[14, 39]], timeouts[35] = True, True  # of 15 steps, 21 steps that ran out of time, and 4
+    log = Dataset.from_arrays(
+        observations=np.zeros((40, 2)), actions=np.zeros((40, 1)), rewards=np.zeros(40), terminals=terminals, timeouts=timeouts
+    )
+    assert list(np.flatnonzero(study._falling(log))) == [*range(5, 15), *range(36, 40)]
+
+
+@pytest.mark.slow
 def test_pictures_of_mazes(tmp_path, home):
     command = [sys.executable, str(ROOT / "evidence" / "studies" / "maze_coverage.py"), "--steps", "1500", "--shown", "2"]
     files = {name: tmp_path / f"{name}.svg" for name in ("trajectories", "coverage")}
