@@ -78,7 +78,7 @@ def test_what_a_run_of_mbpo_shows_of_its_falls(monkeypatch, home):
     import evidence.studies.mbpo_falls as study
 
     small = {"hidden": (8,), "model_hidden": (16,), "model_weight_decay": (), "members": 2, "elites": 2, "model_epochs": 3}
-    found = study.falls("hopper", seed=0, steps=5_400, updates_per_step=0.08, every=200, rollout_length=[1, 2, 0, 1], **small)
+    found = study.falls("hopper", seed=0, steps=5_400, updates_per_step=0.08, every=200, rollout_length=[1, 2, 1, 2], **small)
     assert np.isfinite(list(found.values())).all()
     assert found["last"] <= found["best"]
     assert 0.0 < found["behind"] < 1.0
@@ -88,7 +88,6 @@ def test_what_a_run_of_mbpo_shows_of_its_falls(monkeypatch, home):
 def test_the_last_steps_before_a_fall_are_those_of_episodes_that_ended_so(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT))
     import evidence.studies.mbpo_falls as study
-
     from deadreckon.data.dataset import Dataset
 
     terminals, timeouts = np.zeros(40, bool), np.zeros(40, bool)
