@@ -138,15 +138,11 @@ def constraint(name: str, files: dict[str, bytes]) -> str:
 
 
 def _reads(verdict: Verdict) -> str:
-    if not verdict.comparisons:
-        return "open: its cells are not declared yet"
-    if verdict.state != "open":
-        return f"**{verdict.state}**"  # also where scores are missing: one comparison contradicts a claim
-    if verdict.missing:
-        return f"open: {verdict.cells - verdict.missing:,} of {verdict.cells:,} scores"
-    if verdict.undefined:
-        return f"**open**: all scores are there, {verdict.undefined:,} of them not finite"
-    return "**open**: all scores are there, and do not decide"
+    """In bold what no further score will change."""
+    told = str(verdict)
+    return told if verdict.state == "open" and (verdict.missing or not verdict.comparisons) else told.replace(
+        verdict.state, f"**{verdict.state}**", 1
+    )
 
 
 def _effect(one: Comparison) -> str:

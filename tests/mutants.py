@@ -2178,6 +2178,26 @@ MUTANTS = (
         "a task whose differences are all the same is taken as certain within a range, too", ("stats/test_scores.py",),
     ),
     Mutant(
+        "pages-of-both-sizes", "cli/bench.py", 'f"{suite.name}-full" if options.full else suite.name', "suite.name",
+        "pages of the full size are written over those of the other", ("bench/test_studies.py",),
+    ),
+    Mutant(
+        "metric-of-no-study", "bench/tables.py", "if suite.kind == \"study\" and given and", "if False and",
+        "a table of a metric that no function returns is full of dashes", ("bench/test_studies.py",),
+    ),
+    Mutant(
+        "texts-are-numbers", "bench/work.py", 'number.dtype.kind not in "biuf"', 'number.dtype.kind not in "biufU"',
+        "a text that a study returns is taken as a number", ("bench/test_studies.py",),
+    ),
+    Mutant(
+        "a-rival-twice", "bench/claims_file.py", "len({*own, *than}) < len(own) + len(than)", "False",
+        "a claim compares a method with itself, or twice with one rival", ("bench/test_claims.py",),
+    ),
+    Mutant(
+        "targets-at-the-floor", "agents/mobile.py", "spec.reward.max <= 0.0 <= self.min_target", "False",
+        "MOBILE learns from targets that are all its floor", ("agents/test_offline_mbrl.py",),
+    ),
+    Mutant(
         "copies-paired-with-themselves", "runs/diagnostics.py", "    np.fill_diagonal(k, 0.0)\n", "",
         "what a copy's MMD stays below counts rows beside themselves", ("runs/test_train.py",),
     ),

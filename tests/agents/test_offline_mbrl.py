@@ -19,6 +19,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.training.fit import fit
 from tests.agents.tiny import MODEL
+from tests.agents.worlds import corridor
 
 TINY = MODEL | {"hidden": (8,), "batch_size": 16, "real_batch_size": 6, "rollout_batch_size": 8, "retain_rounds": 2}
 
@@ -210,6 +211,9 @@ def test_refusals(fields, words):
         MOPO(**TINY | fields).resolve(LOG.spec, 1)
     with pytest.raises(UserError, match="COMBO.real_batch_size, the logged rows in a batch, must be 1 or more, got 0"):
         COMBO(**TINY | {"real_batch_size": 0}).resolve(LOG.spec, 1)
+    with pytest.raises(UserError, match="MOBILE.min_target is 0, .* no reward of corridor is above 0, .*: give min_target=None"):
+        MOBILE(**TINY).resolve(corridor().spec, 1)
+    assert MOBILE(**TINY | {"min_target": None}).resolve(corridor().spec, 1).min_target is None
     with pytest.raises(UserError, match="MOBILE.elites must be 2 or more, got 1"):
         MOBILE(**TINY | {"elites": 1}).resolve(LOG.spec, 1)
 

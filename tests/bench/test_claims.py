@@ -175,6 +175,27 @@ def test_within_a_range_such_a_log_widens_the_interval(folder, margin, state):
     assert one.gain.low == pytest.approx(paired(gaps, [np.zeros(4)] * 2, 0.975).low - (1 - 0.025**0.25) * 100 / 2)
 
 
+@pytest.mark.parametrize(
+    ("bear", "said"),
+    [
+        ((), "open: 8 of 16 scores"),
+        (BEAR, "holds"),
+        (BC, "open: all scores are there, and do not decide"),
+        ([math.nan, *BEAR[1:]], "open: all scores are there, 2 of them not finite"),
+    ],
+)
+def test_a_verdict_says_why_it_is_open(folder, bear, said):
+    a, _, _, d = claims("claims.toml")
+    store = kept({("BC", "walker2d"): BC, ("TD3", "walker2d"): TD3, ("BEAR", "walker2d"): bear})
+    assert (str(verdict(a, store)), str(verdict(d, store))) == (said, "open: it has no tests")
+
+
+def test_a_result_beyond_the_range_is_told_with_its_suite(folder):
+    (folder / "claims.toml").write_text(CLAIMS.replace("than = 20.0", "than = 20.0, range = [0, 25]"))
+    with pytest.raises(UserError, match=r"suite.toml: a result has the score 30, beyond the range \[0, 25\]"):
+        verdict(claims("claims.toml")[2], kept({("TD3", "walker2d"): [10.0, 12.0, 30.0, 11.0]}))
+
+
 def test_a_metric_that_no_result_has_is_refused(folder):
     text = CLAIMS.replace("than = 20.0", 'metric = "scores", than = 20.0')
     (folder / "claims.toml").write_text(text)
@@ -292,6 +313,14 @@ def test_logs_of_a_task_are_compared_with_each_other(folder, gap, state):
         ("than = 20.0, ", "", "claim C: a test has one of than, beside and among, got none"),
         ("than = 20.0, less = true", "among = true, each = true", "claim C: with among, all logs are taken together"),
         ("than = 20.0, less = true", "among = true, less = true", "claim C: with among, neither more nor less is claimed"),
+        ('"BC", "TD3"', "", "claim A: than must be methods other than BEAR, each once, or a number, got []"),
+        ('"BC", "TD3"', '"BC", "BC"', "claim A: than must be methods other than BEAR, each once, or a number, got ['BC'"),
+        ('"BC", "TD3"', '"BEAR"', "claim A: than must be methods other than BEAR, each once, or a number, got ['BEAR']"),
+        ('on = ["walker2d-medium-v2"]', "on = []", "claim C: on must be different names, or be left out for all of the suite"),
+        ("margin = -10.0", "margin = nan", "claim B: margin must be finite, got nan"),
+        ("than = 20.0", "than = inf", "claim C: than must be finite, got inf"),
+        ('suite = "suite.toml", method = "BEAR"', 'suite = "none.toml", method = "BEAR"', "claim A: no file none.toml"),
+        ("than = 20.0", "than = 20.0, range = [0, inf]", "claim C: range must be two numbers, the lower one first"),
         ("than = 20.0", "than = 20.0, range = [1, 0]", "claim C: range must be two numbers, the lower one first, got [1, 0]"),
         ("than = 20.0", 'than = 20.0, range = [0, "1"]', "claim C: range must be two numbers, the lower one first, got [0"),
         ("than = 20.0", "than = 20.0, range = [0, 1]", "claim C: than must be within the range, got 20"),

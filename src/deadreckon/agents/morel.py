@@ -18,7 +18,7 @@ from deadreckon.agents.offline_mbrl import OfflineMBRL
 from deadreckon.dynamics import Ensemble, Gaussian
 from deadreckon.training.hyperparameters import NonNegative, Positive
 
-_ROWS = 10_000  # of the log, from which the threshold is taken
+ROWS = 10_000  # of the log, from which the threshold is taken
 
 
 class MOReL(OfflineMBRL):
@@ -32,9 +32,8 @@ class MOReL(OfflineMBRL):
 
     def penalised(self, ensemble, found, rows):
         """Ends rollouts where the model is not to be trusted."""
-        known = rows.take(np.linspace(0, rows.count - 1, min(_ROWS, rows.count)).astype(int))
-        change = known["next_observation"] - known["observation"]
-        scale = jnp.asarray(np.append(change.std(0), known["reward"].std()) + 1e-6)
+        known = rows.take(np.linspace(0, rows.count - 1, min(ROWS, rows.count)).astype(int))
+        scale = units(known)
         usual = disagreement(self.model, ensemble, scale, *(jnp.asarray(known[name]) for name in ("observation", "action")))
         limit = self.threshold * usual.max()
         least = float(rows.log.spec.reward.min) - self.penalty
@@ -45,6 +44,12 @@ class MOReL(OfflineMBRL):
             kept.append(branch._replace(reward=reward, terminal=branch.terminal | lost, running=branch.running & trusted))
             trusted = trusted & ~lost
         return kept
+
+
+def units(known: dict[str, np.ndarray]) -> Float[Array, "o+1"]:
+    """What disagreement is counted in: the deviations of changes and of the reward over some rows."""
+    change = known["next_observation"] - known["observation"]
+    return jnp.asarray(np.append(change.std(0), known["reward"].std()) + 1e-6)
 
 
 @eqx.filter_jit

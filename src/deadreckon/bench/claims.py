@@ -177,6 +177,17 @@ class Verdict:
             return "contradicted"
         return "holds" if states and all(state == "holds" for state in states) else "open"
 
+    def __str__(self) -> str:
+        """The state, and why it is open."""
+        if not self.comparisons:
+            return "open: it has no tests"
+        if self.state == "open" and self.missing:
+            return f"open: {self.cells - self.missing:,} of {self.cells:,} scores"
+        if self.state == "open":
+            undefined = f"{self.undefined:,} of them not finite" if self.undefined else "and do not decide"
+            return f"open: all scores are there, {undefined}"
+        return self.state  # also where scores are missing: one comparison contradicts a claim
+
     @property
     def cells(self) -> int:
         """That it needs, those of several comparisons counted for each."""
@@ -264,6 +275,9 @@ def _compared(
     for path in test.compared:
         _check_metric(test, path, plans[path], rows)
     values = np.concatenate(seen)
+    if test.range is not None and (beyond := [x for x in values if x < test.range[0] or x > test.range[1]]):
+        low, high = test.range
+        raise UserError(f"{test.suite}: a result has the {test.metric} {beyond[0]:g}, beyond the range [{low:g}, {high:g}]")
     if lacking := int((~np.isfinite(values)).sum()):
         nothing = Interval(math.nan, math.nan, math.nan)
         return Comparison(test, rival, on, nothing, nothing, len(values), missing, lacking - missing, 1.0 - alpha)

@@ -26,6 +26,7 @@
                                             # where this one is open with all its cells; it may have a `log` of its own
 """
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
@@ -128,11 +129,18 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
             raise UserError(f"{where}: than must be within the range, got {than:g}")
         if not own or len(set(own)) < len(own):
             raise UserError(f"{where}: method must be a method, or different ones, got {own!r}")
+        if isinstance(than, list) and "than" in test and (not than or len({*own, *than}) < len(own) + len(than)):
+            raise UserError(f"{where}: than must be methods other than {', '.join(own)}, each once, or a number, got {than!r}")
+        if "on" in test and (not test["on"] or len(set(test["on"])) < len(test["on"])):
+            raise UserError(f"{where}: on must be different names, or be left out for all of the suite, got {test['on']!r}")
+        numbers = {"margin": test.get("margin", 0.0), "than": than if isinstance(than, float) else 0.0}
+        if bad := [f"{key} must be finite, got {value}" for key, value in numbers.items() if not math.isfinite(value)]:
+            raise UserError(f"{where}: {bad[0]}")
         names = [test["suite"], *([test["beside"]] if "beside" in test else [])]
         places = {name: path.parent / safe_path(name, f"{where}: suite") for name in names}
         agents: dict[str, str] = {}
         for name in names:
-            suite = suites.setdefault(name, read(places[name]))
+            suite = _read(where, name, places[name], suites)
             methods = {method.name: method.agent for method in suite.methods}
             for method in [*own, *(than if isinstance(than, list) else ())]:
                 if method not in methods:
@@ -164,10 +172,20 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
     return Claim(said["id"], said["says"], said["place"], tuple(tests), said.get("note", ""))
 
 
+def _read(where: str, name: str, path: Path, suites: dict[str, Suite]) -> Suite:
+    """The suite of this name, which is read once."""
+    if name not in suites:
+        try:
+            suites[name] = read(path)
+        except UserError as error:
+            raise UserError(f"{where}: {error}") from error
+    return suites[name]
+
+
 def _rising(value: Any) -> bool:
     """Whether it is two numbers, the lower one first."""
     numbers = isinstance(value, list) and all(isinstance(each, int | float) and not isinstance(each, bool) for each in value)
-    return numbers and len(value) == 2 and value[0] < value[1]
+    return numbers and len(value) == 2 and -math.inf < value[0] < value[1] < math.inf
 
 
 def _again(
@@ -183,7 +201,7 @@ def _again(
     if first.beside is not None:
         raise UserError(f"{where}: a test with beside has no second stage")
     place = path.parent / safe_path(file := said["suite"], f"{where}: suite")
-    suite = suites.setdefault(file, read(place))
+    suite = _read(where, file, place, suites)
     if first.margin and said.get("log", first.log) != first.log:
         raise UserError(f"{where}: the margin {first.margin:g} would be of logarithms there; leave log or the margin out")
     if suite.seeds < 2 or suite.full:

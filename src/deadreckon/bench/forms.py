@@ -1,7 +1,6 @@
 """Tables of suites as text, Markdown, CSV or LaTeX."""
 
 import io
-import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -28,7 +27,7 @@ def rendered(tables: Sequence[Table], form: str = "text") -> str:
         return _csv(tables)
     grid, note = {"text": (_text, "{}"), "markdown": (_markdown, "- {}"), "latex": (_latex, "% {}")}[form]
     parts = [grid(table) for table in tables]
-    if len(tables) > 1:
+    if len(tables) > 1 or tables[0].suite.kind == "study":
         title = {"text": "{}", "markdown": "**{}**", "latex": "% {}"}[form]
         heads = [f"{t.metric.words}, {'more' if t.metric.higher else 'less'} is better" for t in tables]
         parts = [f"{title.format(head)}\n\n{part}" for head, part in zip(heads, parts)]
@@ -90,14 +89,16 @@ def _latex(table: Table) -> str:
 
 def _csv(tables: Sequence[Table]) -> str:
     out = io.StringIO()
-    rows: list[list[Any]] = [
-        ["metric", "on", "method", "seeds", "mean", "low", "high", "bold", "missing", "failed", "thesis"]
-    ]
-    for table, on in itertools.product(tables, tables[0].suite.on):
+    several = len({table.suite.name for table in tables}) > 1  # of a queue
+    heads = ["metric", "on", "method", "seeds", "mean", "low", "high", "bold", "missing", "failed", "thesis"]
+    rows: list[list[Any]] = [["suite", *heads] if several else heads]
+    for table, on in ((each, on) for each in tables for on in each.suite.on):
         for method, row in table.cells.items():
             cell = row[on]
-            numbers = [cell.estimate.value, cell.estimate.low, cell.estimate.high] if len(cell.scores) else [""] * 3
+            sound = len(cell.scores) and np.isfinite(cell.scores).all()
+            numbers = [cell.estimate.value, cell.estimate.low, cell.estimate.high] if sound else [""] * 3
             told = [len(cell.scores), *numbers, int(cell.bold), cell.missing, cell.failed]
-            rows.append([table.metric.column, on, method, *told, table.printed[on].get(method, "")])
+            found = [table.metric.column, on, method, *told, table.printed[on].get(method, "")]
+            rows.append([table.suite.name, *found] if several else found)
     write_rows(out, rows, "\n")
     return out.getvalue().rstrip("\n")

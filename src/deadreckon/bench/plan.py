@@ -46,7 +46,12 @@ def _jobs(suite: Suite, lanes: int | None) -> list[Job]:
     together, jobs = _together(suite, lanes), []
     for on in suite.on:
         for method in suite.methods:
-            one = describe(suite, method, on)
+            try:
+                one = describe(suite, method, on)
+            except UserError as error:
+                if str(error).startswith(suite.name):
+                    raise
+                raise UserError(f"{suite.name}, method {method.name!r} on {on}: {error}") from error
             one = dataclasses.replace(one, revisions=revisions_of(one), suite=suite.name)
             seeds = range(suite.first_seed, suite.first_seed + suite.seeds)
             for first in range(0, suite.seeds, together):
@@ -137,7 +142,8 @@ def _fields(made: Any) -> dict[str, Any]:
 def _stranger(suite: Suite, method: Method) -> UserError:
     module = method.agent.partition(":")[0]
     where = f"{suite.name}, method {method.name!r}"
-    return UserError(f"{where}: {method.agent} is code that is not part of deadreckon; --trust {module} lets it run")
+    python = f"in Python deadreckon.imports.trust({module!r})"
+    return UserError(f"{where}: {method.agent} is code that is not part of deadreckon; --trust {module} lets it run, {python}")
 
 
 _WAYS = {"learn": "from a log", "online": "online"}

@@ -227,6 +227,9 @@ def _suite(path: Path, where: str, document: dict[str, Any], full: bool) -> Suit
     if "ledger" in document:
         if not isinstance(document["ledger"], str):
             raise UserError(f"{where}: ledger must be a folder's name, got {document['ledger']!r}")
+        if _ELSEWHERE.search(document["ledger"]):
+            said = f"must be a folder beside the suite's file or below it, got {document['ledger']!r}"
+            raise UserError(f"{where}: ledger {said}")
         rest["ledger"] = path.parent / safe_path(document["ledger"], f"{where}: ledger")
     rest["files"] = _files(where, document.get("files", {}), on)
     rest["data"] = _logs(where, document.get("data", {}), on, methods)

@@ -12,9 +12,10 @@ from deadreckon.agents import agent_class
 from deadreckon.bench import published
 from deadreckon.bench.checked import number
 from deadreckon.bench.jobs import Job
-from deadreckon.bench.store import Store
+from deadreckon.bench.store import RESULT, Store
 from deadreckon.bench.suite import Metric, Suite
 from deadreckon.data.entries import has_original
+from deadreckon.errors import UserError, unknown
 from deadreckon.mbo.protocol import published as designs_published
 from deadreckon.ope.dope import METRICS as OPE_METRICS
 from deadreckon.ope.dope import printed as ope_printed
@@ -110,6 +111,9 @@ def tables(suite: Suite, jobs: Sequence[Job], store: Store, any_revision: bool =
         jobs: its plan.
         store: where results lie.
         any_revision: take results that other revisions of a method or the protocol made, too, where the present ones have none.
+
+    Raises:
+        UserError: a study has results, and none has one of the metrics.
     """
     return [_table(suite, metric, jobs, store, any_revision) for metric in suite.metrics or _metrics(suite)]
 
@@ -147,6 +151,10 @@ def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_
         whole = {method: sign * row[on].scores for method, row in cells.items() if row[on].sound}
         for method, marks in (bold({method: [scores] for method, scores in whole.items()}) if whole else {}).items():
             cells[method][on] = dataclasses.replace(cells[method][on], bold=bool(marks[0]))
+    given = {name for row in shown if not row["failure"] for name in (*row, *json.loads(row["more"] or "{}"))}
+    if suite.kind == "study" and given and metric.column not in given:
+        returned = sorted(given - set(RESULT.names))
+        raise UserError(f"{suite.name}: no method returns {unknown('metric', metric.column, returned)}")
     full = {method: row for method, row in cells.items() if metric.joint and all(cell.sound for cell in row.values())}
     means = {method: interval({on: cell.scores for on, cell in row.items()}, iqm) for method, row in full.items()}
     printed = {on: _printed(suite, on, metric) for on in suite.on}

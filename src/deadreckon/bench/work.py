@@ -3,7 +3,7 @@
 import json
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -262,7 +262,7 @@ def _study(job: Job, folder: Path, watch: Progress) -> JobResult:
     rows = []
     for done, seed in enumerate(job.seeds):
         watch(done, len(job.seeds))
-        numbers = {name: float(value) for name, value in study_of(job)(job.on, seed=seed, **job.settings).items()}
+        numbers = _numbers(job, study_of(job)(job.on, seed=seed, **job.settings))
         bad = [name for name, value in numbers.items() if not math.isfinite(value)]
         rows.append(
             {
@@ -271,6 +271,21 @@ def _study(job: Job, folder: Path, watch: Progress) -> JobResult:
             }
         )  # fmt: skip
     return JobResult(rows, [])
+
+
+def _numbers(job: Job, returned: Any) -> dict[str, float]:
+    """What a study returned.
+
+    Raises:
+        UserError: it is no dictionary of numbers.
+    """
+    if not isinstance(returned, Mapping):
+        raise UserError(f"{job.agent} must return numbers by name, such as {{'error': 0.5}}, got {returned!r:.80}")
+    for name, value in returned.items():
+        number = np.asarray(value)
+        if not isinstance(name, str) or number.ndim or number.dtype.kind not in "biuf":
+            raise UserError(f"{job.agent} must return numbers by name; {name!r} is {value!r:.80}")
+    return {name: float(value) for name, value in returned.items()}
 
 
 _PERFORM = {"design": _design, "ope": _ope, "study": _study}

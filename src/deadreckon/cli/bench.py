@@ -95,10 +95,13 @@ def _show(args: Sequence[str]) -> None:
     trust(*options.trust)
     suites = queue(options.suite, options.full)
     store = store_of(suites, Path(options.out))
-    for suite in suites:
+    found = [tables(suite, plan(suite), store, options.any_revision) for suite in suites]
+    if options.format == "csv":
+        return print(rendered([table for own in found for table in own], "csv"))
+    for suite, own in zip(suites, found):
         if len(suites) > 1:
-            print(f"\n{suite.name}: {suite.about}\n")
-        print(rendered(tables(suite, plan(suite), store, options.any_revision), options.format))
+            print(f"\n{suite.name}{': ' * bool(suite.about)}{suite.about}\n")
+        print(rendered(own, options.format))
 
 
 def _fill(options: Bench) -> None:
@@ -118,6 +121,7 @@ def _fill(options: Bench) -> None:
 def _run(options: Bench) -> None:
     from deadreckon.bench.executor import run
     from deadreckon.bench.forms import rendered
+    from deadreckon.bench.jobs import file_name
     from deadreckon.bench.ledger import store_of
     from deadreckon.bench.plan import plan_all
     from deadreckon.bench.suite import queue
@@ -142,7 +146,7 @@ def _run(options: Bench) -> None:
             print("\n" + rendered(tables(suite, own, store)))
         elif not store.of(own).num_rows:
             continue  # of a queue that has not come to it
-        if page := _page(suite, own, store):
+        if page := _page(suite, own, store, file_name(f"{suite.name}-full" if options.full else suite.name)):
             print(page)
     if left := store.undone(jobs):
         waits = sum(store.failure(job, seed) is None for job in left for seed in job.seeds)
@@ -167,7 +171,8 @@ def announce(name, jobs, store, executor, each: bool):
     known = [took for took in seconds.values() if took is not None]
     if known:
         more = f"; {len(waiting) - len(known)} more have no like" if len(known) < len(waiting) else ""
-        spread = f"{in_words(max(max(known), sum(known) / executor.workers))} with {executor.workers} workers"
+        workers = f"{executor.workers} worker{'s' * (executor.workers != 1)}"
+        spread = f"{in_words(max(max(known), sum(known) / executor.workers))} with {workers}"
         print(f"about {spread}, by the times of jobs that are done{more}")
     return waiting
 
@@ -207,8 +212,8 @@ def _executor(options: Bench, work: "Work"):
     return Local(Path(options.out), options.workers, work, options.idle)
 
 
-def _page(suite, jobs, store):
-    """The suite's page, which links to one per log or task."""
+def _page(suite, jobs, store, name: str):
+    """The suite's page, called `name`, which links to one per log or task."""
     from deadreckon.bench.jobs import file_name
     from deadreckon.bench.tables import tables
     from deadreckon.report import write
@@ -221,13 +226,13 @@ def _page(suite, jobs, store):
         rows = store.of(jobs).to_pylist()
         # By their names in the suite, which may have one estimator with several settings.
         results = [dataclasses.replace(from_json(json.loads(row["more"])["result"]), method=row["method"]) for row in rows]
-        return write_bench(results, store.path / "reports" / f"{file_name(suite.name)}.html") if results else None
+        return write_bench(results, store.path / "reports" / f"{name}.html") if results else None
     pages = []
     folders = {row["cell"]: store.run_of(row) for row in store.of(jobs).to_pylist()}
     for on in suite.on if suite.kind != "design" else ():
         cells = [cell for job in jobs if job.on == on for cell in job.cells if cell in folders]
         runs = [folder for folder in dict.fromkeys(folders[cell] for cell in cells) if folder.exists()]  # not on another node
         if runs:
-            page = store.path / "reports" / f"{file_name(f'{suite.name}-{on}')}.html"
+            page = store.path / "reports" / f"{file_name(f'{name}-{on}')}.html"
             pages.append(write(runs, page, title=f"{suite.name}: {on}"))
-    return write_suite(tables(suite, jobs, store), store.path / "reports" / f"{file_name(suite.name)}.html", pages)
+    return write_suite(tables(suite, jobs, store), store.path / "reports" / f"{name}.html", pages)

@@ -121,7 +121,9 @@ def words(shape: Any) -> str:
     if origin is Literal:
         return " or ".join(map(repr, parts))
     if origin in _LISTS or shape is list or _endless(shape):
-        return "a list" if not parts or parts[0] is Any else f"a list of {_WORDS.get(parts[0], 'entries').removeprefix('a ')}s"
+        if not parts or parts[0] is Any:
+            return "a list"
+        return f"a list of {_WORDS[parts[0]].removeprefix('a ')}s" if parts[0] in _WORDS else "a list of entries"
     if origin is tuple:
         return f"a list of {len(parts)}"
     return _WORDS.get(shape, "an object")
