@@ -1003,7 +1003,8 @@ MUTANTS = (
         "the mixture is not that of its target", ("agents/test_rivals.py",),
     ),
     Mutant(
-        "mobile-temperature", "agents/mobile.py", "jnp.minimum(state.log_temperature, 0.0)", "state.log_temperature",
+        "mobile-temperature", "agents/mobile.py", "largest_temperature: ClassVar[float] = 1.0",
+        "largest_temperature: ClassVar[float] = 9.0",
         "the temperature has no bound", ("agents/test_offline_mbrl.py",),
     ),
     Mutant(

@@ -194,11 +194,13 @@ def test_morel_ends_rollouts_that_the_model_does_not_know():
     np.testing.assert_array_equal(second.running, ~lost)
 
 
-@pytest.mark.parametrize("log_prob", [-20.0, 20.0])
-def test_mobiles_temperature_is_one_at_most(log_prob):
-    agent, _, state = prepared(MOBILE, temperature_lr=0.1)
+@pytest.mark.parametrize(("kind", "log_prob", "expected"), [
+    (MOBILE, -20.0, -0.1), (MOBILE, 20.0, 0.0), (MOPO, -20.0, -0.1), (MOPO, 20.0, 0.0), (COMBO, 20.0, 0.1),
+])  # fmt: skip
+def test_the_temperature_of_mobile_and_mopo_is_one_at_most(kind, log_prob, expected):
+    agent, _, state = prepared(kind, temperature_lr=0.1)
     after = agent.update_temperature(state, jnp.asarray(log_prob)).log_temperature
-    np.testing.assert_allclose(after, 0.0 if log_prob > 0 else -0.1, atol=1e-5)
+    np.testing.assert_allclose(after, expected, atol=1e-5)
 
 
 @pytest.mark.parametrize(("fields", "words"), [

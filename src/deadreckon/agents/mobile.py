@@ -29,6 +29,7 @@ class MOBILE(OfflineMBRL):
 
     revision: ClassVar[int] = 2
     other_names: ClassVar[dict[str, str]] = {"floor": "min_target", "penalty_coef": "penalty", "draws": "samples"}
+    largest_temperature: ClassVar[float] = 1.0
 
     entropy_backup: bool = static(False)  # whether the critics' targets include the entropy bonus
     min_target: Number | None = 0.0  # smallest target; None: no limit, which rewards that are all negative need
@@ -67,11 +68,6 @@ class MOBILE(OfflineMBRL):
         action = jnp.tanh(dist.sample(dist.gaussian_head(state.actor(following)), k_policy))
         value = minimum(q_values(state.target_critics, following, action))
         return value.reshape(self.samples, self.elites, -1).mean(0).std(0, ddof=1)
-
-    def update_temperature(self, state, log_prob):
-        """SAC's, with a temperature of 1 at most."""
-        state = super().update_temperature(state, log_prob)
-        return state._replace(log_temperature=jnp.minimum(state.log_temperature, 0.0))
 
     def target(self, state, batch, key):
         """SAC's, cut at the floor."""

@@ -2,7 +2,8 @@
 
     r~(s, a) = r(s, a) - penalty max_i ||sigma_i(s, a)||
 
-over the networks i of the ensemble, whose deviations are of the observation's change and the reward.
+over the networks i of the ensemble, whose deviations are of the observation's change and the reward. As in OfflineRL-Kit the
+temperature never exceeds 1.
 """
 
 from typing import ClassVar
@@ -19,8 +20,9 @@ from deadreckon.training.hyperparameters import NonNegative
 class MOPO(OfflineMBRL):
     """SAC on rollouts whose rewards are penalised by the model's deviation."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
     other_names: ClassVar[dict[str, str]] = {"lambda": "penalty", "penalty_coef": "penalty"}
+    largest_temperature: ClassVar[float] = 1.0
 
     penalty: NonNegative = 1.0  # penalty per unit of predicted standard deviation (lambda; published: 0.5 to 5, by log)
 

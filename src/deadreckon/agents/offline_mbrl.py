@@ -5,6 +5,7 @@ the present policy branch off from logged states. A batch is a share of logged r
 are SAC's. The agents differ in how they keep from believing the model too much.
 """
 
+import math
 from typing import Any, ClassVar, NamedTuple
 
 import jax
@@ -35,6 +36,7 @@ class OfflineMBRL(ModelBasedAgent, SAC):
 
     revision: ClassVar[int] = 2
     supports_discrete: ClassVar[bool] = False
+    largest_temperature: ClassVar[float] = math.inf
     by_length: ClassVar[tuple[str, ...]] = ("actor_decay_steps",)
     other_names: ClassVar[dict[str, str]] = {
         "length": "rollout_length", "rollouts": "rollout_batch_size", "keep": "retain_rounds",
@@ -64,6 +66,11 @@ class OfflineMBRL(ModelBasedAgent, SAC):
     def actor_rate(self, step: Array) -> Any:
         """Learning rate of the actor at an update, along a cosine (OfflineRL-Kit)."""
         return cosine_decay(self.actor_lr, step, self.actor_decay_steps)
+
+    def update_temperature(self, state, log_prob):
+        """SAC's, with the agent's largest temperature at most."""
+        state = super().update_temperature(state, log_prob)
+        return state._replace(log_temperature=jnp.minimum(state.log_temperature, math.log(self.largest_temperature)))
 
     def init(self, spec, key):
         """SAC's state, and room for what will be made up."""
