@@ -62,7 +62,7 @@ def story(suites: Sequence[Suite], store: Store, files: dict[str, bytes]) -> str
                 seen.add(cell)
                 more, rest = json.loads(results[cell]["more"]), (0.0, results[cell]["score"], math.nan, math.nan)
                 by_mmd.append((KINDS[kind], kind, more["mmd"] / threshold, *rest))
-                by_multiplier.append((KINDS[kind], kind, math.log10(max(more["multiplier"], 1.0)), *rest))
+                by_multiplier.append((KINDS[kind], kind, math.log10(max(more["multiplier"], 1e-30)), *rest))
     if not by_mmd:
         return "No result yet.\n"
     lines = [("threshold", 1.0), ("floor of the thesis's form", FLOOR / THRESHOLD)]
@@ -78,7 +78,7 @@ def story(suites: Sequence[Suite], store: Store, files: dict[str, bytes]) -> str
     with tempfile.TemporaryDirectory() as folder:
         files[PICTURE] = sheet(Path(folder) / PICTURE, panels, KINDS).read_bytes()
     return (
-        "A point is a run. Left of the threshold the constraint is met; a multiplier that ends at its cap has only risen.\n\n"
+        "A point is a run. On the threshold or left of it the constraint is met. A multiplier at its cap was held back.\n\n"
         f"![Score of each run against its MMD, with threshold and floor, and against its multiplier]({PICTURE})\n"
     )
 

@@ -138,11 +138,11 @@ def constraint(name: str, files: dict[str, bytes]) -> str:
 
 
 def _reads(verdict: Verdict) -> str:
-    """In bold what no further score will change."""
+    """The verdict in words, its state in bold where all scores are there, or one comparison has decided."""
     told = str(verdict)
-    return told if verdict.state == "open" and (verdict.missing or not verdict.comparisons) else told.replace(
-        verdict.state, f"**{verdict.state}**", 1
-    )
+    if verdict.state == "open" and (verdict.missing or not verdict.comparisons):
+        return told
+    return told.replace(verdict.state, f"**{verdict.state}**", 1)
 
 
 def _effect(one: Comparison) -> str:

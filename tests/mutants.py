@@ -2183,7 +2183,7 @@ MUTANTS = (
         "pages of the full size are written over those of the other", ("bench/test_studies.py",),
     ),
     Mutant(
-        "metric-of-no-study", "bench/tables.py", "if suite.kind == \"study\" and given and", "if False and",
+        "metric-of-no-study", "bench/tables.py", "if given and metric.column", "if False and metric.column",
         "a table of a metric that no function returns is full of dashes", ("bench/test_studies.py",),
     ),
     Mutant(

@@ -98,6 +98,19 @@ def test_the_last_steps_before_a_fall_are_those_of_episodes_that_ended_so(monkey
     assert list(np.flatnonzero(study._falling(log))) == [*range(5, 15), *range(36, 40)]
 
 
+def test_drawn_actions_are_averaged_over_policies_and_not_over_episodes(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    import evidence.studies.mbpo_falls as study
+    from deadreckon.data.dataset import Dataset
+
+    def played(length):  # 40 rows at a reward of 1
+        ends = np.arange(40) % length == length - 1
+        nothing = {"observations": np.zeros((40, 2)), "actions": np.zeros((40, 1))}
+        return Dataset.from_arrays(**nothing, rewards=np.ones(40), terminals=ends)
+
+    assert study._drawn([played(40), played(4)]) == 22.0
+
+
 @pytest.mark.slow
 def test_pictures_of_mazes(tmp_path, home):
     command = [sys.executable, str(ROOT / "evidence" / "studies" / "maze_coverage.py"), "--steps", "1500", "--shown", "2"]

@@ -7,6 +7,7 @@ a fall beside its error elsewhere, on the data of the run's last policies, which
 """
 
 import tempfile
+from collections.abc import Sequence
 from typing import Any
 
 import jax.numpy as jnp
@@ -43,7 +44,7 @@ def falls(case: str, *, seed: int, steps: int, updates_per_step: float, every: i
         behind: mean distance of the targets' values from the critics' at the end, on what the last policy does, in standard
             deviations of the critics' values over these rows.
         error: the last model's squared error on the data of the last policies, in variances, but for the steps before falls.
-        error_of_falls: the same on the last ten steps of episodes that ended in a fall; NaN where none did.
+        error_of_falls: the same on the last ten steps of episodes that ended in a fall; absent where none did.
     """
     settled = {name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()}
     settings = turns_of(MBPO, case, False, updates_per_step=updates_per_step)
@@ -61,29 +62,30 @@ def falls(case: str, *, seed: int, steps: int, updates_per_step: float, every: i
     returns = by_evaluation("return")
     late = slice(-max(1, int(LATE * len(returns))), None)
     logs = found.logs[late]
-    horizon = max(int(log.lengths.max()) for log in logs)
-    drawn = np.concatenate([so_far(log, horizon)[-1] for log in logs])
     seen = jnp.asarray(view.observe(np.asarray(logs[-1].observations)))
     action = jnp.asarray(view.to_unit(np.asarray(logs[-1].actions)))
     now, target = (minimum(q_values(net, seen, action)) for net in (state.critics, state.target_critics))
     falling = np.concatenate([_falling(log) for log in logs])
-    columns = {name: np.concatenate([columns_of(log)[name] for log in logs]) for name in columns_of(logs[0])}
+    parts = [columns_of(log) for log in logs]
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     changes = columns["next_observation"] - columns["observation"]
     variance = np.append(changes.var(0), columns["reward"].var())
-    error, error_of_falls = (
-        error_of(found.agent.model, found.ensemble, {name: column[which] for name, column in columns.items()}, variance)
-        if which.any() else float("nan")
-        for which in (~falling, falling)
-    )  # fmt: skip
+    errors = {
+        name: error_of(found.agent.model, found.ensemble, {key: column[which] for key, column in columns.items()}, variance)
+        for name, which in (("error", ~falling), ("error_of_falls", falling)) if which.any()
+    }  # fmt: skip
     return {
         "best": float(returns.max()),
         "last": float(returns[late].mean()),
-        "drawn": float(drawn.mean()),
+        "drawn": _drawn(logs),
         "promised": float(np.median((by_evaluation("estimated_value") / by_evaluation("discounted_return"))[late])),
         "behind": float(jnp.abs(target - now).mean() / now.std()),
-        "error": error,
-        "error_of_falls": error_of_falls,
-    }
+    } | errors
+
+
+def _drawn(logs: Sequence[Dataset]) -> float:
+    """Mean over policies of their mean return: one that falls early has more episodes in as many rows."""
+    return float(np.mean([so_far(log, int(log.lengths.max()))[-1].mean() for log in logs]))
 
 
 def _falling(log: Dataset) -> np.ndarray:

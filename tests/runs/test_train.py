@@ -397,7 +397,7 @@ def test_two_sample_mmd_equals_numpy_and_the_probe_tells_copies_from_strangers(l
     assert probe(far)["mmd_of_copy"] == probe.copy < probe(far)["mmd_to_data"]
 
 
-@pytest.mark.parametrize("n", [40, 400])
+@pytest.mark.parametrize("n", [40, pytest.param(400, marks=pytest.mark.slow)])
 def test_samples_of_one_distribution_stay_below_the_mmd_of_a_copy_as_often_as_it_says(n):
     rng, beyond, far = np.random.default_rng(0), [], []
     for _ in range(300):

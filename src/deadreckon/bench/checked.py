@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +55,11 @@ def check_part(path: Path | str, kind: str, schema: pa.Schema, found: pa.Table) 
             if text is not None:
                 checked(parse_json(f"{path}: column {name}", text), dict, f"{path}: column {name}")
     return found
+
+
+def names_of(rows: Iterable[Mapping[str, Any]]) -> set[str]:
+    """Columns and further numbers of the rows that have not failed; empty where there are none."""
+    return {name for row in rows if not row["failure"] for name in (*row, *json.loads(row["more"] or "{}"))}
 
 
 def number(row: Mapping[str, Any], column: str) -> float:

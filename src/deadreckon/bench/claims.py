@@ -19,7 +19,6 @@ Where a test has `among`, logs of a task are claimed to differ, in either direct
 task over that between seeds (`stats.comparison.variance_ratio`). Tasks with one log do not count.
 """
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -28,7 +27,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from deadreckon.bench.checked import number
+from deadreckon.bench.checked import names_of, number
 from deadreckon.bench.jobs import Job
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Store
@@ -236,9 +235,8 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
 
 def _check_metric(test: Test, suite: Path, jobs: Sequence[Job], rows: Mapping[str, dict[str, Any]]) -> None:
     """Refuses a metric that no sound result of the suite has: it would be open for ever."""
-    sound = [rows[cell] for job in jobs for cell in job.cells if cell in rows and not rows[cell]["failure"]]
-    known = {name for row in sound for name in (*row, *json.loads(row["more"] or "{}"))}
-    if sound and test.metric not in known:
+    known = names_of([rows[cell] for job in jobs for cell in job.cells if cell in rows])
+    if known and test.metric not in known:
         raise UserError(f"{suite}: {unknown('metric', test.metric, known)}")
 
 

@@ -49,7 +49,7 @@ def _jobs(suite: Suite, lanes: int | None) -> list[Job]:
             try:
                 one = describe(suite, method, on)
             except UserError as error:
-                if str(error).startswith(suite.name):
+                if str(error).startswith(f"{suite.name}, "):
                     raise
                 raise UserError(f"{suite.name}, method {method.name!r} on {on}: {error}") from error
             one = dataclasses.replace(one, revisions=revisions_of(one), suite=suite.name)

@@ -10,7 +10,7 @@ import numpy as np
 
 from deadreckon.agents import agent_class
 from deadreckon.bench import published
-from deadreckon.bench.checked import number
+from deadreckon.bench.checked import names_of, number
 from deadreckon.bench.jobs import Job
 from deadreckon.bench.store import RESULT, Store
 from deadreckon.bench.suite import Metric, Suite
@@ -151,9 +151,9 @@ def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_
         whole = {method: sign * row[on].scores for method, row in cells.items() if row[on].sound}
         for method, marks in (bold({method: [scores] for method, scores in whole.items()}) if whole else {}).items():
             cells[method][on] = dataclasses.replace(cells[method][on], bold=bool(marks[0]))
-    given = {name for row in shown if not row["failure"] for name in (*row, *json.loads(row["more"] or "{}"))}
-    if suite.kind == "study" and given and metric.column not in given:
-        returned = sorted(given - set(RESULT.names))
+    given = names_of(shown) if suite.kind == "study" else set()
+    if given and metric.column not in given:
+        returned = given - set(RESULT.names)
         raise UserError(f"{suite.name}: no method returns {unknown('metric', metric.column, returned)}")
     full = {method: row for method, row in cells.items() if metric.joint and all(cell.sound for cell in row.values())}
     means = {method: interval({on: cell.scores for on, cell in row.items()}, iqm) for method, row in full.items()}

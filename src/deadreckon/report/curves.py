@@ -110,7 +110,7 @@ def distance(page: Page) -> Markup | None:
             inside = "No agent took an action outside the log's range at any evaluation. "
         elif series:
             title = f"{unit} against {page.across}"
-            lines = [("a copy stays below", value) for value in _of_copies(page)] if name == "mmd_to_data" else []
+            lines = [(f"{PERCENT} limit of a copy", value) for value in _of_copies(page)] if name == "mmd_to_data" else []
             figures.append(figure(charts.lines(series, title=title, unit=unit, across=page.across, references=lines)))
     if not figures:
         return None
@@ -128,8 +128,8 @@ def distance(page: Page) -> Markup | None:
 
 def _of_copies(page: Page) -> list[float]:
     """What the MMD of a copy of each log's policy stays below."""
-    found = {row(e).copy for e in page.entries}
-    return sorted(value for value in found if value is not None and np.isfinite(value))
+    copies = [row(e).copy for e in page.entries]
+    return sorted({round(copy, 4) for copy in copies if copy is not None})  # means of equal numbers differ in their last bits
 
 
 def training(page: Page) -> Markup | None:

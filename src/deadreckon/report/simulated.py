@@ -161,7 +161,8 @@ def _why(page: Page, best: Row, cloning: Row, log: Row | None) -> list[str]:
         )
     if best.mmd is not None and cloning.mmd is not None:
         further, copy = best.mmd > max(cloning.mmd, best.copy or 0.0), best.copy
-        far = "further from" if further else "no further from"
+        hidden = cloning.mmd < best.mmd and not further
+        far = "further from" if further else "not measurably further from" if hidden else "no further from"
         said = f"{best.label}'s actions are {far} the logged ones than the clone's (MMD {number(best.mmd)} against "
         said += number(cloning.mmd)
         said += ")" if copy is None else f"; a copy stays below {number(copy)} in {PERCENT} of samples)"
