@@ -2179,7 +2179,7 @@ MUTANTS = (
         "a task whose differences are all the same is taken as certain within a range, too", ("stats/test_scores.py",),
     ),
     Mutant(
-        "pages-of-both-sizes", "cli/bench.py", 'f"{suite.name}-full" if options.full else suite.name', "suite.name",
+        "pages-of-both-sizes", "cli/bench.py", 'f"{suite.name}-full" if full else suite.name', "suite.name",
         "pages of the full size are written over those of the other", ("bench/test_studies.py",),
     ),
     Mutant(

@@ -30,7 +30,8 @@ def test_a_field_that_a_class_had_before_its_base_stands_where_it_stood():
     for agent in (agents.CQL(), agents.CalQL()):
         found = names(agent)
         assert found[found.index("warm_start") + 1] == "standardise"
-        assert sorted(found) == sorted(f.name for f in dataclasses.fields(agent))
+        later = {"critic_hidden"} if type(agent) is agents.CQL else set()  # Cal-QL had it from the beginning
+        assert sorted(found) == sorted({f.name for f in dataclasses.fields(agent)} - later)
 
 
 def test_runs_of_before_are_read_and_gone_on_with():

@@ -95,23 +95,22 @@ class BEAR(Agent):
     def resolve(self, spec, steps):
         """Fills in threshold, warm start and the behaviour model's width."""
         agent = super().resolve(spec, steps)
-        who = type(self).__name__
-        if (self.constraint != "mmd" or self.density_weighting) and self.behavior != "gaussian":
-            name = "density_weighting" if self.constraint == "mmd" else f"constraint={self.constraint!r}"
-            raise UserError(f"{who}.{name} needs densities: behavior='gaussian', got {self.behavior!r}")
-        references = self.behavior_samples if self.mmd_reference == "model" else 1
-        if self.mmd_estimate == "unbiased" and min(self.policy_samples, references) < 2:
-            needed = "policy_samples and behavior_samples of 2 or more, with mmd_reference='model'"
-            raise UserError(f"{who}.mmd_estimate='unbiased' needs {needed}")
-        if self.actor_samples > self.policy_samples:
-            most = f"policy_samples ({self.policy_samples})"
-            raise UserError(f"{who}.actor_samples ({self.actor_samples}) must not exceed {most}")
-        if self.multiplier_min > self.multiplier_max:
-            limits = f"multiplier_min ({self.multiplier_min:g}) must not exceed multiplier_max ({self.multiplier_max:g})"
-            raise UserError(f"{who}.{limits}")
-        if self.constraint != "cross_entropy" and self.threshold is not None and self.threshold < 0.0:
-            least = f"must be 0 or more, as no {self.constraint.upper()} is less"
-            raise UserError(f"{who}.threshold {least}, got {self.threshold:g}")
+        name = "density_weighting" if self.constraint == "mmd" else f"constraint={self.constraint!r}"
+        draws = min(self.policy_samples, self.behavior_samples if self.mmd_reference == "model" else 1)
+        refused = {
+            f"{name} needs densities: behavior='gaussian', got {self.behavior!r}":
+                (self.constraint != "mmd" or self.density_weighting) and self.behavior != "gaussian",
+            "mmd_estimate='unbiased' needs policy_samples and behavior_samples of 2 or more, with mmd_reference='model'":
+                self.mmd_estimate == "unbiased" and draws < 2,
+            f"actor_samples ({self.actor_samples}) must not exceed policy_samples ({self.policy_samples})":
+                self.actor_samples > self.policy_samples,
+            f"multiplier_min ({self.multiplier_min:g}) must not exceed multiplier_max ({self.multiplier_max:g})":
+                self.multiplier_min > self.multiplier_max,
+            f"threshold must be 0 or more, as no {self.constraint.upper()} is less, got {self.threshold}":
+                self.constraint != "cross_entropy" and (self.threshold or 0.0) < 0.0,
+        }  # fmt: skip
+        if wrong := [what for what, is_so in refused.items() if is_so]:
+            raise UserError(f"{type(self).__name__}.{wrong[0]}")
         return agent.replace(
             threshold=self.threshold if self.threshold is not None else (-2.0 if self.constraint == "cross_entropy" else 0.05),
             warm_start=self.warm_start if self.warm_start is not None else min(WARM_STEPS, int(WARM_SHARE * steps)),
@@ -128,11 +127,9 @@ class BEAR(Agent):
         actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
         critics = create_critics(spec, self.hidden, self.critics, kc)
         model = models.create(self.behavior, spec, self.behavior_hidden or self.hidden, kb)
-        # A multiplier of zero is the unconstrained actor; its logarithm must stay finite to be a healthy state.
-        log_multiplier = jnp.log(jnp.maximum(self.multiplier, 1e-30))
-        log_temperature = jnp.log(jnp.asarray(self.temperature))
-        trained = {"actor": actor, "critics": critics, "behavior": model}
-        trained |= {"multiplier": log_multiplier, "temperature": log_temperature}
+        # A multiplier of zero is the unconstrained actor; logarithms must stay finite to be of a healthy state.
+        log_multiplier, log_temperature = (jnp.log(jnp.maximum(x, 1e-30)) for x in (self.multiplier, self.temperature))
+        trained = dict(actor=actor, critics=critics, behavior=model, multiplier=log_multiplier, temperature=log_temperature)
         opts = {name: init_opt(part) for name, part in trained.items()}
         return State(actor, critics, model, log_multiplier, log_temperature, copy(actor), copy(critics), opts)
 
@@ -162,16 +159,14 @@ class BEAR(Agent):
             return dist.kl(d, dist.gaussian_head(state.behavior(batch.observation)))
         if self.constraint == "cross_entropy":
             return -dist.log_prob(dist.gaussian_head(state.behavior(batch.observation)), pre).mean(0)
-        if self.mmd_reference == "logged":
-            logged = jnp.arctanh(batch.action)[None]
-        else:
+        logged = jnp.arctanh(batch.action)[None]
+        if self.mmd_reference == "model":
             logged = models.draws(state.behavior, batch.observation, key, self.behavior_samples)
         # Before the tanh by default: after it, gradients all but vanish where actions saturate (A.4).
         squash = (lambda x: x) if self.mmd_actions == "before_tanh" else jnp.tanh
         sets = squash(pre), squash(jax.lax.stop_gradient(logged))
-        if self.mmd_estimate == "unbiased":
-            return squared_mmd(*sets, self.kernel, self.bandwidth, self.mixture, unbiased=True)
-        return mmd(*sets, self.kernel, self.bandwidth, self.mixture)
+        kernel = self.kernel, self.bandwidth, self.mixture
+        return squared_mmd(*sets, *kernel, unbiased=True) if self.mmd_estimate == "unbiased" else mmd(*sets, *kernel)
 
     def constrained(self, divergence: Float[Array, "b"]) -> Float[Array, ""]:
         """What the threshold is for: the mean over states, of unbiased squares its root."""
@@ -197,8 +192,7 @@ class BEAR(Agent):
         return jnp.where(warm, 0.0, loss) + jnp.where(warm, 1.0, jnp.exp(state.log_multiplier)) * divergence
 
     def dual_step(self, state, divergence, step):
-        """Gradient ascent of alpha (E[MMD] - threshold) in log alpha, clipped (A.4); rests in the warm start unless
-        `dual_warm_start`."""
+        """Gradient ascent of alpha (E[MMD] - threshold) in log alpha, clipped (A.4); see `dual_warm_start`."""
         if not self.dual:
             return state.log_multiplier, state.opts["multiplier"]
         slope = -jnp.exp(state.log_multiplier) * (divergence - self.threshold)
@@ -229,18 +223,17 @@ class BEAR(Agent):
         grad = jax.value_and_grad(self.actor_loss, has_aux=True)
         (loss, (divergence, log_prob, value)), grads = grad(state.actor, state, batch, step, k_actor)
         actor, opts["actor"] = apply_gradients(state.actor, grads, opts["actor"], self.actor_lr)
-        log_multiplier, opts["multiplier"] = self.dual_step(state, divergence, step)
+        log_alpha, opts["multiplier"] = self.dual_step(state, divergence, step)
         log_temperature = state.log_temperature
         if self.base == "sac":  # entropy held at minus the number of action dimensions, as in SAC
-            slope = -(log_prob - batch.action.shape[-1])
-            stepped = apply_gradients(log_temperature, slope, opts["temperature"], self.temperature_lr)
+            more = batch.action.shape[-1] - log_prob  # entropy than is asked for, as a slope
+            stepped = apply_gradients(log_temperature, more, opts["temperature"], self.temperature_lr)
             # It rests with the multiplier: in the warm start the actor follows the constraint and cannot answer it.
             log_temperature, opts["temperature"] = self.after_warm_start(stepped, (log_temperature, opts["temperature"]), step)
         targets = polyak_update((state.target_actor, state.target_critics), (actor, state.critics), self.tau)
-        metrics |= {"actor_loss": loss, "actor_value": value, self.constraint: divergence}
-        metrics["multiplier"] = jnp.exp(log_multiplier)
+        metrics |= {"actor_loss": loss, "actor_value": value, self.constraint: divergence, "multiplier": jnp.exp(log_alpha)}
         state = state._replace(actor=actor, target_actor=targets[0], target_critics=targets[1], opts=opts)
-        return state._replace(log_multiplier=log_multiplier, log_temperature=log_temperature), metrics
+        return state._replace(log_multiplier=log_alpha, log_temperature=log_temperature), metrics
 
     def representation_loss(self, state, batch, *, step, key):
         """That of the critics."""

@@ -46,7 +46,7 @@ class MOReL(OfflineMBRL):
         return kept
 
 
-def units(known: dict[str, np.ndarray]) -> Float[Array, "o+1"]:
+def units(known: dict[str, np.ndarray]) -> Float[Array, "d"]:
     """What disagreement is counted in: the deviations of changes and of the reward over some rows."""
     change = known["next_observation"] - known["observation"]
     return jnp.asarray(np.append(change.std(0), known["reward"].std()) + 1e-6)

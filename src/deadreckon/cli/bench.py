@@ -121,7 +121,6 @@ def _fill(options: Bench) -> None:
 def _run(options: Bench) -> None:
     from deadreckon.bench.executor import run
     from deadreckon.bench.forms import rendered
-    from deadreckon.bench.jobs import file_name
     from deadreckon.bench.ledger import store_of
     from deadreckon.bench.plan import plan_all
     from deadreckon.bench.suite import queue
@@ -146,7 +145,7 @@ def _run(options: Bench) -> None:
             print("\n" + rendered(tables(suite, own, store)))
         elif not store.of(own).num_rows:
             continue  # of a queue that has not come to it
-        if page := _page(suite, own, store, file_name(f"{suite.name}-full" if options.full else suite.name)):
+        if page := _page(suite, own, store, options.full):
             print(page)
     if left := store.undone(jobs):
         waits = sum(store.failure(job, seed) is None for job in left for seed in job.seeds)
@@ -212,13 +211,14 @@ def _executor(options: Bench, work: "Work"):
     return Local(Path(options.out), options.workers, work, options.idle)
 
 
-def _page(suite, jobs, store, name: str):
-    """The suite's page, called `name`, which links to one per log or task."""
+def _page(suite, jobs, store, full: bool = False):
+    """The suite's page, which links to one per log or task; those of the full size have names of their own."""
     from deadreckon.bench.jobs import file_name
     from deadreckon.bench.tables import tables
     from deadreckon.report import write
     from deadreckon.report.suite import write_suite
 
+    name = file_name(f"{suite.name}-full" if full else suite.name)
     if suite.kind == "ope":
         from deadreckon.ope.dope import from_json
         from deadreckon.report.dope import write_bench
