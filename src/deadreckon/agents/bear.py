@@ -226,8 +226,8 @@ class BEAR(Agent):
         log_alpha, opts["multiplier"] = self.dual_step(state, divergence, step)
         log_temperature = state.log_temperature
         if self.base == "sac":  # entropy held at minus the number of action dimensions, as in SAC
-            more = batch.action.shape[-1] - log_prob  # entropy than is asked for, as a slope
-            stepped = apply_gradients(log_temperature, more, opts["temperature"], self.temperature_lr)
+            slope = batch.action.shape[-1] - log_prob  # the entropy, -log_prob, less its target
+            stepped = apply_gradients(log_temperature, slope, opts["temperature"], self.temperature_lr)
             # It rests with the multiplier: in the warm start the actor follows the constraint and cannot answer it.
             log_temperature, opts["temperature"] = self.after_warm_start(stepped, (log_temperature, opts["temperature"]), step)
         targets = polyak_update((state.target_actor, state.target_critics), (actor, state.critics), self.tau)

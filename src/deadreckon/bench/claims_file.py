@@ -21,7 +21,7 @@
     among = true                            # in the place of `than`: logs of a task differ, by more than seeds do
     log = false                             # whether a number x, and `than`, counts as sign(x) log10(1 + |x|)
     range = [0.0, 1.0]                      # least and greatest number that the metric can have: logs on which all seeds differ
-                                            # by the same widen the interval then, where they leave the test open else
+                                            # by the same then widen the interval, instead of leaving the test open
     again = { suite = "fresh.toml" }        # a suite of the same methods and logs and other seeds (`first_seed`), which decides
                                             # where this one is open with all its cells; it may have a `log` of its own
 """
