@@ -83,11 +83,11 @@ def curves(name: str, files: dict[str, bytes]) -> str:
     points: dict[str, list[tuple[int, float]]] = {}
     for row in store.curves().to_pylist():
         points.setdefault(row["cell"], []).append((row["step"], row["score"]))
-    names, panels = [method.name for method in suite.methods], {}
+    names, planned, panels = [method.name for method in suite.methods], plan(suite), {}
     for on in suite.on:
         series = []
         for slot, method in enumerate(names):
-            jobs = [job for job in plan(suite) if job.on == on and job.method == method]
+            jobs = [job for job in planned if job.on == on and job.method == method]
             own = [sorted(points[cell]) for job in jobs for cell in job.cells if cell in known]
             if own:
                 steps = np.array([step for step, _ in max(own, key=len)], float)

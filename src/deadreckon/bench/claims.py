@@ -222,7 +222,7 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
     ]
     paths = dict.fromkeys(path for test in claim.tests for path in test.suites)
     plans = {path: plan(read(path, full and read(path).full)) for path in paths}
-    rows = {row["cell"]: row for row in store.results().to_pylist()}  # the newest last
+    rows = {row["cell"]: row for row in store.of([job for jobs in plans.values() for job in jobs]).to_pylist()}
     out = []
     for test, rival, on in pairs:
         first = _compared(test, rival, on, plans, rows, ALPHA, len(pairs))
