@@ -32,7 +32,7 @@ setup: $(STAMP) ## the environment in .venv, with the tools for tests
 demo: $(STAMP) ## the main job on data that we make ourselves: collect, learn, judge; see runs/demo/report.html
 	$(BIN)/deadreckon demo --out runs/demo
 
-# Beside each other: pyright, most of lint, is one thread, which would leave the other cores idle.
+# Beside each other: what lint finds is told while tests run.
 test: $(STAMP) ## lint and the fast tests
 	@$(MAKE) --no-print-directory -j 2 lint fast
 
@@ -47,10 +47,10 @@ faults: $(STAMP) ## kills commands N=100 times and disturbs them otherwise, at t
 	nice -n 19 $(BIN)/python -m tests.faults --kills $(or $(N),100) $(if $(RESULTS),--results $(RESULTS))
 	$(BIN)/python -m tests.faults --table $(if $(RESULTS),--results $(RESULTS))
 
-lint: $(STAMP) ## ruff, import-linter, pyright
+lint: $(STAMP) ## ruff, import-linter, pyrefly
 	$(BIN)/ruff check .
 	$(BIN)/lint-imports
-	PYRIGHT_PYTHON_IGNORE_WARNINGS=1 $(BIN)/pyright --pythonpath $(BIN)/python
+	$(BIN)/pyrefly check --python-interpreter-path $(BIN)/python
 
 docs: $(DOCS_STAMP) ## the site in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict

@@ -1,7 +1,7 @@
 """Shapes and kinds of numbers that the package's annotations promise, checked by jaxtyping at every call in the tests.
 
 A call binds the names of the axes and every array of the call must agree with them. Inside a compiled function this happens
-while it is traced, so it costs nothing when it runs. Annotations of other things (a path, an agent) are left to pyright.
+while it is traced, so it costs nothing when it runs. Annotations of other things (a path, an agent) are left to pyrefly.
 """
 
 import importlib.util

@@ -47,7 +47,7 @@ def main(options: Options) -> None:
 
 def uniform(task: Flow, seed: int) -> Callable[[np.ndarray], np.ndarray]:
     """Draws actions between the bounds."""
-    generator, bound = np.random.default_rng(seed), np.array(task.action_space.high)  # pyright: ignore[reportAttributeAccessIssue]
+    generator, bound = np.random.default_rng(seed), np.array(task.action_space.high)
     return lambda seen: generator.uniform(-bound, bound, (len(seen), len(bound)))
 
 

@@ -29,7 +29,7 @@ def main(run: Annotated[str, tyro.conf.Positional], log: Annotated[str, tyro.con
     """
     policy, data = dr.load_run(run).policy, dr.read(log)
     rows = np.linspace(0, len(data) - 1, 500).astype(int)
-    d = dist.gaussian_head(policy.inner.net(policy.view.observe(jnp.asarray(data.observations[rows]))))  # pyright: ignore
+    d = dist.gaussian_head(policy.inner.net(policy.view.observe(jnp.asarray(data.observations[rows]))))
     print(f"mean standard deviation before the tanh: {jnp.exp(d.log_std).mean():.1f}")
     for n in (4, 10, 100):
         x, y = (dist.sample(d, jax.random.key(seed), (n,)) for seed in (0, 1))

@@ -67,7 +67,7 @@ def hostile_file(kind: str, name: str) -> Path:
     log, path = make_log(), Path(f"evil.{kind}")
     if kind == "npz":
         columns = {"observations": log.observations, "actions": log.actions, "rewards": log.rewards}
-        np.savez(path, **columns, terminals=log.terminals, **{name: np.arange(13)})  # pyright: ignore[reportArgumentType]
+        np.savez(path, **columns, terminals=log.terminals, **{name: np.arange(13)})
     elif kind == "pkl":
         demonstration = {"observations": log.observations, "actions": log.actions, "rewards": log.rewards, name: np.arange(13)}
         path.write_bytes(pickle.dumps(demonstration))

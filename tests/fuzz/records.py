@@ -172,8 +172,8 @@ def trained(folder: Path) -> Path:
         behavior_log_probs=np.full(rows, -np.log(3.0)), action_space=Discrete(3), name="small",
     )  # fmt: skip
     small = {"steps": 4, "seeds": 2}
-    dr.train(dr.agents.BC(hidden=(4,), batch_size=8), many, out=folder / "run", **small)  # pyright: ignore
-    dr.cross_fit(dr.agents.BC(hidden=(4,), batch_size=8), many, folds=2, out=folder / "cross", **small)  # pyright: ignore
+    dr.train(dr.agents.BC(hidden=(4,), batch_size=8), many, out=folder / "run", **small)
+    dr.cross_fit(dr.agents.BC(hidden=(4,), batch_size=8), many, folds=2, out=folder / "cross", **small)
     judge([folder / "run"], many, ["wis"], out=folder / "ope", counted=False)
     done.write_text("")
     return folder

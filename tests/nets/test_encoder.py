@@ -75,6 +75,6 @@ def test_features_tell_pictures_apart_and_have_slopes(kind):
 
 def test_what_it_refuses():
     with pytest.raises(UserError, match="encoder is 'resnet', one of patches, drq, impala is needed"):
-        Encoder.create("resnet", (48, 48, 3), 8, jax.random.key(0))  # pyright: ignore[reportArgumentType]
+        Encoder.create("resnet", (48, 48, 3), 8, jax.random.key(0))
     with pytest.raises(UserError, match=r"16 or more, and channels; got the shape \(8, 48, 3\)"):
         Encoder.create("patches", (8, 48, 3), 8, jax.random.key(0))

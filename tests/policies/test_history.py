@@ -106,5 +106,5 @@ def test_one_observation_does_not_tell_the_history(tmp_path):
 
 def test_a_history_of_one_step_is_the_policy_itself():
     member = memoryless(of(SPACES["box"], 0))
-    assert History.of(member, 1, None) is member  # pyright: ignore[reportArgumentType]
+    assert History.of(member, 1, None) is member
     assert history_of(member) == 1

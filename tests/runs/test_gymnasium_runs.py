@@ -1,6 +1,8 @@
 """What a Gymnasium environment is used for as a task: learned in, gone on with, collected in, judged in, without a scale."""
 
 import json
+from collections.abc import Mapping
+from dataclasses import replace
 
 import gymnasium
 import minari
@@ -141,6 +143,21 @@ def test_a_log_by_chance(tmp_path):
     assert (log.lengths < 31).all()
     assert log.provenance.extra["task"] == CART
     assert log.provenance.versions["gymnasium"] == gymnasium.__version__
+
+
+def test_versions_of_a_task_may_be_any_mapping(tmp_path):
+    class Versions(Mapping):
+        def __getitem__(self, name):
+            return {"simulator": "3"}[name]
+
+        def __iter__(self):
+            return iter(["simulator"])
+
+        def __len__(self):
+            return 1
+
+    task = replace(dr.task(CART), packages=Versions())
+    assert dr.read(collect_in_task(task, steps=20, out=tmp_path / "a.hdf5")).provenance.versions["simulator"] == "3"
 
 
 def test_a_log_of_a_policy(tmp_path, run, capsys):

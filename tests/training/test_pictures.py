@@ -237,6 +237,6 @@ def test_the_distance_to_the_log_is_of_actions_alone(monkeypatch):
     found = []
     for actions in (copied, np.full_like(copied, 0.9)):
         monkeypatch.setattr(diagnostics, "first_actions", lambda *given, actions=actions: actions)
-        found.append(probe(None)["mmd_to_data"])  # pyright: ignore[reportArgumentType]
+        found.append(probe(None)["mmd_to_data"])
     assert found[0] < 0.05
     assert found[1] > 0.5

@@ -119,4 +119,5 @@ class OfflineMBRL(ModelBasedAgent, SAC):
         made = observation, action, reward[:, 0], following, terminal[:, 0]
         names = "observation", "action", "reward", "next_observation", "terminal"
         logged = (getattr(batch, name)[: self.real_batch_size] for name in names)
-        return batch._replace(**{name: jnp.concatenate(both) for name, *both in zip(names, logged, made)})
+        both: dict[str, Any] = {name: jnp.concatenate(parts) for name, *parts in zip(names, logged, made)}
+        return batch._replace(**both)

@@ -90,7 +90,7 @@ def _check_tuned(path: Path, tuned: Mapping[str, Sequence[str]], suites: Iterabl
             raise UserError(f"{path}, [tuned]: {unknown('agent', agent, agents)}")
         for log in own:
             if log not in logs:
-                raise UserError(f"{path}, [tuned], {agent}: {unknown('log', str(log), logs)}")
+                raise UserError(f"{path}, [tuned], {agent}: {unknown('log', log, logs)}")
 
 
 _PROTOCOL = ("kind", "episodes", "evaluations", "rows", "offline", "designs", "budget")  # alike in both stages of a test

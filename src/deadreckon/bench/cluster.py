@@ -1,5 +1,6 @@
 """Programs on a Ray cluster: tasks that hold cores of their own, and are given to another process where theirs is lost."""
 
+import logging
 import math
 import os
 import tempfile
@@ -49,7 +50,7 @@ class Cluster:
         self._own = not ray.is_initialized()
         if self._own:
             try:
-                self._ray.init(address, log_to_driver=False, logging_level="error")
+                self._ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
             except Exception as error:
                 # Ray raises plain exceptions, too, as where a node does not start in time; other kinds are mistakes.
                 if not isinstance(error, ConnectionError | ValueError | RuntimeError) and type(error) is not Exception:
@@ -61,7 +62,7 @@ class Cluster:
         except UserError:
             self.close()
             raise
-        self._inbox = self._ray.remote(_Inbox).options(num_cpus=0, max_restarts=-1).remote()
+        self._inbox: Any = self._ray.remote(_Inbox).options(num_cpus=0, max_restarts=-1).remote()
         # Ray's own retries are off: `run` counts, so that a lost process is told of, and a program that kills it is given up.
         self._task = self._ray.remote(_task).options(num_cpus=cpus, num_gpus=gpus, max_retries=0)
         self._holds = cpus, gpus

@@ -86,7 +86,7 @@ class Local:
             self._make_room()
             left = min(end - time.monotonic(), POLL if self._idle else math.inf)
             if heard := wait(list(busy), None if left == math.inf else max(left, 0.0)):
-                return busy[heard[0]].hear()  # type: ignore[index]
+                return busy[heard[0]].hear()  # pyrefly: ignore[bad-index] - one of those that `wait` was given
             if time.monotonic() >= end:
                 return None
 

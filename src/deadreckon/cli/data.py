@@ -1,7 +1,7 @@
 """`deadreckon data list|collect|get|sample|info|describe|convert`."""
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -162,7 +162,7 @@ def data(args: Sequence[str]) -> None:
     if args[0] not in KINDS:
         raise unknown("data command", args[0], KINDS)
     options = parse(KINDS[args[0]], args[1:], f"data {args[0]}")
-    run = {
+    run: dict[str, Callable[[Any], None]] = {
         "list": _list, "collect": collect, "get": _get, "sample": _sample, "info": _info, "describe": _describe,
         "convert": _convert,
     }  # fmt: skip

@@ -73,7 +73,7 @@ def collect_in_task(
     versions = {each: metadata.version(each) for each in ("mujoco", "numpy", "jax")} | {"deadreckon": __version__}
     extra = {"task": task.name, "policy": by, "actions": "drawn", "device": acting_platform()}
     extra |= task.described
-    provenance = Provenance("collected", None, seed, versions | task.versions, extra=extra)
+    provenance = Provenance("collected", None, seed, {**versions, **task.versions}, extra=extra)
     scratch = path.parent / f".{path.name}.part"
     with alone(path), resumable(scratch):
         log = collect_rollouts(

@@ -80,7 +80,7 @@ def collect_kitchen(
         if not path.exists():
             made = _batch(task, batch, seed, threads)
             with replacing(path) as temporary, open(temporary, "wb") as file:
-                np.savez(file, **made)  # pyright: ignore[reportArgumentType]
+                np.savez(file, **made)  # pyrefly: ignore[bad-argument-type] - no array is called `allow_pickle`
         with np.load(path) as found:
             episodes = _split(dict(found))
         kept = [each for each in episodes if task.name != "kitchen-complete" or each["rewards"][-1] == len(task.elements)]

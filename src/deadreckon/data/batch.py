@@ -87,7 +87,6 @@ class BatchSource(Protocol):
 
     Attributes:
         needs: what every batch holds.
-        spec: what methods know of the rows before they see them.
         fields: per column its shape and dtype, as `take` gives it.
         initial: (episodes, *shape) initial observations and what goes with them, or None.
         count: rows to draw from.
@@ -95,11 +94,15 @@ class BatchSource(Protocol):
     """
 
     needs: Any
-    spec: Any
     view: Any
     fields: dict[str, tuple[tuple[int, ...], Any]]
     initial: dict[str, np.ndarray] | None
     count: int
+
+    @property
+    def spec(self) -> Any:
+        """What methods know of the rows before they see them."""
+        ...
 
     @property
     def nbytes(self) -> int:

@@ -110,7 +110,8 @@ def load(name: Path | str, mmap: bool | None = None, strict: bool = False, **opt
         raise UserError(_how(entry(text), text.partition("@")[2]))
     if not text.endswith(f"@{ORIGINAL}"):
         return read(path, mmap=mmap, strict=strict, **options)
-    return _with_record(read(path, mmap=mmap, strict=strict, **{"name": text, **options}), path)
+    asked: dict[str, Any] = {"name": text, **options}
+    return _with_record(read(path, mmap=mmap, strict=strict, **asked), path)
 
 
 def _how(found: Entry, version: str) -> str:

@@ -174,7 +174,7 @@ def _laid_out(log: Dataset, width: int, kept: tuple[int, ...], constants: tuple[
         behind = np.broadcast_to(np.asarray(constants, seen.dtype), (len(seen), len(constants)))
         return np.concatenate([seen[:, list(kept)], behind], 1)
 
-    columns = {key: change(getattr(log, key)) for key in ("observations", "final_observations", "successors")}
+    columns: dict[str, Any] = {key: change(getattr(log, key)) for key in ("observations", "final_observations", "successors")}
     note = f"columns {_ranges(kept)} of {width}, then {len(constants)} constants"
     return replace(log, **columns, provenance=replace(log.provenance, extra={**log.provenance.extra, "observations": note}))
 
@@ -234,7 +234,7 @@ def _known(name: str, source: str) -> Entry:
     if source not in found.sources:
         what = {ORIGINAL: "original at D4RL's", TWIN: "Minari twin"}
         others = [f"--source {other} downloads its {what[other]}" for other in found.sources]
-        raise UserError(f"{base} has no {what[source]}: {', '.join(filter(None, [*others, _offline(found)]))}")
+        raise UserError(f"{base} has no {what[source]}: {', '.join(each for each in [*others, _offline(found)] if each)}")
     return found
 
 

@@ -72,7 +72,7 @@ def _array(where: str, file: Any, size: int) -> np.ndarray:
     shape, fortran, dtype = _header(where, file, size)
     whole = math.prod(shape) * dtype.itemsize
     data = np.empty(whole, np.uint8)
-    view = memoryview(data)  # pyright: ignore[reportArgumentType]
+    view = data.data
     done = 0
     while done < whole:
         part = file.read(min(whole - done, 1 << 24))

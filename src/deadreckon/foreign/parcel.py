@@ -38,7 +38,7 @@ class Shared:
     def put(self, array: np.ndarray) -> int:
         """Writes an array in the order of C; gives where it begins."""
         whole = np.ascontiguousarray(array).reshape(-1)
-        data = memoryview(whole.view(np.uint8) if whole.size else b"")  # pyright: ignore[reportArgumentType]
+        data = whole.view(np.uint8).data if whole.size else memoryview(b"")
         at = self.take(len(data))
         done = 0
         while done < len(data):
@@ -109,12 +109,14 @@ def pack(value: Any, shared: Shared) -> Nodes:
         else:
             if any(id(each) not in known for each in parts):
                 raise UserError("refused: containers that hold themselves")
-            nodes.append([_TAGS[_container(part)], [known[id(each)] for each in parts]])
+            kind = _container(part)
+            assert kind is not None  # it has parts
+            nodes.append([_TAGS[kind], [known[id(each)] for each in parts]])
             known[id(part)] = len(nodes) - 1
     return [*nodes, ["root", known[id(value)]]]
 
 
-_TAGS = {dict: "d", list: "l", tuple: "t", set: "s", frozenset: "z"}
+_TAGS: dict[type, str] = {dict: "d", list: "l", tuple: "t", set: "s", frozenset: "z"}
 
 
 def _numbers(part: Any) -> np.ndarray | None:

@@ -60,7 +60,7 @@ class Random(Designer):
         nan = np.full(setting.n, np.nan)
         for seed in setting.seeds:
             rng = np.random.default_rng(seed)
-            columns = []
+            columns: list[np.ndarray] = []
             for v, seen in zip(data.variables, data.x.T):
                 low, high = (v.low if np.isfinite(v.low) else seen.min()), (v.high if np.isfinite(v.high) else seen.max())
                 if v.kind == "continuous":

@@ -153,7 +153,8 @@ def _terms(side: str, text: str, variables: Sequence[Variable], name: str) -> li
             where = side[at:].strip()
             needed = "numbers have a decimal point" if where.startswith(",") else "a sum such as a + 2 b is needed"
             raise UserError(f"{name}: constraint {text!r} cannot be read at {where!r}; {needed}")
-        head, power, tail = re.match(r"([^eE]*)([eE]?)(.*)", found[2] or "").groups()  # type: ignore[union-attr]
+        # It matches any text.
+        head, power, tail = re.match(r"([^eE]*)([eE]?)(.*)", found[2] or "").groups()  # pyrefly: ignore[missing-attribute]
         if power and {power + tail, power if tail[0] in "+-" else ""} & {v.name for v in variables}:
             times = f"{head} * {power}{tail}"
             raise UserError(f"{name}: constraint {text!r}: {found[2]} is a number, or {times}; write one or the other")

@@ -11,6 +11,7 @@ variables smooth (Hvarfner et al. 2024), log noise ~ N(-4, 1), both of standardi
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -202,7 +203,7 @@ def _conditioned(features: Features, f: np.ndarray, ratio: np.ndarray, hyper: Hy
     k = _matern(_squares(seen, seen), hyper.signal)[0] + np.diag(np.exp(hyper.noise) * ratio + 1e-8)
     from scipy.linalg import solve_triangular
 
-    inverse = solve_triangular(np.linalg.cholesky(k), np.eye(len(y)), lower=True)
+    inverse: Any = solve_triangular(np.linalg.cholesky(k), np.eye(len(y)), lower=True)
     usual = 0.0 if data.std_error is None else float(np.square(data.std_error).mean())
     return Process(features, seen, inverse.T @ (inverse @ y), inverse, hyper, y_mean, y_std, usual, noise_beyond(data))
 

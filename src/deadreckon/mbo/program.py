@@ -168,8 +168,8 @@ class Program:
         whole = np.zeros(len(cost))
         whole[self.whole] = 1
         lows, highs = (np.array([row[end] for row in rows]) for end in (1, 2))
-        bounds = Bounds(np.array(self.lows), np.array(self.highs))  # type: ignore  # stubs take one number alone
-        limits = LinearConstraint(matrix, lows, highs)  # type: ignore
+        bounds = Bounds(np.array(self.lows), np.array(self.highs))
+        limits = LinearConstraint(matrix, lows, highs)
         found = milp(
             cost, integrality=whole, bounds=bounds, constraints=limits,
             options={"time_limit": SECONDS, "mip_rel_gap": 1e-3},

@@ -174,7 +174,8 @@ def _to_json(result: Result) -> dict[str, Any]:
 
 def _from_json(fields: dict[str, Any]) -> Result:
     arrays = {name: np.asarray(fields[name], float) for name in ("true", "predicted", "predicted_std", "nn_distance")}
-    return Result(**{**fields, **arrays, "seeds": tuple(fields["seeds"])})
+    told: dict[str, Any] = {**fields, **arrays, "seeds": tuple(fields["seeds"])}
+    return Result(**told)
 
 
 @cache

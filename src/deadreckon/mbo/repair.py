@@ -11,7 +11,7 @@ import time
 from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -253,7 +253,8 @@ class Repair:
         rules, blamed = self.rules, []
         for kind in ("linear", "forbidden"):
             for each in getattr(rules, kind):
-                fewer = replace(rules, **{kind: tuple(e for e in getattr(rules, kind) if e is not each)})
+                others: dict[str, Any] = {kind: tuple(e for e in getattr(rules, kind) if e is not each)}
+                fewer = replace(rules, **others)
                 if possible([self._program(steps, fewer) for steps in self.grids]):
                     blamed.append(each)
         names = [f"forbidding {each.text}" if isinstance(each, Forbidden) else each.text for each in blamed]

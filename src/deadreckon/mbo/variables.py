@@ -110,7 +110,7 @@ def variable_of(
     if kind == "ordinal" and not levels and is_category(stored):
         raise UserError(f"{name}: column {column} is ordinal: give its levels in their order, such as low,medium,high")
     values, variable = _category(name, table, column, levels, rows, told=given is not None or bool(levels))
-    return values, replace(variable, kind=kind)  # type: ignore[arg-type]
+    return values, replace(variable, kind=kind)
 
 
 def _category(
@@ -164,7 +164,7 @@ def _number(
         low, high = _within(float(low), 1), _within(float(high), -1)
         if low > high:
             raise UserError(f"{name}: column {column}: 32 bits hold no number between its bounds {bounds[0]} and {bounds[1]}")
-    return values, Variable(column, kind, float(low), float(high))  # type: ignore[arg-type]
+    return values, Variable(column, kind, float(low), float(high))  # pyrefly: ignore[bad-argument-type] - of `KINDS`
 
 
 def _within(bound: float, inwards: int) -> float:

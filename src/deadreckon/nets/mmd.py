@@ -36,7 +36,7 @@ def kernel_values(
         return jnp.exp(-squared / (2.0 * bandwidth))
     distance = _distance(squared)
     if kernel == "mixture":
-        return sum(jnp.exp(-distance / scale) for scale in mixture) / len(mixture)  # pyright: ignore[reportReturnType]
+        return sum(jnp.exp(-distance / scale) for scale in mixture) / len(mixture)  # pyrefly: ignore[bad-return]
     return jnp.exp(-distance / bandwidth)
 
 

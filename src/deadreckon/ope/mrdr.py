@@ -23,6 +23,7 @@ short ones.
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -229,4 +230,5 @@ def _solve(gram: np.ndarray, moment: np.ndarray, fit: Fit) -> np.ndarray:
                 found = cho_solve(cho_factor(fit.penalised(whole - own, ridge)), right - target)
                 errors[j] += found @ own @ found - 2 * found @ target
     ridge = fit.given if fit.given is not None else RIDGES[int(np.argmin(errors))] if len(gram) > 1 else PILOT
-    return cho_solve(cho_factor(fit.penalised(whole, ridge)), right)
+    solved: Any = cho_solve(cho_factor(fit.penalised(whole, ridge)), right)
+    return solved

@@ -245,7 +245,7 @@ def _observation_size(policy: Any) -> int | None:
     """Of a policy of ours; None where it is not known."""
     if not isinstance(policy, EnvPolicy) or not hasattr(policy.inner, "net"):
         return None
-    net = policy.inner.net  # pyright: ignore[reportAttributeAccessIssue]
+    net = policy.inner.net
     # What acts in one step sees as many numbers of noise as it has actions.
     return int(net.weights[0].shape[0]) - (int(net.biases[-1].shape[-1]) if isinstance(policy.inner, OneStep) else 0)
 

@@ -48,7 +48,7 @@ class EnvPolicy(eqx.Module):
     @property
     def view(self) -> Normalizer:
         """The change of coordinates."""
-        return Normalizer(self.mean, self.std, self.low, self.high)  # pyright: ignore[reportArgumentType]
+        return Normalizer(self.mean, self.std, self.low, self.high)  # pyrefly: ignore[bad-argument-type] - JAX's arrays do
 
     @property
     def has_log_prob(self) -> bool:
@@ -224,7 +224,7 @@ class Seeing(NormalizedPolicy):
     member: EnvPolicy
 
     @property
-    def has_log_prob(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def has_log_prob(self) -> bool:  # pyrefly: ignore[bad-override] - nobody sets it
         """Whether `log_prob` is defined."""
         return self.member.has_log_prob
 

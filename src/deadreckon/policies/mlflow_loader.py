@@ -6,7 +6,7 @@ from typing import Any
 if __package__:
     from deadreckon.policies import portable
 else:  # among the code of a model
-    import portable  # pyright: ignore[reportMissingImports]
+    import portable  # pyrefly: ignore[missing-import]
 
 
 class Model:

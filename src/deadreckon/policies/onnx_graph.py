@@ -31,9 +31,9 @@ def libraries() -> tuple[Any, Any, Any]:
         UserError: they are not installed.
     """
     try:
-        import onnx  # pyright: ignore[reportMissingImports] - an extra, as the others
-        import onnxruntime  # pyright: ignore[reportMissingImports]
-        from jax2onnx import to_onnx  # pyright: ignore[reportMissingImports]
+        import onnx  # pyrefly: ignore[missing-import] - an extra, as the others
+        import onnxruntime  # pyrefly: ignore[missing-import]
+        from jax2onnx import to_onnx  # pyrefly: ignore[missing-import]
     except ImportError as error:
         text = f"the format onnx needs jax2onnx and onnxruntime ({error}): {extra('export')}"
         raise UserError(text) from error

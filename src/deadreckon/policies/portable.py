@@ -14,6 +14,7 @@ which need numpy alone too, rows of the log's table can be given:
 
 import importlib
 import json
+from typing import Any
 
 import numpy as np
 
@@ -77,7 +78,7 @@ def _with_present_names(node):
     return {fields.get(name, name): _with_present_names(part) for name, part in node.items()} | {"kind": kind}
 
 
-def _with_noise(node, arrays, name):
+def _with_noise(node, arrays, name) -> Any:
     """A policy's tree whose candidates have noise, which older files have the number of alone."""
     if isinstance(node, list):
         return [_with_noise(part, arrays, f"{name}.{i}") for i, part in enumerate(node)]
@@ -128,13 +129,14 @@ class NumpyPolicy:
         self.tree, self.arrays, self.log = tree["policy"], arrays, tree.get("meta", {}).get("log", {})
         self._predictor = None
         inner = self.tree["inner"]
-        self.past = None  # of a history: (n, numbers) without the next observation
+        self.past: np.ndarray | None = None  # of a history: (n, numbers) without the next observation
         self.member = NumpyPolicy({"policy": inner["member"]}, arrays) if inner["kind"] == "History" else None
         self.members = [NumpyPolicy({"policy": member}, arrays) for member in inner.get("members", [])]
         self.rank = 3 if inner["kind"] == "Seeing" else 1  # axes of one observation
         self.behind = NumpyPolicy({"policy": inner["member"]}, arrays) if inner["kind"] == "Seeing" else None  # an encoder
         self.steps, self.action_size = (inner["steps"], inner["action_size"]) if self.member else (1, 0)
-        self.which, self.drawing = None, np.random.default_rng(0)  # of a mixture: (n,) who acts, and what draws it
+        self.which: np.ndarray | None = None  # of a mixture: (n,) who acts
+        self.drawing = np.random.default_rng(0)  # what draws it
 
     def __call__(self, observations, rng=None, greedy=True, first=None, legal=None):
         """Actions in the environment's bounds, if the policy knows these.

@@ -76,7 +76,7 @@ def save(
     noted = {name: np.asarray(ids, np.uint64) for name, ids in ((_TAUGHT, taught), (_HELD, held)) if ids is not None}
     with replacing(path) as temporary, open(temporary, "wb") as file:
         write = np.savez_compressed if half else np.savez
-        write(file, **{"policy.json": text}, **arrays, **noted)  # pyright: ignore[reportArgumentType]
+        write(file, **{"policy.json": text}, **arrays, **noted)  # pyrefly: ignore[bad-argument-type] - see `save_arrays`
 
 
 class Saved(NamedTuple):

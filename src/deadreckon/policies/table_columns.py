@@ -26,7 +26,7 @@ if __package__:
         text_of,
     )
 else:  # copied beside `portable.py`
-    from table_rows import (  # pyright: ignore[reportMissingImports]
+    from table_rows import (  # pyrefly: ignore[missing-import]
         RowsError,
         code_of,
         coded,

@@ -31,8 +31,8 @@ if __package__:
         text_of,
     )
 else:  # copied beside `portable.py`
-    from table_columns import Category, Legal, Numbers, no_level, some_legal  # pyright: ignore[reportMissingImports]
-    from table_rows import (  # pyright: ignore[reportMissingImports]
+    from table_columns import Category, Legal, Numbers, no_level, some_legal  # pyrefly: ignore[missing-import]
+    from table_rows import (  # pyrefly: ignore[missing-import]
         RowsError,
         code_of,
         codes_by_level,

@@ -14,9 +14,9 @@ if __package__:
     from deadreckon.policies.table_rows import RowsError, first, is_missing, shown
     from deadreckon.policies.table_times import times_of
 else:  # copied beside `portable.py`
-    from table_encoder import Encoded, TableEncoder, like  # pyright: ignore[reportMissingImports]
-    from table_rows import RowsError, first, is_missing, shown  # pyright: ignore[reportMissingImports]
-    from table_times import times_of  # pyright: ignore[reportMissingImports]
+    from table_encoder import Encoded, TableEncoder, like  # pyrefly: ignore[missing-import]
+    from table_rows import RowsError, first, is_missing, shown  # pyrefly: ignore[missing-import]
+    from table_times import times_of  # pyrefly: ignore[missing-import]
 
 OUTSIDE = "outside_the_log"  # the column of a table of predictions
 

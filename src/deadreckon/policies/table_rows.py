@@ -14,7 +14,7 @@ import numpy as np
 if __package__:
     from deadreckon.errors import UserError
 else:  # copied beside `portable.py`
-    UserError = ValueError  # pyright: ignore[reportAssignmentType]
+    UserError = ValueError
 
 _PLAIN = {int, float, bool}
 _SHOWN = 8  # names in a message
@@ -26,7 +26,7 @@ _TRUTHS = {word: True for word in ("yes", "ja", "oui", "si", "sí", "sì", "true
 }
 
 
-class RowsError(UserError):  # pyright: ignore[reportGeneralTypeIssues]
+class RowsError(UserError):  # pyrefly: ignore[invalid-inheritance] - either is an error
     """Rows that cannot be encoded, in one line that names the column, the row and what would be right."""
 
 

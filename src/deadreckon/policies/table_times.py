@@ -13,7 +13,7 @@ import numpy as np
 if __package__:
     from deadreckon.policies.table_rows import RowsError, is_missing, numbers_of, shown
 else:  # copied beside `portable.py`
-    from table_rows import RowsError, is_missing, numbers_of, shown  # pyright: ignore[reportMissingImports]
+    from table_rows import RowsError, is_missing, numbers_of, shown  # pyrefly: ignore[missing-import]
 
 _LAST = re.compile(r"(\d{1,2})([./-])(\d{1,2})[./-](\d{4})(?!\d)")  # the year is last, so the day or the month comes first
 _FIRST = re.compile(r"(\d{4})[./-](\d{1,2})[./-](\d{1,2})(?!\d)")

@@ -145,7 +145,8 @@ class Entry:
         shape = ("seeds", "episodes", "steps", *(("cars", "numbers") if of_cars else ("dimensions",)))
         found = [_array(folder.trajectories, "trajectories", shape) for folder, _ in self.folders]
         shapes = {None if each is None else each.shape[1:] for each in found}
-        return np.concatenate(found) if None not in shapes and len(shapes) == 1 else None  # type: ignore[arg-type]
+        # pyrefly: ignore[no-matching-overload] - none of them is None then
+        return np.concatenate(found) if None not in shapes and len(shapes) == 1 else None
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ def section(page: Page) -> Markup | None:
 
 def _scatter(told: dict[str, Any], result: dict[str, Any], slots: dict[str, int]) -> Markup:
     truth = told["truth"]
-    points = []
+    points: list[Any] = []  # of as many numbers as `scatter` takes, which the type of `*ends` does not say
     for i, each in enumerate(told["policies"]):
         ends = (math.nan if result[end][i] is None else result[end][i] for end in ("value", "low", "high"))
         points.append((each["name"], slots[each["run"]], truth["mean"][i], NORMAL * truth["error"][i], *ends))

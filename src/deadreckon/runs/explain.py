@@ -93,7 +93,8 @@ class Explained(Shown):
     def from_json(cls, told: dict[str, Any]) -> "Explained":
         """The inverse of `as_json`."""
         tree = None if told.get("tree") is None else Node.from_json(told["tree"])
-        return cls(**{**told, "tree": tree, "columns": tuple(Matters(**each) for each in told["columns"])})
+        fields: dict[str, Any] = {**told, "tree": tree, "columns": tuple(Matters(**each) for each in told["columns"])}
+        return cls(**fields)
 
     @property
     def headline(self) -> str:

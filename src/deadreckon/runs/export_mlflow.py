@@ -25,11 +25,11 @@ def write_mlflow(one: Subject, function: Pure, rows: Rows, folder: Path) -> list
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
     os.environ.setdefault("MLFLOW_UV_AUTO_DETECT", "false")  # else it copies the lock file of the folder one happens to be in
     try:
-        import mlflow.pyfunc  # pyright: ignore[reportMissingImports] - an extra
+        import mlflow.pyfunc  # pyrefly: ignore[missing-import] - an extra
         import pandas
-        from mlflow.models import ModelSignature, infer_signature  # pyright: ignore[reportMissingImports]
-        from mlflow.types import ColSpec, Schema  # pyright: ignore[reportMissingImports]
-        from mlflow.types.schema import AnyType  # pyright: ignore[reportMissingImports]
+        from mlflow.models import ModelSignature, infer_signature  # pyrefly: ignore[missing-import]
+        from mlflow.types import ColSpec, Schema  # pyrefly: ignore[missing-import]
+        from mlflow.types.schema import AnyType  # pyrefly: ignore[missing-import]
     except ImportError as error:
         text = f"the format mlflow needs mlflow-skinny and pandas ({error}): {extra('mlflow')}"
         raise UserError(text) from error

@@ -89,8 +89,8 @@ def check(what: str, rows: Rows, actions: Any) -> None:
     else:
         wrong = ~(np.abs(actions - rows.actions) <= CLOSE * rows.room).all(-1)
     if wrong.any():
-        most = float(np.abs(actions.astype(float) - rows.actions).max())
-        text = f"{what} differs from the policy in {int(wrong.sum()):,} of {len(wrong):,} rows of the log, by up to {most:.2g}"
+        most, count = float(np.abs(actions.astype(float) - rows.actions).max()), len(rows.actions)
+        text = f"{what} differs from the policy in {int(wrong.sum()):,} of {count:,} rows of the log, by up to {most:.2g}"
         raise UserError(f"{text}: it is not kept")
 
 

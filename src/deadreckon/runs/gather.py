@@ -78,7 +78,7 @@ def gather(given: Any) -> list[Gathered]:
             raise UserError(f"policies to judge are runs, folders, files or policies, got {type(each).__name__}")
         path = None if isinstance(each, Run | CrossFit) else Path(each)
         if isinstance(each, CrossFit) or (path is not None and (path / CROSS_FIT).exists()):
-            cross = each if isinstance(each, CrossFit) else load_cross_fit(path)  # pyright: ignore[reportArgumentType]
+            cross = each if isinstance(each, CrossFit) else load_cross_fit(path)  # pyrefly: ignore[bad-argument-type] - a path
             name, by, read, task = cross.path.name, cross.config["by"], _read(cross.runs[0]), cross.runs[0].config["task"]
             found += [Gathered((cross, s), name, s, None, by, cross.file_of(s), read, task) for s in cross.runs[0].seeds]
         elif path is None or path.is_dir():

@@ -191,7 +191,7 @@ class _Hub:
 
     def __init__(self, repo: str, dataset: bool):
         try:
-            import huggingface_hub  # pyright: ignore[reportMissingImports] - an extra
+            import huggingface_hub  # pyrefly: ignore[missing-import] - an extra
         except ImportError as error:
             raise UserError(f"the Hub is reached by huggingface_hub: {extra('hub')}") from error
         self.client = huggingface_hub.HfApi(library_name="deadreckon")

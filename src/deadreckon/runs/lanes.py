@@ -1,7 +1,7 @@
 """Agents as the lanes of a run, and as its folder has them."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from deadreckon.agents import agent_class, known_agent
@@ -44,7 +44,7 @@ def agents_of(config: dict[str, Any]) -> list[Agent]:
         raise UserError(f"the run's agent is {name}, which is not part of deadreckon: import {module} first")
     kind = agent_class(name)
     fixed = {f.name for f in dataclasses.fields(kind) if f.metadata.get("static")}
-    tuples = lambda value: tuple(map(tuples, value)) if isinstance(value, list) else value  # noqa: E731
+    tuples: Callable[[Any], Any] = lambda value: tuple(map(tuples, value)) if isinstance(value, list) else value  # noqa: E731
 
     def of_lane(name: str, lane: int) -> Any:
         # JSON knows lists alone: of a field that lanes may differ in it is one value per lane.

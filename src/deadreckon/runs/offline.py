@@ -119,7 +119,7 @@ def judge_alone(
     decision = decide(
         case, estimators, seen=episodes.against, alpha=current.alpha, groups=groups, **settings.only(DecisionSettings)
     )
-    results = {
+    results: dict[str, Any] = {
         "log": data.name, "estimand": case.estimand.as_json() | {"words": str(case.estimand)}, "seed": settings.seed,
         "truth": None,
         "policies": [

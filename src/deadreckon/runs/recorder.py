@@ -167,7 +167,7 @@ class Recorder:
                 seen = beginning(np.asarray(seen, np.float32), self.spec.action_size, self.history)
             values = estimated_values(self.job.learner, self.job.states, self.job.each[0].view, acting, seen)
         for i, (path, seed, policy) in enumerate(zip(self._paths(step), self.job.seeds, policies)):
-            meta = {"agent": agent_name(self.job.learners[0]), "seed": seed, "step": step, **self.read}
+            meta: dict[str, Any] = {"agent": agent_name(self.job.learners[0]), "seed": seed, "step": step, **self.read}
             if values is not None:
                 meta["estimated_values"] = [float(v) for v in values[i]]
             store.save(path, policy, meta, taught=self.taught, held=self.held)

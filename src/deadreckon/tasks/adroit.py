@@ -76,13 +76,11 @@ class Adroit(Task):
         return AdroitSimulator(self, seeds, threads)
 
 
-class AdroitSimulator(MujocoCopies):
+class AdroitSimulator(MujocoCopies[Adroit]):
     """Copies of one environment; see `MujocoCopies`.
 
     Copy `i` does what gymnasium-robotics' environment does after `reset(seed=seeds[i])`, episode after episode.
     """
-
-    task: Adroit
 
     def __init__(self, task: Adroit, seeds: Sequence[int], threads: int | None = None):
         model = hand(task.xml)

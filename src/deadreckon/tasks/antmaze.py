@@ -100,15 +100,13 @@ class AntMaze(Maze):
         return AntMazeSimulator(self, seeds, threads)
 
 
-class AntMazeSimulator(MujocoCopies):
+class AntMazeSimulator(MujocoCopies[AntMaze]):
     """Copies of one maze; see `MujocoCopies`.
 
     Attributes:
         goals: (copies, 2) of the present episodes.
         achieved: (copies,) bool, whether it has been reached.
     """
-
-    task: AntMaze
 
     def __init__(self, task: AntMaze, seeds: Sequence[int], threads: int | None = None):
         super().__init__(task, model(task.layout), seeds, threads, frame_skip=FRAME_SKIP)
@@ -166,7 +164,7 @@ class AntReach(Task):
         return AntReachSimulator(self, seeds, threads)
 
 
-class AntReachSimulator(MujocoCopies):
+class AntReachSimulator(MujocoCopies[AntReach]):
     """Copies of the open ground; see `MujocoCopies`."""
 
     def __init__(self, task: AntReach, seeds: Sequence[int], threads: int | None = None):

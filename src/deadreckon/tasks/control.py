@@ -65,14 +65,12 @@ class Control(Task):
         return _suite().load(*self.suite)
 
 
-class ControlSimulator(MujocoCopies):
+class ControlSimulator(MujocoCopies[Control]):
     """Copies of one environment; see `MujocoCopies`.
 
     Copy `i` does what dm_control's environment does whose task has the random numbers `RandomState(seeds[i])`, episode after
     episode, to the last bit. Touch is a physics step old, as there.
     """
-
-    task: Control
 
     def __init__(self, task: Control, seeds: Sequence[int], threads: int | None = None):
         self._drawn = task.environment()  # in which episodes are drawn, and the copies of the first thread are measured

@@ -10,22 +10,24 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.tasks.task import Starts, Task, checked_actions, thread_count
 
+Own = TypeVar("Own", bound=Task)
 
-class MujocoCopies:
+
+class MujocoCopies(Generic[Own]):
     """A `Simulator` of one compiled model. Domains subclass it and say how episodes begin, what is measured and what is paid.
 
     Attributes:
         task: whose environment it is.
     """
 
-    def __init__(self, task: Task, model: Any, seeds: Sequence[int], threads: int | None = None, *, frame_skip: int):
+    def __init__(self, task: Own, model: Any, seeds: Sequence[int], threads: int | None = None, *, frame_skip: int):
         """Sets up the copies.
 
         Args:

@@ -50,7 +50,7 @@ class FlowEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """(cars, 3) number, position in m and speed in m/s of each car that is on the road."""
         return self._traffic.look(ONE)[:, 1:]
 
-    def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def render(self) -> np.ndarray | None:
         """The cars on the road; None where no render mode was asked for."""
         if self.render_mode is None:
             return None

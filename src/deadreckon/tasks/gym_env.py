@@ -34,11 +34,11 @@ class _Padded(MujocoEnv, EzPickle):
         """Applies torques; see the task for what they bring."""
         # Actions are float32, as in logs; their cost is summed in float64, as in our simulator.
         action = np.asarray(action, np.float32).astype(np.float64)
-        observation, reward, terminated, _, info = super().step(action)
+        observation, reward, terminated, _, info = super().step(action)  # pyrefly: ignore[bad-argument-type]
         return observation, float(np.float32(reward)), bool(terminated), False, info
 
     def _get_obs(self) -> np.ndarray:
-        seen = np.concatenate([super()._get_obs(), *self._inner()])  # pyright: ignore[reportAttributeAccessIssue]
+        seen = np.concatenate([super()._get_obs(), *self._inner()])  # pyrefly: ignore[missing-attribute]
         out = np.zeros(registry.task(self.task).observation_shape, np.float32)
         out[: len(seen)] = seen
         return out

@@ -68,14 +68,12 @@ class GymMujoco(Task):
         return Fallen(self.healthy, self.ground, self.padding)
 
 
-class GymSimulator(MujocoCopies):
+class GymSimulator(MujocoCopies[GymMujoco]):
     """Copies of one environment; see `MujocoCopies`.
 
     Copy `i` does what Gymnasium's environment does after `reset(seed=seeds[i])`, episode after episode, to the last bit
     of the positions and velocities.
     """
-
-    task: GymMujoco
 
     def __init__(self, task: GymMujoco, seeds: Sequence[int], threads: int | None = None):
         super().__init__(task, load_model(task.xml), seeds, threads, frame_skip=task.frame_skip)

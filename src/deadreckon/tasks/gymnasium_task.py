@@ -183,10 +183,10 @@ def _of_object(env: Any, horizon: int | None) -> Task:
     wrapped = "".join(f"+{wrapper.name}" for wrapper in spec.additional_wrappers)
     name = PREFIX + spec.id + written(own) + wrapped
     spec.kwargs = options
-    limit = {} if horizon is None else {LIMIT: horizon}
+    known, limit = spec, {} if horizon is None else {LIMIT: horizon}
 
     def make() -> Any:
-        return _made(copy.deepcopy(spec), limit, name)
+        return _made(copy.deepcopy(known), limit, name)
 
     return _task(make(), make, name, horizon)
 

@@ -83,13 +83,11 @@ class Kitchen(Task):
         return KitchenSimulator(self, seeds, threads)
 
 
-class KitchenSimulator(MujocoCopies):
+class KitchenSimulator(MujocoCopies[Kitchen]):
     """Copies of one environment; see `MujocoCopies`.
 
     Episodes begin alike. What a copy's seed decides is what the robot reads, step by step, episode after episode.
     """
-
-    task: Kitchen
 
     def __init__(self, task: Kitchen, seeds: Sequence[int], threads: int | None = None):
         super().__init__(task, kitchen(), seeds, threads, frame_skip=FRAME_SKIP)

@@ -54,7 +54,7 @@ class Maze2DEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         observation = np.concatenate([self._data.qpos, self._data.qvel]).astype(np.float32)
         return observation, {"goal": self.task.goal.copy()}
 
-    def render(self) -> np.ndarray:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def render(self) -> np.ndarray:
         """The maze from above: walls dark, goal green, ball red; x runs down, y to the right, as in the layout."""
         scale = 24
         picture = np.where(self.task.grid[..., None], (245, 245, 245), (70, 70, 90)).astype(np.uint8)

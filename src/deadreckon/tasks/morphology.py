@@ -118,7 +118,7 @@ class MorphologySimulator:
         self._data: list[Any] = [None] * copies
         threads = min(thread_count(threads, task.name), copies)
         self._pool = ThreadPoolExecutor(threads) if threads > 1 else None
-        self._last = np.zeros((copies, task.action_space.size))  # pyright: ignore[reportAttributeAccessIssue]
+        self._last = np.zeros((copies, task.action_space.size))
         self._age = np.zeros(copies, int)
         self._alive = np.zeros(copies, bool)
 

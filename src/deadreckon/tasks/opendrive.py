@@ -139,7 +139,8 @@ class _Element:
 def _tree(text: bytes | str, name: Path | str) -> _Element:
     """The elements of a text in XML, without those that are passed over; `name` is the file's."""
     document = _Element("", "the file", {})
-    above, ignored, count = [document], 0, 0
+    above, count = [document], 0
+    ignored: int = 0
     parser = expat.ParserCreate()
 
     def refuse(*_: Any) -> None:
@@ -240,7 +241,8 @@ def _link(road: _Element, end: str) -> Link | None:
     for each in (each for link in road.all("link") for each in link.all(end)):
         if each.word("elementType", ("road", "junction")) == "junction":
             return Link("junction", each.id("elementId"))
-        return Link("road", each.id("elementId"), each.word("contactPoint", ("start", "end")))  # pyright: ignore[reportArgumentType]
+        # pyrefly: ignore[bad-argument-type] - `word` refuses others
+        return Link("road", each.id("elementId"), each.word("contactPoint", ("start", "end")))
     return None
 
 
@@ -248,7 +250,7 @@ def _junction(junction: _Element) -> Junction:
     connections = tuple(
         Connection(
             each.id("incomingRoad"), each.id("connectingRoad"),
-            each.word("contactPoint", ("start", "end")),  # pyright: ignore[reportArgumentType]
+            each.word("contactPoint", ("start", "end")),  # pyrefly: ignore[bad-argument-type]
             tuple((link.id("from"), link.id("to")) for link in each.all("laneLink")),
         )
         for each in junction.all("connection")
@@ -259,4 +261,4 @@ def _junction(junction: _Element) -> Junction:
 def _signal(road: int, signal: _Element) -> Signal:
     signal.word("type", (TRAFFIC_LIGHT,))
     direction = signal.word("orientation", ("+", "-"))
-    return Signal(signal.id(), road, signal.number("s"), signal.number("t"), direction)  # pyright: ignore[reportArgumentType]
+    return Signal(signal.id(), road, signal.number("s"), signal.number("t"), direction)  # pyrefly: ignore[bad-argument-type]

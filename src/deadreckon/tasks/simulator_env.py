@@ -37,7 +37,8 @@ class SimulatorEnv(gymnasium.Env[np.ndarray, np.ndarray], EzPickle):
             low, high = (np.asarray(side, np.float32) for side in (space.low, space.high))
             self.action_space = gymnasium.spaces.Box(low, high, dtype=np.float32)
         self.simulator: Any = None  # until the first reset, which gives it its seed
-        self._size, self._renderer = (height, width), None
+        self._size = height, width
+        self._renderer: Any = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[np.ndarray, dict[str, Any]]:
         """A new episode: the first of the seed's, or the one after the last."""
@@ -52,7 +53,7 @@ class SimulatorEnv(gymnasium.Env[np.ndarray, np.ndarray], EzPickle):
         seen, rewards, terminals, timeouts = self.simulator.step(np.asarray(action)[None])
         return seen[0], float(rewards[0]), bool(terminals[0]), bool(timeouts[0]), self._info()
 
-    def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+    def render(self) -> np.ndarray | None:
         """What the task's camera sees.
 
         Raises:

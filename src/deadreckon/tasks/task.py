@@ -97,7 +97,7 @@ class Starts:
             self.seeds[i], self.drawn[i] = seed, 0
             self._generators[i] = self._generator(int(seed))
 
-    def next(self, copy: int) -> np.ndarray:
+    def next(self, copy: int | np.integer) -> np.ndarray:
         """The copy's next start."""
         self.drawn[copy] += 1
         return self.draw(self._generators[copy])

@@ -75,7 +75,7 @@ def expected_kernel(p: Distribution, q: Distribution, kernel: Kernel) -> float:
         breaks = [-(a + b), -abs(a - b), abs(a - b), a + b]
     else:
         normal, uniform = (p, q) if isinstance(p, Normal) else (q, p)
-        std, half = normal.std, uniform.half  # pyright: ignore[reportAttributeAccessIssue]
+        std, half = normal.std, uniform.half  # pyrefly: ignore[missing-attribute] - one is of each kind
         step = lambda d: erf(d / (std * math.sqrt(2)))  # noqa: E731
         density = lambda d: (step(d + half) - step(d - half)) / (4 * half)  # noqa: E731
         breaks = [-half - 10 * std, -half, half, half + 10 * std]

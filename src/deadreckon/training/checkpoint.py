@@ -56,7 +56,7 @@ def save_arrays(path: Path, arrays: dict[str, np.ndarray], meta: dict[str, Any])
     """Writes named arrays and JSON values as one npz file, atomically."""
     text = np.frombuffer(json.dumps(meta).encode(), np.uint8)
     with replacing(path) as temporary, open(temporary, "wb") as file:
-        np.savez(file, **{_META: text}, **arrays)  # pyright: ignore[reportArgumentType]
+        np.savez(file, **{_META: text}, **arrays)  # pyrefly: ignore[bad-argument-type] - none is called `allow_pickle`
 
 
 def load_arrays(path: Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

@@ -6,7 +6,7 @@ from typing import Any, cast
 
 import h5py
 import numpy as np
-from h5py import h5o  # pyright: ignore[reportAttributeAccessIssue]
+from h5py import h5o
 
 from deadreckon.data.columns import COLUMNS, NEEDED, extra_name
 from deadreckon.data.formats.layouts import layout_of

@@ -153,7 +153,7 @@ def convert(
     """
     if not str(target):
         raise UserError("the target is an empty text; name a file or a folder")
-    asked = {"force": force, "strict": strict, "horizon": horizon, "progress": progress, **mapping}
+    asked: dict[str, Any] = {"force": force, "strict": strict, "horizon": horizon, "progress": progress, **mapping}
     if str(target).startswith(PREFIX):
         return _convert(source, target, **asked)
     with alone(Path(target), what=str(target)):

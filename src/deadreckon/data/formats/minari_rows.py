@@ -63,10 +63,10 @@ def buffers(log: Dataset) -> Iterator[Any]:
         if levels is not None:
             actions = levels[actions, 0] if levels.shape[1] == 1 else levels[actions]
         yield EpisodeBuffer(
-            observations=observations,  # pyright: ignore[reportArgumentType]  # an array is stored as it is, and fast
-            actions=actions,  # pyright: ignore[reportArgumentType]
-            rewards=np.asarray(log.rewards[rows]),  # pyright: ignore[reportArgumentType]
-            terminations=np.asarray(log.terminals[rows]),  # pyright: ignore[reportArgumentType]
-            truncations=truncations,  # pyright: ignore[reportArgumentType]
+            observations=observations,  # pyrefly: ignore[bad-argument-type]  # an array is stored as it is, and fast
+            actions=actions,  # pyrefly: ignore[bad-argument-type]
+            rewards=np.asarray(log.rewards[rows]),  # pyrefly: ignore[bad-argument-type]
+            terminations=np.asarray(log.terminals[rows]),  # pyrefly: ignore[bad-argument-type]
+            truncations=truncations,  # pyrefly: ignore[bad-argument-type]
             infos={key: np.asarray(value[rows]) for key, value in log.extras.items()},
         )

@@ -28,7 +28,7 @@ def fingerprints(smiles: list[str]) -> np.ndarray:
         from rdkit.Chem import rdFingerprintGenerator
     except ImportError:
         raise UserError(f"molecule reads molecules with RDKit: {extra('design')}") from None
-    RDLogger.DisableLog("rdApp.*")  # type: ignore[attr-defined]
+    RDLogger.DisableLog("rdApp.*")  # pyrefly: ignore[missing-attribute] - of a compiled module
     maker = rdFingerprintGenerator.GetMorganGenerator(radius=RADIUS, fpSize=BITS)
     out = np.zeros((len(smiles), BITS), np.uint8)
     for row, text in enumerate(smiles):

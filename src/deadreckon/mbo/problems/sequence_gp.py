@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -55,7 +56,7 @@ class SequenceGP:
     def of(cls, name: str, x: np.ndarray, y: np.ndarray, rows: int = ROWS) -> "SequenceGP":
         """Trained where it is not known yet; a tenth of the rows, always the same, is held out."""
         arrays, known = kept(name, x, y, ("gp", rows, TRIED, LENGTHS, NOISES), lambda: _train(cls, x, y, rows))
-        return cls(**arrays, **known)
+        return cls(arrays["rows"], arrays["weights"], **known)
 
 
 def differences(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -74,14 +75,16 @@ def _train(cls: type[SequenceGP], x: np.ndarray, y: np.ndarray, rows: int) -> Ar
     some = slice(0, min(TRIED, len(rest)))
     likelihood = lambda asked: _likelihood(apart[some, some], scores[some], *asked)  # noqa: E731
     length, noise = max(product(LENGTHS, NOISES), key=likelihood)
-    weights = std * cho_solve(_factor(apart, length, noise), scores)
+    solved: Any = cho_solve(_factor(apart, length, noise), scores)
+    weights = std * solved
     made = cls(codes, weights, mean, length, noise, 0.0, len(out))
     known = {"mean": mean, "length": length, "noise": noise, "held_out": len(out)}
     return {"rows": codes, "weights": weights}, {**known, "rank_correlation": rank_correlation(made(x[out]), y[out])}
 
 
 def _factor(apart: np.ndarray, length: float, noise: float) -> tuple[np.ndarray, bool]:
-    return cho_factor(np.exp(-apart.astype(np.float64) / length) + noise * np.eye(len(apart)), lower=True)
+    factor: Any = cho_factor(np.exp(-apart.astype(np.float64) / length) + noise * np.eye(len(apart)), lower=True)
+    return factor
 
 
 def _likelihood(apart: np.ndarray, scores: np.ndarray, length: float, noise: float) -> float:

@@ -95,7 +95,8 @@ def _oracle(
     features = np.ascontiguousarray(features, np.float32)
     y = np.ascontiguousarray(y, np.float64)
     arrays, known = kept(name, features, y, settings, lambda: _train(name, features, y, fit))
-    return Trees(**arrays, **known, kind=kind)
+    fields: dict[str, Any] = {**arrays, **known}
+    return Trees(**fields, kind=kind)
 
 
 def _train(name: str, features: np.ndarray, y: np.ndarray, fit: Callable[..., Any]) -> Arrays:
