@@ -9,6 +9,7 @@ from scipy.special import logsumexp, softmax
 from deadreckon.agents import ABM
 from deadreckon.errors import UserError
 from deadreckon.randomness import keys
+from tests.agents.compiled import Compiled, begun, moved
 from tests.agents.test_actor_critics import q
 from tests.agents.test_offline import KEY, SMALL, SPEC, drawn_actions, logged_log_prob, made, updated
 from tests.agents.test_rivals import windows
@@ -22,10 +23,8 @@ ROWS = np.array([[1.0, 1 / 2, 0], [1 / 3, 1 / 3, 1 / 3]]) / (2.5 / 6)
 
 @pytest.fixture(scope="module")
 def learner():
-    agent, state = made(ABM(**FIELDS))
-    moved = lambda tree, k: jax.tree.map(lambda w: w + 0.3 * jax.random.normal(jax.random.key(k), w.shape), tree)  # noqa: E731
-    names = "actor", "prior", "critic", "target_actor", "target_critic"  # so that no network is another's copy
-    return agent, state._replace(**{name: moved(getattr(state, name), k) for k, name in enumerate(names)})
+    agent = ABM(**FIELDS).resolve(SPEC, 10)
+    return Compiled(agent), moved(begun(agent, SPEC), ("actor", "prior", "critic", "target_actor", "target_critic"))
 
 
 def flat(seen):
@@ -35,7 +34,7 @@ def flat(seen):
 def of_both(state):
     """V(s) and V(s'): a state between two rows has one value."""
     rows = windows()
-    seen = np.concatenate([rows.observation[:, :1], rows.next_observation], 1)
+    seen = np.concatenate([np.asarray(rows.observation)[:, :1], rows.next_observation], 1)
     drawn = drawn_actions(state.target_actor, flat(seen), jax.random.normal(K_VALUE, (4, 8, 1)))
     found = np.mean([q(state.target_critic, 0, flat(seen), a) for a in drawn], 0).reshape(2, 4)
     return found[:, :-1], found[:, 1:]
@@ -60,8 +59,8 @@ def test_values_are_means_over_draws_of_the_target_policy_by_the_target_critic(l
 
 def test_advantages_are_of_rewards_to_the_end_of_the_window_or_of_the_episode(learner):
     agent, state = learner
-    now, after = agent.values(state, windows(), K_VALUE)
-    found = agent.advantage(windows(), now, after)
+    now, after = map(np.asarray, agent.values(state, windows(), K_VALUE))
+    found = np.asarray(agent.advantage(windows(), now, after))
     there = np.asarray(windows().mask, bool)
     np.testing.assert_allclose(found[there], whole_advantages(windows(), now, after)[there], atol=1e-5)
 
@@ -103,14 +102,14 @@ def test_the_temperature_minimises_the_dual_where_the_divergence_is_epsilon():
     best = min(grid, key=lambda eta: abs(divergence(eta) - 0.3))
     dual = [eta * (0.3 + (logsumexp(values / eta, axis=0) - np.log(200)).mean()) for eta in grid]
     assert grid[np.argmin(dual)] == pytest.approx(best, rel=0.01)
-    loss = agent.eta_loss(jnp.log(best), jnp.asarray(values), jnp.asarray(rows))
+    eta_loss = jax.jit(jax.value_and_grad(agent.eta_loss))
+    loss, slope = eta_loss(np.log(best), values, rows)
     assert loss == pytest.approx(min(dual), rel=1e-4)
-    slope = jax.grad(agent.eta_loss)(jnp.log(best), jnp.asarray(values), jnp.asarray(rows))
     assert abs(slope) < 2e-3
     # Rows that are not there count for nothing.
-    half = jnp.asarray(np.r_[np.zeros(25), 2 * np.ones(25)])
-    only = agent.eta_loss(jnp.log(best), jnp.asarray(values[:, 25:]), jnp.ones(25))
-    assert agent.eta_loss(jnp.log(best), jnp.asarray(values), half) == pytest.approx(float(only), rel=1e-5)
+    half = np.r_[np.zeros(25), 2 * np.ones(25)]
+    only, _ = eta_loss(np.log(best), values[:, 25:], np.ones(25))
+    assert eta_loss(np.log(best), values, half)[0] == pytest.approx(float(only), rel=1e-5)
 
 
 @pytest.mark.slow

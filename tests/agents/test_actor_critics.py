@@ -8,6 +8,7 @@ import pytest
 from deadreckon.agents import SAC, SACN, TD3, TD3BC
 from deadreckon.data.batch import Batch
 from deadreckon.randomness import keys
+from tests.agents.compiled import Compiled
 from tests.agents.test_bear import lane, numpy_gaussian
 from tests.agents.worlds import corridor
 from tests.nets.test_mlp import numpy_mlp
@@ -40,7 +41,7 @@ def log_prob(mean, log_std, pre):
 
 
 def test_td3_target_is_smoothed_clipped_masked_and_the_smaller(batch):
-    agent = TD3(hidden=(16, 16), discount=0.9, policy_noise=1.0, noise_clip=0.3).resolve(SPEC, 10)
+    agent = Compiled(TD3(hidden=(16, 16), discount=0.9, policy_noise=1.0, noise_clip=0.3).resolve(SPEC, 10))
     state = agent.init(SPEC, jax.random.key(0))
     noise = np.clip(np.asarray(jax.random.normal(KEY, (6, 1))), -0.3, 0.3)
     assert (noise.min(), noise.max()) == (np.float32(-0.3), np.float32(0.3))  # clipped on both sides
@@ -51,7 +52,7 @@ def test_td3_target_is_smoothed_clipped_masked_and_the_smaller(batch):
 
 
 def test_td3_actor_follows_the_first_critic_and_moves_every_other_update(batch):
-    agent = TD3(hidden=(16, 16), actor_lr=0.1, tau=0.5).resolve(SPEC, 10)
+    agent = Compiled(TD3(hidden=(16, 16), actor_lr=0.1, tau=0.5).resolve(SPEC, 10))
     state = agent.init(SPEC, jax.random.key(0))
     action = np.tanh(numpy_mlp(state.actor, np.asarray(batch.observation)))
     loss = agent.actor_loss(state.actor, state, batch)
@@ -71,7 +72,7 @@ def test_td3_actor_follows_the_first_critic_and_moves_every_other_update(batch):
 
 
 def test_td3_bc_weight_has_no_gradient(batch):
-    agent = TD3BC(hidden=(16, 16), alpha=2.5).resolve(SPEC, 10)
+    agent = Compiled(TD3BC(hidden=(16, 16), alpha=2.5).resolve(SPEC, 10))
     state = agent.init(SPEC, jax.random.key(0))
     action = np.tanh(numpy_mlp(state.actor, np.asarray(batch.observation)))
     values = q(state.critics, 0, batch.observation, action)
@@ -85,14 +86,14 @@ def test_td3_bc_weight_has_no_gradient(batch):
         value = net(jnp.concatenate([batch.observation, a], -1))[:, 0]
         return -float(weight) * value.mean() + jnp.square(a - batch.action).mean()
 
-    got = jax.grad(lambda actor: agent.actor_loss(actor, state, batch))(state.actor)
-    for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(jax.grad(fixed_weight)(state.actor)), strict=True):
+    got = jax.jit(jax.grad(lambda actor: agent.actor_loss(actor, state, batch)))(state.actor)
+    for a, b in zip(jax.tree.leaves(got), jax.tree.leaves(jax.jit(jax.grad(fixed_weight))(state.actor)), strict=True):
         np.testing.assert_allclose(a, b, rtol=2e-3, atol=1e-5)
     assert agent.needs(SPEC).standardise
 
 
 def test_sac_target_and_actor_loss(batch):
-    agent = SAC(hidden=(16, 16), discount=0.9, temperature=0.3).resolve(SPEC, 10)
+    agent = Compiled(SAC(hidden=(16, 16), discount=0.9, temperature=0.3).resolve(SPEC, 10))
     assert agent.target_entropy == -1.0
     state = agent.init(SPEC, jax.random.key(0))
     noise = np.asarray(jax.random.normal(KEY, (6, 1)))
@@ -111,7 +112,7 @@ def test_sac_target_and_actor_loss(batch):
 
 
 def test_sac_draws_of_targets_and_actor_have_keys_of_their_own(batch):
-    agent = SAC(hidden=(4,)).resolve(SPEC, 10)
+    agent = Compiled(SAC(hidden=(4,)).resolve(SPEC, 10))
     state = agent.init(SPEC, jax.random.key(0))
     new, metrics = jax.jit(lambda s: agent.update(s, batch, step=jnp.int32(0), key=KEY))(state)
     first, second = keys(KEY, "target", "actor_loss")
@@ -124,7 +125,7 @@ def test_sac_draws_of_targets_and_actor_have_keys_of_their_own(batch):
 
 @pytest.mark.parametrize(("target", "rises"), [(-50.0, False), pytest.param(50.0, True, marks=pytest.mark.slow)])
 def test_sac_temperature_falls_when_the_policy_is_more_random_than_asked(batch, target, rises):
-    agent = SAC(hidden=(16, 16), target_entropy=target).resolve(SPEC, 10)
+    agent = Compiled(SAC(hidden=(16, 16), target_entropy=target).resolve(SPEC, 10))
     state = agent.init(SPEC, jax.random.key(0))
     after, _ = jax.jit(lambda s: agent.update(s, batch, step=jnp.int32(0), key=KEY))(state)
     assert (float(after.log_temperature) > float(state.log_temperature)) is rises
@@ -133,7 +134,7 @@ def test_sac_temperature_falls_when_the_policy_is_more_random_than_asked(batch, 
 @pytest.mark.slow
 def test_sac_n_steps_temperature_then_actor_then_critics(batch):
     """Each step by what those before it have become, as in the public code."""
-    agent = SACN(hidden=(16, 16), critics=3, actor_lr=0.01, critic_lr=0.01, temperature_lr=0.1).resolve(SPEC, 10)
+    agent = Compiled(SACN(hidden=(16, 16), critics=3, actor_lr=0.01, critic_lr=0.01, temperature_lr=0.1).resolve(SPEC, 10))
     state = agent.init(SPEC, jax.random.key(0))
     k_target, k_critics, k_entropy, k_actor = keys(KEY, "target", "critic_loss", "entropy", "actor_loss")
     after, metrics = jax.jit(lambda s: agent.update(s, batch, step=jnp.int32(0), key=KEY))(state)

@@ -9,6 +9,7 @@ from deadreckon.agents import CRRD, D4PG
 from deadreckon.data.batch import Batch
 from deadreckon.errors import UserError
 from deadreckon.nets.return_distributions import mean, project
+from tests.agents.compiled import Compiled, begun, moved
 from tests.agents.test_offline import KEY, SPEC, drawn_actions, logged_log_prob
 from tests.agents.tiny import LOG
 
@@ -19,10 +20,7 @@ FAR = 60.0
 @pytest.fixture(scope="module")
 def learner():
     agent = D4PG(**SETTINGS, target_update_period=3).resolve(SPEC, 10)
-    state = agent.init(SPEC, jax.random.key(0))
-    moved = lambda tree, k: jax.tree.map(lambda w: w + 0.3 * jax.random.normal(jax.random.key(k), w.shape), tree)  # noqa: E731
-    nets = (moved(each, k) for k, each in enumerate(state[:4]))  # so that targets are not the networks, nor gains one
-    return agent, state._replace(**dict(zip(state._fields, nets)))
+    return Compiled(agent), moved(begun(agent, SPEC), ("actor", "critic", "target_actor", "target_critic"))  # nor are gains one
 
 
 @pytest.fixture(scope="module")
@@ -76,19 +74,19 @@ def test_the_target_is_the_projected_distribution_of_the_target_networks(learner
     action = np.tanh(forward(state.target_actor, after))
     future = softmax(forward(state.target_critic, np.concatenate([after, action], -1)))
     by_hand = shared_by_nearness(future, np.asarray(batch.reward), np.asarray(batch.discount), atoms)
-    found = agent.target(state, batch, KEY)
+    found = np.asarray(agent.target(state, batch, KEY))
     np.testing.assert_allclose(found, by_hand, atol=2e-5)
     np.testing.assert_allclose(found.sum(-1), 1.0, atol=1e-5)
     ended = np.asarray(batch.discount) == 0.0  # all of it lies at the reward then
-    np.testing.assert_allclose((found * atoms).sum(-1)[ended], np.clip(batch.reward[ended], -2, 2), atol=1e-5)
+    np.testing.assert_allclose((found * atoms).sum(-1)[ended], np.clip(np.asarray(batch.reward)[ended], -2, 2), atol=1e-5)
 
 
 def test_a_projection_keeps_the_mean_of_what_fits_between_the_atoms():
     rng = np.random.default_rng(1)
-    atoms = jnp.linspace(-3.0, 3.0, 21)
-    chances = jnp.asarray(softmax(rng.normal(size=(50, 21))), jnp.float32)
+    atoms = np.linspace(-3.0, 3.0, 21, dtype=np.float32)
+    chances = softmax(rng.normal(size=(50, 21))).astype(np.float32)
     reward, discount = rng.uniform(-0.5, 0.5, 50), rng.uniform(0, 0.8, 50)
-    found = project(chances, jnp.asarray(reward), jnp.asarray(discount), atoms)
+    found = np.asarray(jax.jit(project)(chances, reward, discount, atoms))
     np.testing.assert_allclose((found * atoms).sum(-1), reward + discount * (chances * atoms).sum(-1), atol=1e-5)
 
 
@@ -99,7 +97,7 @@ def test_the_critics_loss_is_the_cross_entropy_to_it(learner, batch):
     chances = softmax(forward(state.critic, np.concatenate([batch.observation, batch.action], -1)))
     assert loss == pytest.approx(-(np.asarray(target) * np.log(chances)).sum(-1).mean(), rel=1e-5)
     assert metrics["q"] == pytest.approx((chances * np.linspace(-2, 2, 11)).sum(-1).mean(), abs=1e-5)
-    slope = jax.grad(lambda target: agent.critic_loss(state.critic, batch, target)[0])(target)
+    slope = jax.jit(jax.grad(lambda target: agent.critic_loss(state.critic, batch, target)[0]))(target)
     assert not np.asarray(slope).any()
 
 
@@ -118,10 +116,10 @@ def test_the_actor_follows_the_critics_slope_cut_to_length_one(learner, batch):
     assert length.max() > 1.5
     assert length.min() < 1.0
     cut = slope / np.maximum(length, 1.0)
-    assert agent.actor_loss(state.actor, critic, batch, KEY) == pytest.approx(0.5 * np.square(cut).sum(-1).mean(), rel=1e-3)
+    loss, found = jax.jit(jax.value_and_grad(agent.actor_loss))(state.actor, critic, batch, KEY)
+    assert loss == pytest.approx(0.5 * np.square(cut).sum(-1).mean(), rel=1e-3)
     # By the biases of the last layer the action's slope is 1 - tanh^2.
-    found = jax.grad(agent.actor_loss)(state.actor, critic, batch, KEY).biases[-1]
-    np.testing.assert_allclose(found, -(cut * (1 - action**2)).mean(0), rtol=2e-3, atol=1e-5)
+    np.testing.assert_allclose(found.biases[-1], -(cut * (1 - action**2)).mean(0), rtol=2e-3, atol=1e-5)
 
 
 SLOW = pytest.mark.slow
@@ -134,8 +132,8 @@ OTHERS = [pytest.param(*each, marks=SLOW) for each in (("binary", "normal"), ("e
 def test_crr_d_imitates_by_the_advantage_of_expected_returns(batch, likelihood, by):
     fields = SETTINGS | {"hidden": (8,), "filter": by, "likelihood": likelihood, "temperature": 0.02, "max_weight": 2.5}
     agent = CRRD(**fields, samples=3).resolve(SPEC, 10)
-    state = agent.init(SPEC, jax.random.key(0))
-    state = state._replace(critic=jax.tree.map(lambda w: 2.0 * w, state.critic))
+    state = begun(agent, SPEC)
+    state = state._replace(critic=jax.tree.map(lambda w: 2.0 * np.asarray(w), state.critic))
     atoms, seen = np.linspace(-2.0, 2.0, 11), np.asarray(batch.observation, np.float64)
     expected = lambda a: (softmax(forward(state.critic, np.concatenate([seen, a], -1))) * atoms).sum(-1)  # noqa: E731
     drawn = drawn_actions(state.actor, seen, jax.random.normal(KEY, (3, 6, batch.action.shape[-1])))
@@ -143,18 +141,18 @@ def test_crr_d_imitates_by_the_advantage_of_expected_returns(batch, likelihood, 
     assert 0 < (advantage > 0).sum() < 6
     weight = advantage > 0 if by == "binary" else np.minimum(np.exp(advantage / 0.02), 2.5)
     loss = -(weight * logged_log_prob(state.actor, batch)).mean()
-    assert agent.actor_loss(state.actor, state.critic, batch, KEY) == pytest.approx(loss, rel=1e-3)
+    assert Compiled(agent).actor_loss(state.actor, state.critic, batch, KEY) == pytest.approx(loss, rel=1e-3)
 
 
 def test_crr_d_values_draws_of_a_copy_of_the_policy(batch):
     agent = CRRD(**SETTINGS | {"hidden": (8,)}).resolve(SPEC, 10)
-    state = agent.init(SPEC, jax.random.key(0))
-    state = state._replace(target_actor=jax.tree.map(lambda w: w + 0.2, state.target_actor))
+    state = begun(agent, SPEC)
+    state = state._replace(target_actor=jax.tree.map(lambda w: np.asarray(w) + np.float32(0.2), state.target_actor))
     after = np.asarray(batch.next_observation, np.float64)
     action = drawn_actions(state.target_actor, after, jax.random.normal(KEY, batch.action.shape))
     future = softmax(forward(state.target_critic, np.concatenate([after, action], -1)))
     by_hand = shared_by_nearness(future, np.asarray(batch.reward), np.asarray(batch.discount), np.linspace(-2.0, 2.0, 11))
-    np.testing.assert_allclose(agent.target(state, batch, KEY), by_hand, atol=2e-5)
+    np.testing.assert_allclose(Compiled(agent).target(state, batch, KEY), by_hand, atol=2e-5)
 
 
 def test_targets_are_copied_at_the_end_of_every_period_and_rest_in_between(learner, batch):
@@ -188,5 +186,5 @@ def test_what_it_refuses():
 
 
 def test_the_mean_is_of_the_softmax():
-    logits = jnp.asarray([[0.0, 0.0, 0.0], [0.0, 0.0, 40.0]])
-    np.testing.assert_allclose(mean(logits, jnp.asarray([-1.0, 0.0, 2.0])), [1 / 3, 2.0], atol=1e-5)
+    logits = np.asarray([[0.0, 0.0, 0.0], [0.0, 0.0, 40.0]], np.float32)
+    np.testing.assert_allclose(jax.jit(mean)(logits, np.asarray([-1.0, 0.0, 2.0], np.float32)), [1 / 3, 2.0], atol=1e-5)

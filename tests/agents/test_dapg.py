@@ -21,6 +21,7 @@ from deadreckon.online import Online
 from deadreckon.online.demonstrated import Demonstrated
 from deadreckon.tasks import task
 from deadreckon.training.fit import Fit
+from tests.agents.compiled import Compiled, begun
 
 SPEC = Spec.empty((3,), Box((-1.0, -1.0), (1.0, 1.0)), "nowhere")
 AGENT = DAPG(hidden=(4,), critic_hidden=(8,), batch_size=16, discount=0.9, gae_lambda=0.8).resolve(SPEC, 10)
@@ -129,24 +130,26 @@ def test_without_demonstrations_likelier_are_the_better_actions():
 
 def test_a_clone_speaks_in_actions_and_deviates_as_it_errs():
     rng = np.random.default_rng(1)
-    shown = {"observation": jnp.asarray(rng.normal(2.0, 3.0, (50, 3)), jnp.float32),
-             "action": jnp.asarray(rng.uniform(-0.5, 0.5, (50, 2)), jnp.float32)}  # fmt: skip
-    center, spread = jnp.array([0.1, -0.2]), jnp.array([0.3, 0.5])
+    shown = {"observation": rng.normal(2.0, 3.0, (50, 3)).astype(np.float32),
+             "action": rng.uniform(-0.5, 0.5, (50, 2)).astype(np.float32)}  # fmt: skip
+    center, spread = np.array([0.1, -0.2], np.float32), np.array([0.3, 0.5], np.float32)
     cloning = Cloning(1e-3, center, spread, (4,))
     clone = jax.jit(lambda key: cloning.init(SPEC, key))(jax.random.key(0))
-    seen = jnp.asarray(rng.standard_normal((7, 3)), jnp.float32)
+    seen = rng.standard_normal((7, 3)).astype(np.float32)
     batch = Batch(observation=seen, action=shown["action"][:7])
     _, metrics = jax.jit(lambda clone: cloning.update(clone, batch, step=0, key=jax.random.key(1)))(clone)
-    np.testing.assert_allclose(cloning.means(clone)(seen), clone.net(seen) * spread + center, rtol=1e-5, atol=1e-6)
-    error = (clone.net(seen) - (shown["action"][:7] - center) / spread) ** 2
+    means = jax.jit(lambda clone: cloning.means(clone))(clone)
+    of = jax.jit(lambda net, seen: net(seen))
+    own = np.asarray(of(clone.net, seen))
+    np.testing.assert_allclose(of(means, seen), own * spread + center, rtol=1e-5, atol=1e-6)
+    error = (own - (shown["action"][:7] - center) / spread) ** 2
     assert float(metrics["behavior_error"]) == pytest.approx(float(error.mean()), rel=1e-5)
-    state = AGENT.observing(AGENT.init(SPEC, jax.random.key(0)), shown["observation"])
-    means = cloning.means(clone)
-    off = means((shown["observation"] - shown["observation"].mean(0)) / shown["observation"].std(0)) - shown["action"]
+    state = Compiled(AGENT).observing(begun(AGENT, SPEC), shown["observation"])
+    off = of(means, (shown["observation"] - shown["observation"].mean(0)) / shown["observation"].std(0)) - shown["action"]
     acting = jax.jit(lambda state: AGENT.begun(state, means, shown).actor)(state)
-    np.testing.assert_allclose(jnp.exp(acting.log_std), jnp.sqrt((off**2).mean(0)), rtol=1e-3)
+    np.testing.assert_allclose(np.exp(acting.log_std), np.sqrt((np.asarray(off) ** 2).mean(0)), rtol=1e-3)
     as_shown = jax.jit(lambda state: AGENT.replace(init_std="demonstrated").begun(state, means, shown).actor)(state)
-    np.testing.assert_allclose(jnp.exp(as_shown.log_std), shown["action"].std(0), rtol=1e-3)
+    np.testing.assert_allclose(np.exp(as_shown.log_std), shown["action"].std(0), rtol=1e-3)
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from deadreckon.dynamics import Ensemble, Model
 from deadreckon.nets.mlp import MLP
 from deadreckon.online import Online
 from deadreckon.randomness import key_for
+from tests.agents.compiled import begun
 from tests.agents.resumed import whole_and_resumed
 
 SPEC = Spec.empty((2,), Box(-np.ones(1, np.float32), np.ones(1, np.float32)), "nowhere")
@@ -43,10 +44,10 @@ def made(kind, pays=(1.0, 1.0), **fields):
         fields = {name: fields[name] for name in ("hidden", "discount", "entropy_backup")}
     agent = (SAC if kind is SAC else Knowing)(**fields).resolve(SPEC, 10)
     plain = kind(**fields).resolve(SPEC, 10)
-    state = plain.init(SPEC, KEY)
+    state = begun(plain, SPEC)
     if kind is not SAC:
-        params = jnp.asarray(pays)
-        state = state._replace(model=Ensemble(params, None, jnp.zeros(3), jnp.ones(3), jnp.arange(len(pays))))
+        zeros = np.zeros(3, np.float32)
+        state = state._replace(model=Ensemble(jnp.asarray(pays), None, zeros, zeros + 1.0, np.arange(len(pays))))
     rng = np.random.default_rng(0)
     seen = rng.standard_normal((2, 4, 2)).astype(np.float32)
     seen[1, :, 1] = [-1.0, -1.0, 1.0, -1.0]  # beyond the third row's next observation, the model ends
@@ -58,8 +59,8 @@ def made(kind, pays=(1.0, 1.0), **fields):
 
 def flat(critics, values):
     """The same networks, which say `values` wherever they are asked."""
-    zeros = jax.tree.map(jnp.zeros_like, critics)
-    return MLP(zeros.weights, (*zeros.biases[:-1], jnp.asarray(values)[:, None]), zeros.activation)
+    zeros = jax.tree.map(lambda w: np.zeros(w.shape, w.dtype), critics)
+    return MLP(zeros.weights, (*zeros.biases[:-1], np.asarray(values, np.float32)[:, None]), zeros.activation)
 
 
 def test_mve_is_the_sum_by_hand():
@@ -68,15 +69,16 @@ def test_mve_is_the_sum_by_hand():
     found = jax.jit(agent.target)(state, batch, KEY)
     assert found.target.shape == (4, 4)
     goes_on = lambda steps: sum(DISCOUNT**k for k in range(steps)) + DISCOUNT**steps * VALUE  # noqa: E731
-    np.testing.assert_allclose(found.target[0], [1 + 0.9 * goes_on(3), 2 + 0.9 * goes_on(3), 3 + 0.9, 4.0], rtol=1e-5)
-    np.testing.assert_allclose(found.target[1:, :2], np.tile([[goes_on(3)], [goes_on(2)], [goes_on(1)]], (1, 2)), rtol=1e-5)
+    target, observation = np.asarray(found.target), np.asarray(found.observation)
+    np.testing.assert_allclose(target[0], [1 + 0.9 * goes_on(3), 2 + 0.9 * goes_on(3), 3 + 0.9, 4.0], rtol=1e-5)
+    np.testing.assert_allclose(target[1:, :2], np.tile([[goes_on(3)], [goes_on(2)], [goes_on(1)]], (1, 2)), rtol=1e-5)
     np.testing.assert_array_equal(found.weight, [[1, 1, 1, 1], [1, 1, 1, 0], [1, 1, 0, 0], [1, 1, 0, 0]])
-    np.testing.assert_array_equal(found.observation[0], batch.observation)
-    np.testing.assert_allclose(found.observation[2, :2, 0], batch.next_observation[:2, 0] + 1.0, rtol=1e-6)
+    np.testing.assert_array_equal(observation[0], batch.observation)
+    np.testing.assert_allclose(observation[2, :2, 0], np.asarray(batch.next_observation)[:2, 0] + 1.0, rtol=1e-6)
     # The loss is the mean over all steps that there are.
     critics = flat(state.critics, [2.0, 2.0])
-    loss, metrics = agent.critic_loss(critics, state, batch, found, KEY)
-    weight, error = np.asarray(found.weight), (2.0 - np.asarray(found.target)) ** 2
+    loss, _ = jax.jit(agent.critic_loss)(critics, state, batch, found, KEY)
+    weight, error = np.asarray(found.weight), (2.0 - target) ** 2
     np.testing.assert_allclose(loss, 2 * (weight * error).sum() / weight.sum(), rtol=1e-5)
 
 
@@ -125,7 +127,8 @@ def test_steve_weighs_horizons_by_their_certainty():
     agent, state, batch = made(STEVE, pays=(1.0, 3.0), horizon=2, critics=3)
     values = np.array([5.0, 7.0, 12.0], np.float32)
     state = state._replace(target_critics=flat(state.target_critics, values))
-    targets = np.asarray(jax.jit(agent.targets)(state, batch, KEY))
+    targets, found = jax.jit(lambda *given: (agent.targets(*given), agent.target(*given)))(state, batch, KEY)
+    targets = np.asarray(targets)
     assert targets.shape == (3, 2, 3, 4)
     by_hand = np.stack([
         np.broadcast_to(1 + 0.9 * values, (2, 3)),
@@ -135,7 +138,6 @@ def test_steve_weighs_horizons_by_their_certainty():
     np.testing.assert_allclose(targets[..., 0], by_hand, rtol=1e-5)
     weight = 1.0 / by_hand.var((1, 2))
     weight /= weight.sum()
-    found = agent.target(state, batch, KEY)
     np.testing.assert_allclose(found.value[0], (weight * by_hand.mean((1, 2))).sum(), rtol=1e-4)
     np.testing.assert_allclose(found.horizon[0], weight @ np.arange(3), rtol=1e-4)
     # The third row ends in the model's first step: the networks disagree only about that step.

@@ -20,6 +20,7 @@ from deadreckon.policies.portable import load as load_portable
 from deadreckon.randomness import key_for
 from deadreckon.theory import MDP, garnet
 from deadreckon.training.fit import fit
+from tests.agents.compiled import Compiled
 from tests.agents.test_bear import lane
 from tests.nets.test_mlp import numpy_mlp
 
@@ -49,7 +50,7 @@ def small(name, **fields):
 
 def started(name, **fields):
     agent = small(name, **fields)
-    return agent, agent.init(world()[2].spec, jax.random.key(0))
+    return Compiled(agent), agent.init(world()[2].spec, jax.random.key(0))
 
 
 def observed(size: int, seed: int = 0) -> np.ndarray:

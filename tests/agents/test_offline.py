@@ -305,7 +305,7 @@ def test_cqls_targets_may_take_the_best_of_several_actions(batch):
 
 def test_cqls_difference_has_a_lower_limit_row_by_row(batch):
     agent, state = made(CQL(samples=2, **SMALL))
-    high = np.asarray(soft_maximum(state.critics, state.actor, batch, 2, KEY))
+    high = np.asarray(jax.jit(lambda s: soft_maximum(s.critics, s.actor, batch, 2, KEY))(state))
     gaps = high - np.stack([q(state.critics, j, batch.observation, batch.action) for j in range(2)])
     limit = float(np.median(gaps))
     for least in (-1e9, limit):
@@ -331,9 +331,9 @@ def test_cql_penalty(batch):
         expected += ((logged - np.arange(6)) ** 2).mean() + 3.0 * (logsumexp(parts, 0) - logged).mean()
     np.testing.assert_allclose(loss, expected, rtol=1e-4)
     assert not agent.entropy_backup
-    held = CQL(cql_weight=1.0, lagrange=True, samples=2, **SMALL)
-    twice = held.critic_loss(state.critics, with_held(state, log_weight=jnp.log(2.0)), batch, target, KEY)[0]
-    once = held.critic_loss(state.critics, with_held(state, log_weight=jnp.log(1.0)), batch, target, KEY)[0]
+    held = Compiled(CQL(cql_weight=1.0, lagrange=True, samples=2, **SMALL))
+    twice = held.critic_loss(state.critics, with_held(state, log_weight=jnp.float32(np.log(2.0))), batch, target, KEY)[0]
+    once = held.critic_loss(state.critics, with_held(state, log_weight=jnp.float32(0.0)), batch, target, KEY)[0]
     np.testing.assert_allclose(twice - once, 2 * metrics["gap"], rtol=1e-3)  # a difference for each critic
 
 
@@ -357,11 +357,12 @@ def test_cql_rho_weighs_the_policys_actions_by_their_worth(batch):
     np.testing.assert_allclose(weighted_mean(state.critics, state.actor, batch, 3, KEY)[0], expected, atol=1e-5)
 
     def soft(critics):
-        each = [lane(critics, 0)(jnp.concatenate([batch.observation, a], -1))[:, 0] for a in drawn]
+        first = jax.tree.map(lambda w: w[0], critics)
+        each = [first(jnp.concatenate([batch.observation, a], -1))[:, 0] for a in drawn]
         return jax.nn.logsumexp(jnp.stack(each), 0)
 
-    found = jax.grad(lambda c: weighted_mean(c, state.actor, batch, 3, KEY)[0].sum())(state.critics)
-    wanted = jax.grad(lambda c: soft(c).sum())(state.critics)
+    found = jax.jit(jax.grad(lambda c: weighted_mean(c, state.actor, batch, 3, KEY)[0].sum()))(state.critics)
+    wanted = jax.jit(jax.grad(lambda c: soft(c).sum()))(state.critics)
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(wanted), strict=True):  # the slope of the soft maximum
         np.testing.assert_allclose(a[0], b[0], atol=1e-4)
 
@@ -402,9 +403,10 @@ def test_sac_n_believes_the_least_of_all_its_critics(batch):
 
 
 def test_the_least_of_many_is_that_of_few_with_a_slope_of_one_of_them():
-    values = jnp.asarray(np.random.default_rng(0).normal(size=(300, 7)), jnp.float32)
-    np.testing.assert_array_equal(minimum(values), values.min(0))
-    slope = jax.grad(lambda v: (minimum(v) * jnp.arange(1.0, 8.0)).sum())(jnp.zeros((300, 7)))  # all are the least
+    values = np.random.default_rng(0).normal(size=(300, 7)).astype(np.float32)
+    np.testing.assert_array_equal(jax.jit(minimum)(values), values.min(0))
+    slope = jax.jit(jax.grad(lambda v: (minimum(v) * np.arange(1.0, 8.0)).sum()))(np.zeros((300, 7)))  # all are the least
+    slope = np.asarray(slope)
     np.testing.assert_array_equal(slope.sum(0), np.arange(1.0, 8.0))
     assert ((slope != 0).sum(0) == 1).all()
 
@@ -428,7 +430,7 @@ def test_edac_likeness_by_hand_and_by_pairs():
     pairs = sum((unit[i] * unit[j]).sum(-1) for i in range(4) for j in range(4) if i != j)
     alike = jax.jit(likeness)
     np.testing.assert_allclose(alike(critics, batch), pairs.mean() / 3, atol=0.03)
-    same = jax.tree.map(lambda w: jnp.stack([w[0]] * 4), critics)
+    same = jax.tree.map(lambda w: np.stack([np.asarray(w)[0]] * 4), critics)
     np.testing.assert_allclose(alike(same, batch), 4.0, rtol=1e-4)  # 4 x 3 pairs of 1, over 3
 
 

@@ -18,6 +18,7 @@ from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.training.fit import fit
+from tests.agents.compiled import begun
 from tests.agents.tiny import MODEL
 from tests.agents.worlds import corridor
 
@@ -41,7 +42,7 @@ LOG = walk()
 def prepared(kind, turns=1, **fields):
     agent = kind(**TINY | fields).resolve(LOG.spec, 10)
     rows = TransitionSource(LOG, agent.needs(LOG.spec))
-    state = agent.init(LOG.spec, jax.random.key(0))
+    state = begun(agent, LOG.spec)
     for turn in range(turns):
         state = agent.prepare(state, rows, jax.random.key(turn), None)
     return agent, rows, state
@@ -198,7 +199,7 @@ def test_morel_ends_rollouts_that_the_model_does_not_know():
     (MOBILE, -20.0, -0.1), (MOBILE, 20.0, 0.0), (MOPO, -20.0, -0.1), (MOPO, 20.0, 0.0), (COMBO, 20.0, 0.1),
 ])  # fmt: skip
 def test_the_temperature_of_mobile_and_mopo_is_one_at_most(kind, log_prob, expected):
-    agent, _, state = prepared(kind, temperature_lr=0.1)
+    agent, _, state = prepared(kind, turns=0, temperature_lr=0.1)
     after = agent.update_temperature(state, jnp.asarray(log_prob)).log_temperature
     np.testing.assert_allclose(after, expected, atol=1e-5)
 

@@ -13,10 +13,17 @@ from deadreckon.online import Online
 from deadreckon.online.on_policy import OnPolicy
 from deadreckon.tasks import task
 from deadreckon.training.fit import Fit
+from tests.agents.compiled import Compiled, begun
 from tests.agents.resumed import whole_and_resumed
 
 SPEC = Spec.empty((3,), Box((-1.0, -1.0), (1.0, 1.0)), "nowhere")
-AGENT = PPO(hidden=(8,), batch_size=16, discount=0.9, gae_lambda=0.8).resolve(SPEC, 10)
+AGENT = Compiled(PPO(hidden=(8,), batch_size=16, discount=0.9, gae_lambda=0.8).resolve(SPEC, 10))
+LIKELIHOOD = jax.jit(lambda state, *given: AGENT.policy(state).log_prob(*given))
+
+
+@pytest.fixture(scope="module")
+def fresh():
+    return begun(AGENT, SPEC)
 
 
 def block(seed=0, steps=6, copies=2):
@@ -31,24 +38,23 @@ def block(seed=0, steps=6, copies=2):
     }  # fmt: skip
 
 
-def test_moments_are_those_of_all_rows():
+def test_moments_are_those_of_all_rows(fresh):
     rng = np.random.default_rng(0)
     parts = [3.0 + rng.standard_normal((n, 3)) for n in (5, 1, 40)]
-    seen = Moments.none(3)
+    seen, seeing = Moments.none(3), jax.jit(Moments.seeing)
     for part in parts:
-        seen = seen.seeing(jnp.asarray(part))
+        seen = seeing(seen, part)
     whole = np.concatenate(parts)
     np.testing.assert_allclose(seen.mean, whole.mean(0), rtol=1e-5)
     np.testing.assert_allclose(seen.variance, whole.var(0), rtol=1e-4)
-    net = AGENT.init(SPEC, jax.random.key(0)).actor
-    x = jnp.asarray(whole, jnp.float32)
-    np.testing.assert_allclose(folded(net, seen)(x), net((x - seen.mean) / seen.deviation), rtol=1e-3, atol=1e-5)
+    both = jax.jit(lambda net, seen, x: (folded(net, seen)(x), net((x - seen.mean) / seen.deviation)))
+    np.testing.assert_allclose(*both(fresh.actor, seen, whole), rtol=1e-3, atol=1e-5)
 
 
-def test_advantages_are_the_sums_by_hand():
-    state = AGENT.observing(AGENT.init(SPEC, jax.random.key(0)), jnp.asarray(block(1)["observation"].reshape(-1, 3)))
+def test_advantages_are_the_sums_by_hand(fresh):
+    state = AGENT.observing(fresh, block(1)["observation"].reshape(-1, 3))
     rows = block()
-    value = lambda seen: np.asarray(AGENT.value(state, jnp.asarray(seen)))  # noqa: E731
+    value = lambda seen: np.asarray(AGENT.value(state, seen))  # noqa: E731
     now, following = value(rows["observation"]), value(rows["next_observation"])
     wanted = np.zeros_like(now)
     for copy in range(2):
@@ -58,30 +64,29 @@ def test_advantages_are_the_sums_by_hand():
             error = rows["reward"][t, copy] + (0.0 if end else 0.9 * following[t, copy]) - now[t, copy]
             later = error + (0.0 if end or cut else 0.9 * 0.8 * later)
             wanted[t, copy] = later
-    new, columns = jax.jit(AGENT.digest)(state, {name: jnp.asarray(column) for name, column in rows.items()})
+    new, columns = jax.jit(AGENT.digest)(state, rows)
     np.testing.assert_allclose(columns["advantage"], wanted, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(columns["return_to_go"], wanted + now, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(new.returns.mean, (wanted + now).mean(), rtol=1e-4)
-    told = AGENT.policy(state).log_prob(jnp.asarray(rows["observation"]), jnp.asarray(rows["action"]))
+    told = LIKELIHOOD(state, rows["observation"], rows["action"])
     np.testing.assert_allclose(columns["behavior_log_prob"], told, rtol=1e-5)
     np.testing.assert_array_equal(new.observations.mean, state.observations.mean)
 
 
-def test_what_is_gained_beyond_the_clip_counts_no_more():
-    state = AGENT.init(SPEC, jax.random.key(0))
+def test_what_is_gained_beyond_the_clip_counts_no_more(fresh):
     rng = np.random.default_rng(2)
     seen, action = jnp.asarray(rng.standard_normal((16, 3))), jnp.asarray(rng.uniform(-0.9, 0.9, (16, 2)))
     log_ratio, advantage = rng.uniform(-0.6, 0.6, 16), rng.standard_normal(16)
-    own = np.asarray(AGENT.policy(state).log_prob(seen, action))
+    own = np.asarray(LIKELIHOOD(fresh, seen, action))
     batch = Batch(observation=seen, action=action, behavior_log_prob=jnp.asarray(own - log_ratio),
                   return_to_go=jnp.asarray(rng.standard_normal(16)), extra={"advantage": jnp.asarray(advantage)})  # fmt: skip
-    _, metrics = AGENT.loss((state.actor, state.critic), state, batch, jax.random.key(1))
+    _, metrics = AGENT.loss((fresh.actor, fresh.critic), fresh, batch, jax.random.key(1))
     gain, ratio = (advantage - advantage.mean()) / advantage.std(), np.exp(log_ratio)
     wanted = -np.where(gain > 0, np.minimum(ratio, 1.2), np.maximum(ratio, 0.8)) * gain
     np.testing.assert_allclose(metrics["actor_loss"], wanted.mean(), rtol=1e-3)
     np.testing.assert_allclose(metrics["clipped"], (np.abs(ratio - 1) > 0.2).mean(), rtol=1e-6)
     np.testing.assert_allclose(metrics["kl"], (ratio - 1 - log_ratio).mean(), rtol=1e-3)
-    error = np.asarray(AGENT.value(state, seen)) - np.asarray(batch.return_to_go)
+    error = np.asarray(AGENT.value(fresh, seen)) - np.asarray(batch.return_to_go)
     np.testing.assert_allclose(metrics["critic_loss"], (error**2).mean(), rtol=1e-4)
 
 

@@ -7,8 +7,8 @@ import numpy as np
 from deadreckon.agents import agent_class
 from deadreckon.agents.offline_mbrl import OfflineMBRL
 from deadreckon.data.batch import TransitionSource
-from deadreckon.data.step import Step
 from deadreckon.policies import EnvPolicy
+from deadreckon.policies.deployed import first_actions
 from tests.agents.worlds import corridor
 
 LOG = corridor()
@@ -44,6 +44,5 @@ def assert_function_of_state(policy: EnvPolicy, observations: np.ndarray) -> Non
     assert len(np.unique(actions, axis=0)) > 1  # or there is nothing to see
     np.testing.assert_allclose(policy(observations[order]), actions[order], atol=1e-5)
     np.testing.assert_allclose(np.concatenate([policy(part) for part in np.split(observations, 3)]), actions, atol=1e-5)
-    step = Step(jnp.asarray(observations), jnp.zeros(9), jnp.ones(9, bool))
-    other, _ = policy.act(step, policy.start(9), jax.random.key(7), greedy=True)
+    other = first_actions(policy, jnp.asarray(observations), jax.random.key(7), True)
     np.testing.assert_allclose(other, actions, atol=1e-5)

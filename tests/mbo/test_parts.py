@@ -64,19 +64,21 @@ def test_a_penalty_grows_where_too_much_is_promised():
     for margin, sign in ((0.0, 1), (1e3, -1)):
         rates = {"lr": 1e-3, "alpha_lr": 0.01, "design_lr": 0.5}
         learner = Conservative(COMs(hidden=(8,), batch_size=20, margin=margin, ascent_steps=5, **rates))
-        state = learner.init(data.coordinates, jax.random.key(0))
-        state = state._replace(net=linear([[2.0]], [0.0]))  # its slope leads beyond the data
-        x = jnp.asarray(data.coordinates.encode(data.x))
-        beyond = learner.adversaries(state.net, x)
+        x, zeros = np.asarray(data.coordinates.encode(data.x)), np.zeros(20, np.float32)
+
+        @jax.jit
+        def promised(net, learner=learner, x=x, zeros=zeros):
+            beyond = learner.adversaries(net, x)
+            return beyond, learner.loss(net, x, zeros, beyond, 1.0)[1]["overestimation"]
+
+        beyond, more = promised(linear([[2.0]], [0.0]))  # its slope leads beyond the data
         np.testing.assert_allclose(beyond, x + 5 * 0.5 * 2.0, rtol=1e-5)
-        _, metrics = learner.loss(state.net, x, jnp.zeros(20), beyond, 1.0)
-        assert float(metrics["overestimation"]) == pytest.approx(2.0 * 5.0, rel=1e-4)
-        fresh = learner.init(data.coordinates, jax.random.key(0))
-        batch = type("Batch", (), {"extra": {"x": x, "y": jnp.zeros(20)}})
+        assert float(more) == pytest.approx(2.0 * 5.0, rel=1e-4)
+        fresh = jax.jit(lambda key, learner=learner: learner.init(data.coordinates, key))(jax.random.key(0))
+        batch = type("Batch", (), {"extra": {"x": x, "y": zeros}})
         update = jax.jit(lambda state, learner=learner, batch=batch: learner.update(state, batch, step=0, key=None)[0])
         moved = update(fresh)
-        more = float(learner.loss(fresh.net, x, jnp.zeros(20), learner.adversaries(fresh.net, x), 1.0)[1]["overestimation"])
-        assert np.sign(more - margin) == sign
+        assert np.sign(float(promised(fresh.net)[1]) - margin) == sign
         assert float(moved.log_alpha - fresh.log_alpha) == pytest.approx(sign * 0.01, rel=1e-3)
 
 

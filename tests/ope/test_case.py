@@ -20,6 +20,8 @@ from deadreckon.policies.kinds import ClippedGaussian, Deterministic
 from deadreckon.theory import garnet
 from tests.ope.worlds import as_policy, tables
 
+ones = lambda *shape: np.ones(shape, np.float32)  # noqa: E731
+zeros = lambda *shape: np.zeros(shape, np.float32)  # noqa: E731
 TINY = FQE(members=2, hidden=(8,), steps=60, batch_size=16)
 
 
@@ -76,14 +78,13 @@ def test_fqe_on_lqr_has_the_riccati_value():
 def test_members_learn_each_from_its_own_redrawn_episodes():
     """Critics that say nothing, against targets 1 and 2: squares of 1 and 4, by each member's own weights."""
     learner = Critics(FQE(hidden=()), 0.9, Scale(1.0, 1.0, -9.0, 9.0), share=1.0, first=0.0, members=2, policies=1, stops=False)
-    critics = MLP((jnp.zeros((2, 1, 2, 1)),), (jnp.zeros((2, 1, 1)),))
-    weight = jnp.array([[2.0, 0.0], [0.0, 3.0]])  # (rows, members): the first member has the first row twice
-    batch = Batch(jnp.ones((2, 1)), jnp.ones((2, 1)), jnp.zeros(2), jnp.ones((2, 1)), jnp.zeros(2), extra={"weight": weight})
-    target = jnp.broadcast_to(jnp.array([1.0, 2.0]), (2, 1, 2))
-    loss, (metrics, _) = learner.loss(critics, batch, target)
+    critics = MLP((zeros(2, 1, 2, 1),), (zeros(2, 1, 1),))
+    weight = np.array([[2.0, 0.0], [0.0, 3.0]], np.float32)  # (rows, members): the first member has the first row twice
+    batch = Batch(ones(2, 1), ones(2, 1), zeros(2), ones(2, 1), zeros(2), extra={"weight": weight})
+    target = np.broadcast_to(np.array([1.0, 2.0], np.float32), (2, 1, 2))
+    (loss, (metrics, _)), slopes = jax.jit(jax.value_and_grad(learner.loss, has_aux=True))(critics, batch, target)
     assert float(loss) == pytest.approx((2 * 1 + 0 * 4) / 2 + (0 * 1 + 3 * 4) / 2)
-    slopes = jax.grad(lambda net: learner.loss(net, batch, target)[0])(critics).biases[0][:, 0, 0]
-    np.testing.assert_allclose(slopes, [-2 * (2 * 1) / 2, -2 * (3 * 2) / 2])
+    np.testing.assert_allclose(np.asarray(slopes.biases[0])[:, 0, 0], [-2 * (2 * 1) / 2, -2 * (3 * 2) / 2])
     assert float(metrics["loss"]) == pytest.approx((2 + 12) / 4)
 
 
@@ -97,24 +98,29 @@ def test_targets_of_fitted_values_end_at_terminals(monkeypatch):
 
     monkeypatch.setattr(Critics, "loss", spy)
     learner = Critics(FQE(hidden=()), 0.9, Scale(1.0, 1.0, -9.0, 9.0), share=1.0, first=0.0, members=1, policies=1, stops=False)
-    critics = MLP((jnp.zeros((1, 1, 2, 1)),), (jnp.full((1, 1, 1), 2.0),))
-    extra = {"weight": jnp.ones((2, 1)), "policy": jnp.zeros((2, 1, 1, 1))}
-    batch = Batch(jnp.ones((2, 1)), jnp.ones((2, 1)), jnp.ones(2), jnp.ones((2, 1)), jnp.array([0.0, 1.0]), extra=extra)
-    learner.update(State(critics, critics, init_opt(critics), None), batch, step=jnp.int32(0), key=jax.random.key(0))
-    np.testing.assert_allclose(told[0], [[[2.8, 1.0]]], rtol=1e-6)
+    critics = MLP((zeros(1, 1, 2, 1),), (2.0 * ones(1, 1, 1),))
+    extra = {"weight": ones(2, 1), "policy": zeros(2, 1, 1, 1)}
+    batch = Batch(ones(2, 1), ones(2, 1), ones(2), ones(2, 1), np.array([0.0, 1.0], np.float32), extra=extra)
+
+    @jax.jit
+    def target(state):
+        learner.update(state, batch, step=jnp.int32(0), key=jax.random.key(0))
+        return told[0]
+
+    np.testing.assert_allclose(target(State(critics, critics, init_opt(critics), None)), [[[2.8, 1.0]]], rtol=1e-6)
 
 
 def test_the_saddle_point_looks_ahead_where_the_episode_goes_on_and_nowhere_else():
     rng = np.random.default_rng(0)
     learner = Saddle(DICE(hidden=(), members=1), 0.9, 1.0, 1)
-    q, zeta = (MLP((jnp.asarray(rng.normal(size=(1, 1, 2, 1)), jnp.float32),), (jnp.zeros((1, 1, 1)),)) for _ in range(2))
-    ones, table = jnp.ones((2, 1)), jnp.zeros((2, 1, 1, 1))
-    extra = {"weight": ones, "policy": table, "initial_weight": ones, "initial_policy": table}
+    q, zeta = (MLP((jnp.asarray(rng.normal(size=(1, 1, 2, 1)), jnp.float32),), (zeros(1, 1, 1),)) for _ in range(2))
+    one, table = ones(2, 1), zeros(2, 1, 1, 1)
+    extra = {"weight": one, "policy": table, "initial_weight": one, "initial_policy": table}
+    batch = Batch(one, one, ones(2), one, np.array([0.0, 1.0], np.float32), initial_observation=one, extra=extra)
+    lagrangian = jax.jit(lambda batch: learner.lagrangian((q, zeros(1, 1)), zeta, batch)[0])
 
     def value(following):
-        batch = Batch(ones, ones, jnp.ones(2), jnp.array(following)[:, None], jnp.array([0.0, 1.0]), initial_observation=ones,
-                      extra=extra)  # fmt: skip
-        return float(learner.lagrangian((q, jnp.zeros((1, 1))), zeta, batch)[0])
+        return float(lagrangian(batch._replace(next_observation=np.array(following, np.float32)[:, None])))
 
     assert value([1.0, 5.0]) == pytest.approx(value([1.0, 1.0]), rel=1e-6)  # the second row is terminal
     assert abs(value([5.0, 1.0]) - value([1.0, 1.0])) > 1e-2

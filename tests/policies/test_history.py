@@ -1,7 +1,7 @@
 """Policies that carry the last steps act as the network does on the rows of the log, also from a file and by NumPy alone."""
 
+import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -50,13 +50,18 @@ def acted(act, space):
     return logs, done
 
 
+@eqx.filter_jit
+def stepped(policy, step, carry):
+    return policy.act(step, carry, jax.random.key(0), greedy=True)
+
+
 def carrying(policy):
     """The policy's `act` with its carry inside."""
     carry = policy.start(2)
 
     def act(seen, first):
         nonlocal carry
-        actions, carry = policy.act(Step(jnp.asarray(seen), jnp.zeros(2), first), carry, jax.random.key(0), greedy=True)
+        actions, carry = stepped(policy, Step(seen, np.zeros(2, np.float32), first), carry)
         return np.asarray(actions)
 
     return act

@@ -82,18 +82,26 @@ def test_draws_of_the_numpy_player_are_distributed_as_ours(kind, tmp_path):
 def test_a_gaussian_around_a_tanh_has_the_likelihood_of_actions_and_the_density_of_what_acts():
     """Against numpy: what imitation maximises has no bounds; of what acts each bound has all that lies beyond it."""
     policy = TanhMeanGaussian.create(SPEC, (8,), KEY, 0.5)
-    policy = dataclasses.replace(policy, log_std=jnp.log(jnp.asarray([0.5, 0.1])))
+    policy = dataclasses.replace(policy, log_std=np.log(np.asarray([0.5, 0.1], np.float32)))
+
+    @jax.jit
+    def told(policy, seen, taken):
+        drawn = policy.actions(seen[:1], KEY, greedy=False, count=(20_000,))
+        greedy = policy.actions(seen, KEY, greedy=True)
+        return policy.net(seen), greedy, policy.log_likelihood(seen, taken), policy.log_prob(seen, taken), drawn
+
     seen = np.random.default_rng(0).normal(size=(6, 3)).astype("f4")
     taken = np.array([[1, -1], [0.3, 0.2], [-1, 0.5], [0.9, 1], [0, 0], [1, 1]], "f4")
     taken = np.clip(taken, -EDGE, EDGE).astype("f4")  # as in batches
-    mean = np.tanh(np.asarray(policy.net(jnp.asarray(seen)), float))
-    np.testing.assert_allclose(policy.actions(jnp.asarray(seen), KEY, greedy=True), mean, atol=1e-6)
+    net, greedy, log_likelihood, log_prob, drawn = told(policy, seen, taken)
+    mean = np.tanh(np.asarray(net, float))
+    np.testing.assert_allclose(greedy, mean, atol=1e-6)
     normal = scipy.stats.norm(mean, [0.5, 0.1])
-    np.testing.assert_allclose(policy.log_likelihood(seen, taken), normal.logpdf(taken).sum(1), rtol=1e-4)
+    np.testing.assert_allclose(log_likelihood, normal.logpdf(taken).sum(1), rtol=1e-4)
     inside = np.abs(taken) < 0.99
     beyond = np.where(taken > 0, normal.logsf(1.0), normal.logcdf(-1.0))
-    np.testing.assert_allclose(policy.log_prob(seen, taken), np.where(inside, normal.logpdf(taken), beyond).sum(1), rtol=1e-4)
-    drawn = np.asarray(policy.actions(jnp.asarray(seen[:1]), KEY, greedy=False, count=(20_000,)))[:, 0]
+    np.testing.assert_allclose(log_prob, np.where(inside, normal.logpdf(taken), beyond).sum(1), rtol=1e-4)
+    drawn = np.asarray(drawn)[:, 0]
     np.testing.assert_allclose((drawn == 1.0).mean(0), normal.sf(1.0)[0], atol=0.01)
 
 

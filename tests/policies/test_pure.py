@@ -53,7 +53,7 @@ def test_each_member_of_a_mixture_acts_in_its_rows():
     which = np.arange(40) % 2
     found = pure(Mixture.of(members))
     assert (found.inputs, found.members) == (("observation", MEMBER), 2)
-    actions, chances = found.call(jnp.asarray(x), jnp.asarray(which, jnp.int32))
+    actions, chances = map(np.asarray, jax.jit(found.call)(x, which.astype(np.int32)))
     for i, member in enumerate(members):
         np.testing.assert_array_equal(actions[which == i], member(x[which == i]))
         np.testing.assert_allclose(chances[which == i], member.action_probs(x[which == i]), atol=1e-6)
@@ -92,10 +92,10 @@ def test_every_kind_that_the_package_has_is_exported_or_refused():
 
 
 def test_pictures_go_in_as_numbers():
-    encoder = Encoder.create("patches", (16, 16, 3), 8, jax.random.key(0))
+    encoder = jax.jit(lambda key: Encoder.create("patches", (16, 16, 3), 8, key))(jax.random.key(0))
     member = EnvPolicy(Deterministic(MLP.create(8, (4,), 2, jax.random.key(1))), None, None, None, None)
     policy = EnvPolicy(Seeing(encoder, member), None, None, None, None)
     pictures = np.random.default_rng(0).integers(0, 256, (5, 16, 16, 3)).astype(np.uint8)
     found = pure(policy)
     assert (found.inputs, found.outputs) == (("observation",), ("action",))
-    np.testing.assert_allclose(found.call(pictures.astype(np.float32))[0], policy(pictures), atol=1e-6)
+    np.testing.assert_allclose(jax.jit(found.call)(pictures.astype(np.float32))[0], policy(pictures), atol=1e-6)

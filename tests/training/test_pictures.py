@@ -23,6 +23,7 @@ from deadreckon.runs.diagnostics import LogProbe
 from deadreckon.runs.settings import TrainSettings
 from deadreckon.training import sources
 from deadreckon.training.fit import Fit, complete
+from deadreckon.training.learner import lane_of
 from deadreckon.training.pictures import FEATURES, Seen, Sight, features_of, update, usual_shift
 
 SEEING = [name for name in AGENTS if "supports_images" in vars(agent_class(name))]
@@ -73,9 +74,9 @@ def test_lanes_chunks_and_streams_change_nothing_and_files_act_alike(name, tmp_p
     agents = [small(name)] * 2
     together = fitted(agents, [3, 4], 6, chunk=6)
     alone = fitted(agents[:1], [4], 6, chunk=2, stream=True)
-    for one, other in zip(jax.tree.leaves(together.states), jax.tree.leaves(alone.states), strict=True):
-        np.testing.assert_allclose(one[1], other[0], atol=2e-5)
-    state = jax.tree.map(lambda leaf: leaf[0], alone.states)
+    state = lane_of(alone.states, 0)
+    for one, other in zip(jax.tree.leaves(lane_of(together.states, 1)), jax.tree.leaves(state), strict=True):
+        np.testing.assert_allclose(one, other, atol=2e-5)
     policy = deployed(agents[0], state, alone.each[0].view)
     store.save(tmp_path / "policy.npz", policy)
     actions = policy(LOG.observations[:7])
@@ -99,18 +100,19 @@ def test_batches_from_the_host_come_in_parts_of_limited_size(monkeypatch):
 @pytest.mark.parametrize("network", ["patches", *(pytest.param(name, marks=pytest.mark.slow) for name in ("drq", "impala"))])
 def test_programs_of_any_number_of_pictures(network):
     """As exports make them: the number of rows is a symbol."""
-    encoder = Encoder.create(network, (24, 24, 3), 8, jax.random.key(0))
+    encoder = jax.jit(lambda key: Encoder.create(network, (24, 24, 3), 8, key))(jax.random.key(0))
     rows = jax.export.symbolic_shape("n")[0]
-    whole = jax.export.export(jax.jit(lambda pictures: encoder(pictures)))(jax.ShapeDtypeStruct((rows, 24, 24, 3), jnp.float32))
+    program = jax.jit(lambda pictures: encoder(pictures))
+    whole = jax.export.export(program)(jax.ShapeDtypeStruct((rows, 24, 24, 3), jnp.float32))
     pictures = np.random.default_rng(0).integers(0, 256, (5, 24, 24, 3)).astype(np.float32)
-    np.testing.assert_allclose(whole.call(pictures), encoder(pictures), atol=1e-5)
+    np.testing.assert_allclose(whole.call(pictures), program(pictures), atol=1e-5)
 
 
 def test_a_mixture_sees_one_picture_or_several(tmp_path):
     agent = small("bc")
     states = fitted([agent] * 2, [0, 1], 2)
     view = states.each[0].view
-    members = [deployed(agent, jax.tree.map(lambda leaf, i=i: leaf[i], states.states), view) for i in range(2)]
+    members = [deployed(agent, lane_of(states.states, i), view) for i in range(2)]
     mixture = Mixture.of(members)
     store.save(tmp_path / "mixture.npz", mixture)
     play = portable.load(tmp_path / "mixture.npz")
@@ -125,7 +127,7 @@ def test_discrete_policies_tell_their_probabilities_by_numpy_too(tmp_path):
     log = replace(LOG, actions=(LOG.actions[:, 0] > 0).astype(np.int32), action_space=Discrete(2))
     agent = agent_class("bc")(hidden=(8,), batch_size=8).resolve(log.spec, 10)
     job = fitted([agent], [0], 2, log=log)
-    policy = deployed(agent, jax.tree.map(lambda leaf: leaf[0], job.states), job.each[0].view)
+    policy = deployed(agent, lane_of(job.states, 0), job.each[0].view)
     store.save(tmp_path / "policy.npz", policy)
     found = portable.load(tmp_path / "policy.npz").probs(log.observations[:4])
     np.testing.assert_allclose(found, policy.action_probs(log.observations[:4]), atol=1e-5)
@@ -161,7 +163,7 @@ def test_the_encoder_follows_the_slope_of_its_loss_alone(name):
     """One update by hand: Adam's first step has the sign of the slope, whatever the agent's other losses are."""
     agent = small(name)
     job = Fit([agent], TransitionSource(LOG, agent.needs(LOG.spec)), [0], 10, sight=Sight(shift=2))
-    state = jax.tree.map(lambda leaf: leaf[0], job.states)
+    state = lane_of(job.states, 0)
     assert isinstance(state, Seen)
     rows = TransitionSource(LOG, agent.needs(LOG.spec)).take(np.arange(16))
     batch = Batch(**{name: jnp.asarray(column) for name, column in rows.items()})
@@ -176,7 +178,7 @@ def test_the_encoder_follows_the_slope_of_its_loss_alone(name):
         return agent.representation_loss(state.inner, seen, step=step, key=k_inner)
 
     slopes = jax.jit(jax.grad(loss))(state.encoder)
-    for before, after, slope in zip(*map(jax.tree.leaves, (state.encoder, new.encoder, slopes)), strict=True):
+    for before, after, slope in zip(*map(jax.tree.leaves, jax.device_get((state.encoder, new.encoder, slopes))), strict=True):
         sure = np.abs(slope) > 1e-5
         assert sure.any()
         np.testing.assert_allclose((after - before)[sure], -agent.representation_lr * np.sign(slope)[sure], rtol=2e-2)
@@ -186,7 +188,7 @@ def test_values_reach_the_encoder_of_actor_critics_and_imitation_does_not():
     """With critics that are flat in the observation the encoder rests, whatever the actor wants."""
     agent = small("td3_bc")
     job = Fit([agent], TransitionSource(LOG, agent.needs(LOG.spec)), [0], 10)
-    state = jax.tree.map(lambda leaf: leaf[0], job.states)
+    state = lane_of(job.states, 0)
     first = state.inner.critics.weights[0].at[:, :FEATURES].set(0.0)
     critics = type(state.inner.critics)((first, *state.inner.critics.weights[1:]), state.inner.critics.biases)
     state = state._replace(inner=state.inner._replace(critics=critics))
@@ -222,7 +224,7 @@ def test_what_is_refused(tmp_path):
         TrainSettings.of({"encoder": "resnet"})
     agent = small("bc")
     job = fitted([agent], [0], 2)
-    policy = deployed(agent, jax.tree.map(lambda leaf: leaf[0], job.states), job.each[0].view)
+    policy = deployed(agent, lane_of(job.states, 0), job.each[0].view)
     with pytest.raises(UserError, match=r"sees pictures, uint8 of shape \(16, 16, 3\).*got float32"):
         policy(np.zeros((16, 16, 3), np.float32))
     with pytest.raises(UserError, match=r"got uint8 of shape \(3, 16, 15, 3\)"):

@@ -58,8 +58,12 @@ class Encoder(eqx.Module):
             raise UserError(f"pictures have a height and a width of {LEAST} or more, and channels; got the shape {shape}")
         shapes = _shapes(kind, shape[-1])
         seen = (shape[0], shape[1], shape[2])
-        bare = cls(tuple(jnp.zeros(each) for each in shapes), tuple(jnp.zeros(each[-1]) for each in shapes), kind, seen)
-        flat = jax.eval_shape(bare.maps, jax.ShapeDtypeStruct((1, *shape), jnp.uint8)).shape[1:]
+
+        def maps(pictures: Array) -> Array:  # of zeros, which are made nowhere: their shapes alone are asked for
+            bare = cls(tuple(jnp.zeros(each) for each in shapes), tuple(jnp.zeros(each[-1]) for each in shapes), kind, seen)
+            return bare.maps(pictures)
+
+        flat = jax.eval_shape(maps, jax.ShapeDtypeStruct((1, *shape), jnp.uint8)).shape[1:]
         shapes.append((math.prod(flat), features))
         keys = jax.random.split(key, len(shapes))
         weights = [_orthogonal(k, each) for k, each in zip(keys, shapes)]

@@ -252,8 +252,8 @@ def _observation_size(policy: Any) -> int | None:
 
 def _action_shape(policy: EnvPolicy, observation_size: int) -> tuple[int, ...]:
     """Of one action of a policy of ours."""
-    step = Step(jnp.zeros((1, observation_size)), jnp.zeros(1), jnp.ones(1, bool))
-    act = lambda: policy.act(step, policy.start(1), jax.random.key(0), greedy=True)[0]  # noqa: E731
+    step = lambda: Step(jnp.zeros((1, observation_size)), jnp.zeros(1), jnp.ones(1, bool))  # noqa: E731
+    act = lambda: policy.act(step(), policy.start(1), jax.random.key(0), greedy=True)[0]  # noqa: E731
     return eqx.filter_eval_shape(act).shape[1:]
 
 
