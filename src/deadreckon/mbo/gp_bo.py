@@ -48,6 +48,7 @@ class Process(NamedTuple):
     best: Array
     rbf: Array
 
+    @jax.jit
     def posterior(self, x: Float[Array, "b z"]) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
         """Mean and deviation, without noise."""
         inner, own = x @ self.x.T, jnp.square(x).sum(-1)

@@ -30,6 +30,7 @@ class Ranking(Surrogate):
         return error, {"listnet": error, "agreement": jnp.corrcoef(net(x)[..., 0], y)[0, 1]}
 
 
+@jax.jit
 def ranked(nets: tuple[MLP, Any, Any], x: Array) -> Array:
     """The model's output, standardised."""
     net, mean, std = nets

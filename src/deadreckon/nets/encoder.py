@@ -4,6 +4,7 @@ All end alike: a dense layer, layer normalisation and tanh, as DrQ-v2 has it (Ya
 """
 
 import math
+from functools import partial
 from typing import Any, Literal, get_args
 
 import equinox as eqx
@@ -138,6 +139,7 @@ def _shapes(kind: Kind, channels: int) -> list[tuple[int, ...]]:
     return shapes
 
 
+@partial(jax.jit, static_argnames="shape")
 def _orthogonal(key: PRNGKeyArray, shape: tuple[int, ...]) -> Array:
     flat = jax.nn.initializers.orthogonal(2.0**0.5)(key, (math.prod(shape[:-1]), shape[-1]))
     return flat.reshape(shape)
