@@ -125,7 +125,7 @@ def test_sac_draws_of_targets_and_actor_have_keys_of_their_own(batch):
 
 @pytest.mark.parametrize(("target", "rises"), [(-50.0, False), pytest.param(50.0, True, marks=pytest.mark.slow)])
 def test_sac_temperature_falls_when_the_policy_is_more_random_than_asked(batch, target, rises):
-    agent = Compiled(SAC(hidden=(16, 16), target_entropy=target).resolve(SPEC, 10))
+    agent = SAC(hidden=(16, 16), target_entropy=target).resolve(SPEC, 10)
     state = agent.init(SPEC, jax.random.key(0))
     after, _ = jax.jit(lambda s: agent.update(s, batch, step=jnp.int32(0), key=KEY))(state)
     assert (float(after.log_temperature) > float(state.log_temperature)) is rises

@@ -20,7 +20,7 @@ FAR = 60.0
 @pytest.fixture(scope="module")
 def learner():
     agent = D4PG(**SETTINGS, target_update_period=3).resolve(SPEC, 10)
-    return Compiled(agent), moved(begun(agent, SPEC), ("actor", "critic", "target_actor", "target_critic"))  # nor are gains one
+    return Compiled(agent), moved(begun(agent, SPEC), ("actor", "critic", "target_actor", "target_critic"))
 
 
 @pytest.fixture(scope="module")

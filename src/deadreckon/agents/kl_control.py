@@ -37,7 +37,7 @@ class KLControl(SAC):
         """There is no entropy to hold."""
         if self.target_entropy not in (None, 0.0):
             raise UserError("KLControl holds a divergence, not an entropy: set target_kl and leave out target_entropy")
-        return super(KLControl, self.replace(target_entropy=0.0)).resolve(spec, steps)
+        return super().resolve(spec, steps).replace(target_entropy=0.0)
 
     @property
     def entropy_target(self):

@@ -244,7 +244,7 @@ def _compared(
     test: Test, rival: str | None, on: tuple[str, ...], plans: Mapping[Path, Sequence[Job]],
     rows: Mapping[str, dict[str, Any]], alpha: float, count: int,
 ) -> Comparison:  # fmt: skip
-    """One of `count` comparisons of a claim at level 1 - alpha, from the plans of its suites and all results by cell."""
+    """One of `count` comparisons of a claim at level 1 - alpha, from the plans of its suites and the results of their cells."""
 
     missing, seen = 0, []
 

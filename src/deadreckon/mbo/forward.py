@@ -53,13 +53,13 @@ def means_of(nets: MLP, x: Array) -> Float[Array, "k b"]:
 @jax.jit
 def mean_of(nets: MLP, x: Array) -> Array:
     """Of what the members believe."""
-    return jax.vmap(lambda net: believed(net, x)[0])(nets).mean(0)
+    return means_of(nets, x).mean(0)
 
 
 @jax.jit
 def least_of(nets: MLP, x: Array) -> Array:
     """Of what the members believe."""
-    return minimum(jax.vmap(lambda net: believed(net, x)[0])(nets))
+    return minimum(means_of(nets, x))
 
 
 @jax.jit

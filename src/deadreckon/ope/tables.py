@@ -19,7 +19,7 @@ from deadreckon.data.spec import Spec
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.policies.candidates import OneStep
-from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.policies.deployed import EnvPolicy, first_actions
 from deadreckon.policies.kinds import Deterministic, Gaussian, TanhMeanGaussian
 from deadreckon.randomness import generator, sequence
 
@@ -252,9 +252,8 @@ def _observation_size(policy: Any) -> int | None:
 
 def _action_shape(policy: EnvPolicy, observation_size: int) -> tuple[int, ...]:
     """Of one action of a policy of ours."""
-    step = lambda: Step(jnp.zeros((1, observation_size)), jnp.zeros(1), jnp.ones(1, bool))  # noqa: E731
-    act = lambda: policy.act(step(), policy.start(1), jax.random.key(0), greedy=True)[0]  # noqa: E731
-    return eqx.filter_eval_shape(act).shape[1:]
+    seen = jax.ShapeDtypeStruct((1, observation_size), np.float32)
+    return eqx.filter_eval_shape(lambda x: first_actions(policy, x, jax.random.key(0), True), seen).shape[1:]
 
 
 def draws_nothing(policy: Any) -> bool:
