@@ -11,7 +11,6 @@ from deadreckon.nets.encoder import Encoder, patches, shifted
 from deadreckon.policies import portable_pictures
 
 RNG = np.random.default_rng(0)
-CREATE = jax.jit(Encoder.create, static_argnums=(0, 1, 2))
 
 
 def test_patches_are_squares_of_pixels():
@@ -43,7 +42,7 @@ def test_shifts_move_pictures_and_repeat_their_edge():
 @pytest.mark.parametrize(("kind", "shape"), [("patches", (48, 48, 3)), ("drq", (20, 31, 6)), ("impala", (19, 24, 3))])
 def test_numpy_makes_the_same_features(kind, shape):
     noise = lambda leaf: 0.01 * np.asarray(jax.random.normal(jax.random.key(1), leaf.shape))  # noqa: E731
-    encoder = jax.tree.map(lambda leaf: np.asarray(leaf) + noise(leaf), CREATE(kind, shape, 12, jax.random.key(3)))
+    encoder = jax.tree.map(lambda leaf: np.asarray(leaf) + noise(leaf), Encoder.create(kind, shape, 12, jax.random.key(3)))
     pictures = RNG.integers(0, 256, (4, *shape)).astype(np.uint8)
     arrays = {f"k{i}": np.asarray(k) for i, k in enumerate(encoder.kernels)}
     arrays |= {f"b{i}": np.asarray(b) for i, b in enumerate(encoder.biases)}
@@ -59,7 +58,7 @@ def test_numpy_makes_the_same_features(kind, shape):
 
 @pytest.mark.parametrize("kind", ["patches", "drq", "impala"])
 def test_features_tell_pictures_apart_and_have_slopes(kind):
-    encoder = CREATE(kind, (24, 24, 3), 16, jax.random.key(0))
+    encoder = Encoder.create(kind, (24, 24, 3), 16, jax.random.key(0))
     pictures = jnp.asarray(RNG.integers(0, 256, (3, 2, 24, 24, 3)), jnp.uint8)
 
     @partial(jax.value_and_grad, has_aux=True)

@@ -164,7 +164,7 @@ def test_a_column_of_a_legal_action_that_there_is_not_is_refused(tmp_path):
 
 
 def test_pictures_are_taken_as_a_list_of_whole_numbers_too(tmp_path):
-    encoder = jax.jit(lambda key: Encoder.create("patches", (16, 16, 3), 8, key))(jax.random.key(0))
+    encoder = Encoder.create("patches", (16, 16, 3), 8, jax.random.key(0))
     member = EnvPolicy(Deterministic(MLP.create(8, (4,), 2, jax.random.key(1))), None, None, None, None)
     policy = EnvPolicy(Seeing(encoder, member), None, None, None, None)
     store.save(tmp_path / "policy.npz", policy, {"log": {"observation_shape": [16, 16, 3]}})

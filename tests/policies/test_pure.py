@@ -92,7 +92,7 @@ def test_every_kind_that_the_package_has_is_exported_or_refused():
 
 
 def test_pictures_go_in_as_numbers():
-    encoder = jax.jit(lambda key: Encoder.create("patches", (16, 16, 3), 8, key))(jax.random.key(0))
+    encoder = Encoder.create("patches", (16, 16, 3), 8, jax.random.key(0))
     member = EnvPolicy(Deterministic(MLP.create(8, (4,), 2, jax.random.key(1))), None, None, None, None)
     policy = EnvPolicy(Seeing(encoder, member), None, None, None, None)
     pictures = np.random.default_rng(0).integers(0, 256, (5, 16, 16, 3)).astype(np.uint8)

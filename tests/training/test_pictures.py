@@ -100,7 +100,7 @@ def test_batches_from_the_host_come_in_parts_of_limited_size(monkeypatch):
 @pytest.mark.parametrize("network", ["patches", *(pytest.param(name, marks=pytest.mark.slow) for name in ("drq", "impala"))])
 def test_programs_of_any_number_of_pictures(network):
     """As exports make them: the number of rows is a symbol."""
-    encoder = jax.jit(lambda key: Encoder.create(network, (24, 24, 3), 8, key))(jax.random.key(0))
+    encoder = Encoder.create(network, (24, 24, 3), 8, jax.random.key(0))
     rows = jax.export.symbolic_shape("n")[0]
     program = jax.jit(lambda pictures: encoder(pictures))
     whole = jax.export.export(program)(jax.ShapeDtypeStruct((rows, 24, 24, 3), jnp.float32))

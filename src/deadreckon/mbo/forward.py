@@ -52,13 +52,13 @@ def means_of(nets: MLP, x: Array) -> Float[Array, "k b"]:
 
 @jax.jit
 def mean_of(nets: MLP, x: Array) -> Array:
-    """Of what the members believe."""
+    """The mean of the members' predictions."""
     return means_of(nets, x).mean(0)
 
 
 @jax.jit
 def least_of(nets: MLP, x: Array) -> Array:
-    """Of what the members believe."""
+    """The least of the members' predictions."""
     return minimum(means_of(nets, x))
 
 
