@@ -216,6 +216,20 @@ def test_an_online_suite_needs_agents_that_act_and_steps_enough(written, agent, 
         plan(read(written(told)))
 
 
+@pytest.mark.parametrize(
+    ("kind", "on", "agent", "field", "message"),
+    [
+        ("learn", 'logs = ["maze2d-umaze-v1"]', "td3_bc", "alpha = -1.0", "TD3BC.alpha takes a finite number >= 0, got -1.0"),
+        ("online", 'tasks = ["hopper"]\nsteps = 9_000', "sac", "tau = 7", "SAC.tau takes a finite number >= 0 and <= 1, got 7"),
+        ("ope", 'logs = ["hopper-medium-v2"]', "fqe", "steps = -3", "FQE.steps takes a whole number >= 1, got -3"),
+        ("design", 'problems = ["superconductor"]', "nemo", "steps = -3", "NEMO.steps takes a whole number >= 1, got -3"),
+    ],
+)
+def test_a_value_that_a_field_does_not_take_is_refused_before_any_job_is_run(written, kind, on, agent, field, message):
+    with pytest.raises(UserError, match=rf"method 'A' on .*: {message}"):
+        plan(read(written(f'kind = "{kind}"\n{on}\n[methods]\nA = {{ agent = "{agent}", fields = {{ {field} }} }}\n')))
+
+
 ACTING = """kind = "online"
 tasks = ["hopper"]
 steps = 20_000

@@ -107,13 +107,7 @@ def _shape(job: Job, across: bool) -> str | None:
     """
     if job.kind != "learn":
         return None
-    from deadreckon.training.hyperparameters import check_fields
-
     agent = agent_of(job)
-    try:
-        check_fields(agent)
-    except UserError:
-        return None
     # A number left to the agent (None) may leave a term out, so it is not the same program as one that is given.
     given = [(f, job.settings[f.name]) for f in told(agent)]
     fixed = {f.name: value for f, value in given if f.metadata.get("static") or value is None}
@@ -152,6 +146,7 @@ _WAYS = {"learn": "from a log", "online": "online"}
 def _agent(suite: Suite, method: Method, on: str) -> tuple[dict[str, Any], str]:
     """All settings of a method's agent, and the preset that they began from."""
     from deadreckon.agents import agent_class, known_agent, preset, preset_for
+    from deadreckon.training.hyperparameters import check_fields
 
     if not known_agent(method.agent):
         raise _stranger(suite, method)
@@ -169,7 +164,9 @@ def _agent(suite: Suite, method: Method, on: str) -> tuple[dict[str, Any], str]:
             raise UserError(f"{suite.name}, method {method.name!r}: {unknown(f'field of {method.agent}', name, known)}")
     published = preset_for(method.agent, on) if method.preset else None
     given = {name: tuples(value) for name, value in options.items()}
-    return _fields(kind(**(preset(method.agent, published) if published else {}) | given)), published or ""
+    made = kind(**(preset(method.agent, published) if published else {}) | given)
+    check_fields(made)  # before any job is run, of which each would fail
+    return _fields(made), published or ""
 
 
 def _learn(suite: Suite, method: Method, on: str) -> Job:
@@ -214,6 +211,7 @@ def _online(suite: Suite, method: Method, on: str) -> Job:
 
 def _design(suite: Suite, method: Method, on: str) -> Job:
     from deadreckon.mbo import PROBLEMS
+    from deadreckon.training.hyperparameters import check_fields
 
     if on not in PROBLEMS:
         raise unknown("problem", on, PROBLEMS)
@@ -221,6 +219,7 @@ def _design(suite: Suite, method: Method, on: str) -> Job:
     data = f"{on} {suite.files[on]}" if on in suite.files else problem_identity(on, PROBLEMS[on].file)
     job = Job("design", method.name, method.agent, {}, "", on, data, options, (0,))
     made = designer_of(job)
+    check_fields(made)
     settings = json.loads(json.dumps({f.name: getattr(made, f.name) for f in dataclasses.fields(made)}, default=repr))
     return dataclasses.replace(job, settings=settings)
 
@@ -235,7 +234,9 @@ def _ope(suite: Suite, method: Method, on: str) -> Job:
     library(task.name)  # refuses a task without policies of known value
     options = {"budget": suite.budget, "fields": method.fields}
     job = Job("ope", method.name, method.agent, {}, "", on, log_identity(on, suite.rows), options, (0,), suite.rows)
-    return dataclasses.replace(job, settings={"estimator": str(estimator_of(job))})
+    made = estimator_of(job)
+    made.check_settings()  # before any job is run, as in `_agent`
+    return dataclasses.replace(job, settings={"estimator": str(made)})
 
 
 def _study(suite: Suite, method: Method, on: str) -> Job:

@@ -150,7 +150,7 @@ def _run(options: Bench) -> None:
     if left := store.undone(jobs):
         waits = sum(store.failure(job, seed) is None for job in left for seed in job.seeds)
         if seconds is not None and waits:
-            print(f"{waits:,} cells are left; the same command goes on with them")
+            print(f"{waits:,} cell{'s are' if waits != 1 else ' is'} left; the same command goes on with them")
         raise SystemExit(1)
 
 
@@ -162,7 +162,7 @@ def announce(name, jobs, store, executor, each: bool):
 
     waiting = programs(store.undone(jobs))
     cells, missing = len({cell for job in jobs for cell in job.cells}), sum(program.lanes for program in waiting)
-    print(f"{name}: {cells:,} cells, {cells - missing:,} of them done; results in {store.place}")
+    print(f"{name}: {cells:,} cell{'s' * (cells != 1)}, {cells - missing:,} of them done; results in {store.place}")
     seconds = forecast(waiting, store, accelerated=executor.lanes is None)
     for program in waiting if each else ():
         took = seconds[program.name]

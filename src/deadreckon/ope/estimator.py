@@ -40,8 +40,8 @@ class Estimator(eqx.Module):
         """The value of each policy, from the log alone; see `OPEInput` for the options."""
         return self.on(OPEInput(data, policies, **options))
 
-    def check(self, case: OPEInput) -> None:
-        """Refuses settings out of range, and cases that this estimator cannot answer.
+    def check_settings(self) -> None:
+        """Refuses settings out of range.
 
         Raises:
             UserError: in one line.
@@ -49,6 +49,14 @@ class Estimator(eqx.Module):
         for each in (self, *vars(self).values()):
             if isinstance(each, eqx.Module):
                 check_fields(each)
+
+    def check(self, case: OPEInput) -> None:
+        """Refuses settings out of range, and cases that this estimator cannot answer.
+
+        Raises:
+            UserError: in one line.
+        """
+        self.check_settings()
         if case.estimand.horizon not in (None, 1) and not self.takes_horizon:
             raise UserError(f"{self.label} does not take a horizon; use FQE, importance sampling or a doubly robust estimator")
         if case.discount == 1.0 and not self.takes_horizon:
