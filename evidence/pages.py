@@ -5,6 +5,7 @@
 
 A page holds blocks between `<!-- NAME ARGUMENTS -->` and `<!-- end -->`, whose contents are made here:
 
+    record NAME          a table of `records/NAME.csv`: what was measured before there was a ledger (`records.py`)
     table SUITE          the suite's tables, as `deadreckon bench show evidence/SUITE --format markdown` prints them
     curves SUITE         learning curves, a panel for each log: means over seeds, bands from the lowest to the highest
     ranking SUITE        interquartile means over logs, probability of improvement over the first method, performance profiles
@@ -47,13 +48,14 @@ from evidence import bear
 from evidence.changed import changed
 from evidence.designs_above import above
 from evidence.improved import improved
+from evidence.records import record
 
 STUDIES = "evidence.studies"
 trust(STUDIES)
 
 HERE = Path(__file__).resolve().parent
 PAGES = HERE.parent / "docs" / "results"
-_NAMES = "table|curves|ranking|constraint|story|above|claims|changed|improved|pending"
+_NAMES = "table|record|curves|ranking|constraint|story|above|claims|changed|improved|pending"
 OPENING = rf"<!-- ({_NAMES})(?: ([\w.-]+))? -->\n"
 BLOCK = re.compile(rf"({OPENING})((?:(?!<!-- ).)*?)(<!-- end -->)", re.S)
 
@@ -218,8 +220,8 @@ def pending(name: str, files: dict[str, bytes]) -> str:
 
 
 MAKE: dict[str, Callable[[str, dict[str, bytes]], str]] = {
-    "table": table, "curves": curves, "ranking": ranking, "constraint": constraint, "story": story, "claims": claimed,
-    "above": of_queue(above), "changed": of_queue(changed), "improved": of_queue(improved), "pending": pending,
+    "table": table, "record": record, "curves": curves, "ranking": ranking, "constraint": constraint, "story": story,
+    "claims": claimed, "above": of_queue(above), "changed": of_queue(changed), "improved": of_queue(improved), "pending": pending,
 }  # fmt: skip
 
 

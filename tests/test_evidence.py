@@ -1,5 +1,6 @@
 """What the repository declares as evidence can be read, and its pages say what the ledger says."""
 
+import re
 from math import nan
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from deadreckon.bench.plan import plan, plan_all
 from deadreckon.bench.suite import queue, read
 from deadreckon.errors import UserError
 from deadreckon.stats.interval import Interval
-from evidence import bear, improved, pages
+from evidence import bear, improved, pages, records
 from tests.results import keep
 
 ROOT = Path(__file__).resolve().parent.parent / "evidence"
@@ -23,6 +24,57 @@ MOST = 30e6  # bytes of the ledger
 def test_pages_are_what_the_ledger_says(monkeypatch, capsys):
     monkeypatch.chdir(ROOT.parent)
     assert pages.main(["--check"]) == 0, capsys.readouterr().out
+
+
+# Tables of these pages have generators of their own (`benchmarks/report.py`, `benchmarks/decisions.py`) or are no results.
+OTHERS = {"PENDING", "decisions", "index", "published", "speed"}
+
+
+@pytest.mark.parametrize("page", sorted({path.stem for path in pages.PAGES.glob("*.md")} - OTHERS))
+def test_no_table_of_results_is_written_by_hand(page):
+    outside = pages.BLOCK.sub("", (pages.PAGES / f"{page}.md").read_text())
+    assert [line for line in outside.splitlines() if line.lstrip().startswith("|")] == []
+
+
+def test_every_record_is_on_a_page():
+    shown = re.findall(r"<!-- record ([\w.-]+) -->", "".join(path.read_text() for path in pages.PAGES.glob("*.md")))
+    assert sorted(shown) == sorted(path.stem for path in records.FOLDER.glob("*.csv"))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (None, "there is no record one.csv in records"),
+        ("agent,score\nBC,1\n", "one.csv does not begin with the lines '# command: ...' and '# of: ...'"),
+        ("# command: run\n# of: a day\nagent,score\nBC\n", "one.csv: row 1 has 1 cells, the header 2"),
+    ],
+)
+def test_records_that_cannot_be_shown_are_refused(text, message, tmp_path, monkeypatch):
+    monkeypatch.setattr(records, "FOLDER", tmp_path / "records")
+    records.FOLDER.mkdir()
+    if text is not None:
+        (records.FOLDER / "one.csv").write_text(text)
+    with pytest.raises(UserError, match=re.escape(message)):
+        pages.made("<!-- record one -->\n<!-- end -->\n", {})
+
+
+def test_a_record_is_shown_with_what_printed_it(tmp_path, monkeypatch):
+    monkeypatch.setattr(records, "FOLDER", tmp_path)
+    (tmp_path / "one.csv").write_text('# command: run it\n# of: a day\nagent,score,by seed\nBC,-1.5 ± 2,"1, 2"\nthe log,,\n')
+    shown = """<!-- record one -->
+
+`run it`
+
+| agent | score | by seed |
+|---|---:|---:|
+| BC | -1.5 ± 2 | 1, 2 |
+| the log |  |  |
+
+- a day; kept in `evidence/records/one.csv`
+
+<!-- end -->
+"""
+    assert pages.made("<!-- record one -->\n<!-- end -->\n", {}) == shown
 
 
 def test_all_suites_are_in_the_queue_and_can_be_planned(monkeypatch):
