@@ -221,7 +221,8 @@ def pending(name: str, files: dict[str, bytes]) -> str:
 
 MAKE: dict[str, Callable[[str, dict[str, bytes]], str]] = {
     "table": table, "record": record, "curves": curves, "ranking": ranking, "constraint": constraint, "story": story,
-    "claims": claimed, "above": of_queue(above), "changed": of_queue(changed), "improved": of_queue(improved), "pending": pending,
+    "claims": claimed, "above": of_queue(above), "changed": of_queue(changed), "improved": of_queue(improved),
+    "pending": pending,
 }  # fmt: skip
 
 
