@@ -1,6 +1,9 @@
 """The study of decisions: what it takes for the truth is the truth."""
 
 import json
+import re
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -245,6 +248,22 @@ def test_results_are_kept_as_one_file(study, tmp_path):
     kept = json.loads(place(tmp_path / "out", "missing", 1_000_003).read_text())
     assert kept == {**trial, "gains": [0.123457, -1.0]}
     unpack(tmp_path / "none.jsonl.xz", tmp_path / "out")  # a record that is not there yet has nothing
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("split", "begins", "ends"),
+    [("confirmatory", "- **The policies' training rows**", "## Changes"), ("second", "## Changes since then", "On noise a policy is deployed in 1 of")],
+)
+def test_the_page_has_the_tables_of_the_kept_results(study, tmp_path, split, begins, ends):
+    record = FOLDER / "results" / ("decisions.jsonl.xz" if split == "confirmatory" else f"decisions-{split}.jsonl.xz")
+    command = [sys.executable, FOLDER / "decisions.py", "--split", split, "--table", "--record", record, "--out", tmp_path]
+    printed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    page = (FOLDER.parent / "docs" / "results" / "decisions.md").read_text()
+    families, _, rules = printed.partition("\n\n")
+    assert re.findall(r"^\|.*$", page[page.index(begins) : page.index(ends)], re.M) == families.splitlines()
+    if split == "confirmatory":
+        assert page.partition("## All rules by family")[2].strip() == rules.strip()
 
 
 def test_in_some_logs_nothing_is_better(study, monkeypatch):
