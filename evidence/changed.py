@@ -13,7 +13,7 @@ from deadreckon.stats.comparison import paired
 BEFORE = ", before"  # how methods are named that are an agent as it was
 # Suites that pair agents with what they were, and those that run the same settings with further seeds.
 PAIRS = ["defaults-gym", "defaults-mazes", "defaults-antmaze", "defaults-flow", "defaults-cql", "defaults-models"]
-MORE = ["defaults-decide", "defaults-hopper", "defaults-awac"]
+MORE = ["defaults-decide", "defaults-hopper", "defaults-awac", "defaults-iql"]
 
 
 def changed(suites: Sequence[Suite], store: Store) -> str:

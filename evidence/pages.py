@@ -14,6 +14,8 @@ A page holds blocks between `<!-- NAME ARGUMENTS -->` and `<!-- end -->`, whose 
     changed              agents beside what they were before a change of their defaults
     improved             agents beside the logs' own mean scores
     above                on which design problems NEMO is above the forward model and the ensemble
+    apart                ranks of dm_control's policies, all of them and those that are not D4PG's
+    halves               means of ranks and regrets over D4RL's tasks and dm_control's
     claims               every claim with what the results say of it
     pending              declared cells without results, and what they would take
 """
@@ -48,6 +50,7 @@ from evidence import bear
 from evidence.changed import changed
 from evidence.designs_above import above
 from evidence.improved import improved
+from evidence.judged import apart, halves
 from evidence.records import record
 
 STUDIES = "evidence.studies"
@@ -55,7 +58,7 @@ trust(STUDIES)
 
 HERE = Path(__file__).resolve().parent
 PAGES = HERE.parent / "docs" / "results"
-_NAMES = "table|record|curves|ranking|constraint|story|above|claims|changed|improved|pending"
+_NAMES = "table|record|curves|ranking|constraint|story|above|apart|halves|claims|changed|improved|pending"
 OPENING = rf"<!-- ({_NAMES})(?: ([\w.-]+))? -->\n"
 BLOCK = re.compile(rf"({OPENING})((?:(?!<!-- ).)*?)(<!-- end -->)", re.S)
 
@@ -222,7 +225,7 @@ def pending(name: str, files: dict[str, bytes]) -> str:
 MAKE: dict[str, Callable[[str, dict[str, bytes]], str]] = {
     "table": table, "record": record, "curves": curves, "ranking": ranking, "constraint": constraint, "story": story,
     "claims": claimed, "above": of_queue(above), "changed": of_queue(changed), "improved": of_queue(improved),
-    "pending": pending,
+    "apart": apart, "halves": halves, "pending": pending,
 }  # fmt: skip
 
 
