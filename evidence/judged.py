@@ -59,7 +59,7 @@ def apart(name: str, files: dict[str, bytes]) -> str:
 
 
 def halves(name: str, files: dict[str, bytes]) -> str:
-    """A table of means over the tasks of either half, in Markdown: logs of a task averaged first, what is no number left out."""
+    """A table of means over the tasks of either half, in Markdown: logs of a task averaged first, NaN left out."""
     means = {half: _means(_results(suite), without) for half, (suite, without) in HALVES.items()}
     methods = [*next(iter(means.values()))]
     lines = [f"| mean | {' | '.join(methods)} | all |", "|---|" + "---:|" * (len(methods) + 1)]

@@ -253,7 +253,10 @@ def test_results_are_kept_as_one_file(study, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("split", "begins", "ends"),
-    [("confirmatory", "- **The policies' training rows**", "## Changes"), ("second", "## Changes since then", "On noise a policy is deployed in 1 of")],
+    [
+        ("confirmatory", "- **The policies' training rows**", "## Changes"),
+        ("second", "## Changes since then", "On noise a policy is deployed in 1 of"),
+    ],
 )
 def test_the_page_has_the_tables_of_the_kept_results(study, tmp_path, split, begins, ends):
     record = FOLDER / "results" / ("decisions.jsonl.xz" if split == "confirmatory" else f"decisions-{split}.jsonl.xz")
