@@ -49,7 +49,8 @@ def main() -> None:
     for name, model in (("tanh-Gaussian", "gaussian"), ("normal", "normal"), ("clipped Gaussian", "clipped")):
         print(f"BC, {name}: {error(BC(model=model), train, test):.3f}", flush=True)
     for name, agent in ALIKE.items():
-        found = [error(agent.replace(likelihood=likelihood), train, test) for likelihood in ("normal", "tanh_normal")]
+        normal = "truncated_normal" if isinstance(agent, KLControl) else "normal"
+        found = [error(agent.replace(likelihood=likelihood), train, test) for likelihood in (normal, "tanh_normal")]
         print(f"{name}: normal {found[0]:.3f}, tanh-normal {found[1]:.3f}", flush=True)
 
 

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.stats
 
 from deadreckon.agents import AWR, FQL, REM, AlgaeDICE, DQfD, KLControl
 from deadreckon.agents.agent import traced_advantage
@@ -111,8 +112,11 @@ def test_awr_learns_nothing_from_a_batch_without_rows():
 # ---- KL-control
 
 
+both_models = pytest.mark.parametrize("likelihood", ["truncated_normal", "tanh_normal"])
+
+
 @pytest.mark.slow
-@both_likelihoods
+@both_models
 def test_kl_control_pays_for_its_divergence_in_targets_and_actor(batch, likelihood):
     agent, state = made(KLControl(discount=0.9, temperature=0.4, likelihood=likelihood, **SMALL))
     noise = np.asarray(jax.random.normal(KEY, (6, 1)))
@@ -121,6 +125,11 @@ def test_kl_control_pays_for_its_divergence_in_targets_and_actor(batch, likeliho
         mean, log_std = numpy_gaussian(state.actor, observation)
         pre = mean + np.exp(log_std) * noise
         model = logged_log_prob(state.model, Batch(observation=observation, action=np.tanh(pre)))
+        if likelihood == "truncated_normal":
+            center, std = np.tanh(numpy_mlp(state.model.net, np.asarray(observation))), np.exp(np.asarray(state.model.log_std))
+            below = scipy.stats.norm.cdf(np.array([-1.0, 1.0])[:, None, None], center, std)
+            assert (below[1] - below[0]).max() < 0.9
+            model = model - np.log(below[1] - below[0]).sum(-1)
         away = log_prob(mean, log_std, pre) - model
         return least_q(critics, observation, np.tanh(pre)), away
 
@@ -159,7 +168,7 @@ def test_kl_control_has_no_entropy_to_hold():
 
 
 @pytest.mark.slow
-@both_likelihoods
+@both_models
 def test_kl_control_begins_as_the_model_of_the_log_that_it_is_held_to(likelihood):
     agent, state = made(KLControl(behavior_steps=30, behavior_lr=0.01, likelihood=likelihood, **SMALL))
     asked = []
@@ -173,7 +182,7 @@ def test_kl_control_begins_as_the_model_of_the_log_that_it_is_held_to(likelihood
     seen = jnp.linspace(-1.0, 1.0, 5)[:, None]
     mean = stochastic(state.model).actions(seen, KEY, greedy=True)
     np.testing.assert_allclose(agent.policy(state).actions(seen, KEY, greedy=True), mean, rtol=1e-6)
-    if likelihood == "normal":
+    if likelihood == "truncated_normal":
         log_std = dist.gaussian_head(state.actor(seen)).log_std
         np.testing.assert_allclose(log_std, np.tile(state.model.log_std, (5, 1)), atol=1e-6)
         return

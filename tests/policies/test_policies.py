@@ -79,6 +79,16 @@ def test_draws_of_the_numpy_player_are_distributed_as_ours(kind, tmp_path):
     np.testing.assert_allclose(theirs.std(0), ours.std(0), atol=0.06)
 
 
+def test_a_truncated_gaussian_has_all_its_mass_within_the_bounds():
+    policy = TanhMeanGaussian.create(SPEC, (8,), KEY, 0.8)
+    seen = jax.random.normal(KEY, (5, SPEC.observation_size))
+    action = jnp.linspace(-EDGE, EDGE, 10)[:, None, None] * jnp.ones((5, SPEC.action_size))
+    mean, std = np.asarray(jnp.tanh(policy.net(seen)), float), 0.8
+    expected = scipy.stats.truncnorm.logpdf(action, (-1 - mean) / std, (1 - mean) / std, mean, std).sum(-1)
+    np.testing.assert_allclose(policy.log_truncated(seen, action), expected, rtol=1e-4, atol=1e-4)
+    assert np.isfinite(policy.log_truncated(seen, jnp.sign(action))).all()  # where a tanh has been rounded to a bound
+
+
 def test_a_gaussian_around_a_tanh_has_the_likelihood_of_actions_and_the_density_of_what_acts():
     """Against numpy: what imitation maximises has no bounds; of what acts each bound has all that lies beyond it."""
     policy = TanhMeanGaussian.create(SPEC, (8,), KEY, 0.5)

@@ -5,7 +5,7 @@ and actor pay temperature (log pi(a|s) - log model(a|s)), and the temperature is
 average.
 """
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import jax.numpy as jnp
 
@@ -29,8 +29,8 @@ class KLControl(SAC):
 
     target_kl: NonNegative = 1.0  # target KL divergence of the policy from the behaviour model, in nats
     behavior_lr: NonNegative = 3e-4  # learning rate of the behaviour model
-    likelihood: Likelihood = static("normal")
-    """likelihood of the behaviour model: normal around tanh of a network, or tanh-normal"""
+    likelihood: Literal["truncated_normal", "tanh_normal"] = static("truncated_normal")
+    """the behaviour model: a normal distribution around tanh of a network, truncated to the actions' bounds, or tanh-normal"""
     behavior_steps: Count = static(100_000)  # updates of the behaviour model before all others
 
     def resolve(self, spec, steps):
@@ -40,18 +40,23 @@ class KLControl(SAC):
         return super().resolve(spec, steps).replace(target_entropy=0.0)
 
     @property
+    def imitation(self) -> Likelihood:
+        """The likelihood by which the model is fitted: it is truncated when it is compared with the actor."""
+        return "normal" if self.likelihood == "truncated_normal" else "tanh_normal"
+
+    @property
     def entropy_target(self):
         """Minus the divergence is in the place of the entropy."""
         return -self.target_kl
 
     def init(self, spec, key) -> Any:
         """SAC's state with a model of the log's policy, as yet unfitted."""
-        model = create_imitator(spec, self.hidden, key_for(key, "model"), self.likelihood)
+        model = create_imitator(spec, self.hidden, key_for(key, "model"), self.imitation)
         return super().init(spec, key)._replace(model=model)
 
     def prepare(self, state, rows, key, fit):
         """Fits the model, by maximum likelihood; the actor begins as it."""
-        model = cloned(self, fit, key, self.likelihood)
+        model = cloned(self, fit, key, self.imitation)
         # The actor is before a tanh; where the model is not, it begins with the model's deviations there.
         actor = Gaussian.of(model.net, model.log_std).net if isinstance(model, TanhMeanGaussian) else model
         return state._replace(model=model, actor=copy(actor))
@@ -60,7 +65,8 @@ class KLControl(SAC):
         """log pi(a|s) - log model(a|s): one draw's estimate of the KL divergence, (b,)."""
         own = super().entropy_cost(state, d, pre, observation)
         if isinstance(state.model, TanhMeanGaussian):
-            return own - state.model.log_likelihood(observation, jnp.tanh(pre))
+            # Not truncated, its mass beyond the bounds would count as a divergence that no policy can avoid.
+            return own - state.model.log_truncated(observation, jnp.tanh(pre))
         return own - dist.log_prob(dist.gaussian_head(state.model(observation)), pre)
 
     def update(self, state, batch, *, step, key):

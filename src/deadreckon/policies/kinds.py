@@ -5,6 +5,7 @@ from typing import Any, Literal, Self
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.scipy.special import ndtr
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from deadreckon.data.normalizer import EDGE
@@ -172,6 +173,13 @@ class TanhMeanGaussian(ClippedGaussian):
         mean = jnp.tanh(self.net(observation))
         log_std = jnp.clip(self.log_std, dist.LOG_STD_MIN, dist.LOG_STD_MAX)
         return dist.Gaussian(mean, jnp.broadcast_to(log_std, mean.shape))
+
+    def log_truncated(self, observation: Float[Array, "*n o"], action: Float[Array, "*c a"]) -> Float[Array, "*c"]:
+        """Log-density of actions under the Gaussian truncated to [-1, 1], whose mass within the bounds is 1."""
+        d = self._head(observation)
+        std = jnp.exp(d.log_std)
+        within = ndtr((1.0 - d.mean) / std) - ndtr((-1.0 - d.mean) / std)
+        return self.log_likelihood(observation, action) - jnp.log(within).sum(-1)
 
 
 class Categorical(NormalizedPolicy):
