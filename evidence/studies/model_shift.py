@@ -81,12 +81,14 @@ def error(case: str, *, seed: int, rows: int) -> dict[str, float]:
         own: squared error on new data of the same policy, in variances of what is predicted.
         far: the same on data of the later policy.
         slope: rise of the error per nat of KL divergence at no divergence.
+        rise: the same over all policies, by least squares.
     """
     task, policy = case.split()
     options = Options(task=task, policy=policy, rows=(rows,))
     apart, [errors] = measured(options, seed)
     near = slice(0, options.near)
-    return {"own": errors[0], "far": errors[-1], "slope": float(np.polyfit(apart[near], errors[near], 1)[0])}
+    slope, rise = (float(np.polyfit(apart[part], errors[part], 1)[0]) for part in (near, slice(None)))
+    return {"own": errors[0], "far": errors[-1], "slope": slope, "rise": rise}
 
 
 def measured(options: Options, seed: int) -> tuple[np.ndarray, np.ndarray]:
