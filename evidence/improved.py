@@ -66,8 +66,8 @@ def improved(suites: Sequence[Suite], store: Store) -> str:
 
     Of each agent all logs are looked at whose own mean score is known, so intervals are at a level for as many
     (Bonferroni); the one whose interval begins highest is shown. Methods with a comma in their names are variants,
-    which are left out. An agent improves where all runs of a suite are there and finite and the interval lies above 0. Of
-    others it says which suites have more runs to come.
+    which are left out. An agent improves where all runs of a suite are there and finite and the interval lies above 0. Below
+    stand the others with the suites that have more runs of them.
 
     Args:
         suites: of which those of `SUITES` count, at their own size.
@@ -92,30 +92,36 @@ def improved(suites: Sequence[Suite], store: Store) -> str:
                 waiting.setdefault(runs.agent, []).append(f"`{suite.name}.toml`")
     titles = "agent", "log", "updates", "seeds", "score", "the log's own", "gain", "improves"
     lines = [f"| {' | '.join(titles)} |", "|---|---|---:|---:|---:|---:|---:|---|"]
+    more: dict[str, list[str]] = {"Not shown, and more runs are declared:": [], "No result on these logs yet:": []}
+    known, none = more.values()
     for agent in sorted(AGENTS):
         if not agent_class(agent).offline:
             continue
         places = [*dict.fromkeys(waiting.get(agent, ()))]
-        more = f"; more in {words(places)}" if places else ""
-        if agent in found:
-            lines.append(_line(list(found[agent].values()), more))
-        else:
-            lines.append(f"| `{agent}` | | | | | | | no result on these logs{more} |")
-    return "\n".join([*lines, ""])
+        if agent not in found:
+            none.append(f"`{agent}`{f' ({words(places)})' if places else ''}")
+            continue
+        name, line, improves = _line(list(found[agent].values()))
+        lines.append(line)
+        if not improves and places:
+            known.append(f"{name} ({words(places)})")
+    lists = [f"- {title} {', '.join(agents)}" for title, agents in more.items() if agents]
+    return "\n".join([*lines, *([""] if lists else []), *lists, ""])
 
 
-def _line(runs: list[_Runs], more: str) -> str:
+def _line(runs: list[_Runs]) -> tuple[str, str, bool]:
+    """The agent's name, its row, and whether it improves."""
     level = 1.0 - ALPHA / len(runs)
     several = [each for each in runs if len(each.scores) == each.suite.seeds > 1]
     if several:
         best = max(several, key=lambda each: each.gain(level).low)
         gain = best.gain(level)
-        told, says = f"{gain:.1f}", "yes" if 0 < gain.low < gain.high else f"not shown{more}"
+        told, says = f"{gain:.1f}", "yes" if 0 < gain.low < gain.high else "not shown"
     else:
         best = max(runs, key=lambda each: each.scores.mean() - each.own)
-        told, says = f"{best.scores.mean() - best.own:.1f}", f"{len(best.scores)} of {best.suite.seeds} seeds{more}"
+        told, says = f"{best.scores.mean() - best.own:.1f}", f"{len(best.scores)} of {best.suite.seeds} seeds"
     steps = best.suite.steps[best.on]
     of = f", best of {len(runs)}" if len(runs) > 1 else ""
     mean, seeds = f"{best.scores.mean():.1f}", len(best.scores)
     name = best.method if best.method.lower() == best.agent else f"{best.method} (`{best.agent}`)"
-    return f"| {name} | {best.on}{of} | {steps:,} | {seeds} | {mean} | {best.own:g} | {told} | {says} |"
+    return name, f"| {name} | {best.on}{of} | {steps:,} | {seeds} | {mean} | {best.own:g} | {told} | {says} |", says == "yes"

@@ -27,7 +27,7 @@ HOPPER, CHEETAH = BEHAVIOUR["hopper-medium-v2", None], BEHAVIOUR["halfcheetah-me
 
 @pytest.fixture
 def row(tmp_path, monkeypatch):
-    """A function that gives AWAC's row, from scores by the method and the beginning of the log's name."""
+    """A function that gives AWAC's row, from scores by the method and the beginning of the log's name; `below` what follows."""
     monkeypatch.setattr("evidence.improved.SUITES", ["one"])
     monkeypatch.chdir(tmp_path)
 
@@ -39,8 +39,9 @@ def row(tmp_path, monkeypatch):
             if values := scores.get((job.method, job.on.partition("-")[0])):
                 keep(store, job, values)
         lines = improved([suite], store).splitlines()
-        (found,) = [line for line in lines if line.startswith(("| AWAC |", "| `awac` |"))]
-        return [cell.strip() for cell in found.strip("|").split("|")]
+        told.below = [line for line in lines if line.startswith("- ") and "AWAC" in line.replace("`awac`", "AWAC")]
+        found = [line for line in lines if line.startswith("| AWAC |")]
+        return [cell.strip() for line in found for cell in line.strip("|").split("|")]
 
     return told
 
@@ -67,11 +68,13 @@ def test_the_best_of_two_logs_has_to_be_above_at_a_level_for_two(row):
 
 
 def test_a_part_of_the_seeds_shows_nothing(row):
-    assert row({("AWAC", "hopper"): [99.0, 99.5]})[-2:] == [f"{99.25 - HOPPER:.1f}", "2 of 3 seeds; more in `one.toml`"]
+    assert row({("AWAC", "hopper"): [99.0, 99.5]})[-2:] == [f"{99.25 - HOPPER:.1f}", "2 of 3 seeds"]
+    assert row.below == ["- Not shown, and more runs are declared: AWAC (`one.toml`)"]
 
 
 def test_equal_scores_of_all_seeds_show_nothing(row):
-    assert row({("AWAC", "hopper"): [99.0] * 3})[-1] == "not shown; more in `one.toml`"
+    assert row({("AWAC", "hopper"): [99.0] * 3})[-1] == "not shown"
+    assert row.below == ["- Not shown, and more runs are declared: AWAC (`one.toml`)"]
 
 
 def test_a_part_of_a_log_has_a_mean_of_its_own(row):
@@ -79,10 +82,12 @@ def test_a_part_of_a_log_has_a_mean_of_its_own(row):
     assert part != HOPPER
     found = row({("AWAC", "hopper"): [part + x for x in (2.0, 3.0, 4.0)]}, "rows = 200_000")
     assert found[5:7] == [f"{part:g}", "3.0 [0.5, 5.5]"]
-    found = row({("AWAC", "hopper"): [part + x for x in (2.0, 3.0, 4.0)]}, "rows = 100_000")  # nobody has noted its mean
-    assert found[-1] == "no result on these logs"
+    assert not row({("AWAC", "hopper"): [part + x for x in (2.0, 3.0, 4.0)]}, "rows = 100_000")  # nobody has noted its mean
+    [below] = row.below
+    assert below.startswith("- No result on these logs yet: ")
 
 
 def test_variants_and_logs_of_people_do_not_count(row):
-    found = row({("AWAC, other", "hopper"): [99.0, 98.0, 97.0], ("AWAC", "door"): [99.0, 98.0, 97.0]})
-    assert found == ["`awac`", *[""] * 6, "no result on these logs; more in `one.toml`"]
+    assert not row({("AWAC, other", "hopper"): [99.0, 98.0, 97.0], ("AWAC", "door"): [99.0, 98.0, 97.0]})
+    [below] = row.below
+    assert "`awac` (`one.toml`)" in below
