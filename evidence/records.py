@@ -28,7 +28,7 @@ def record(name: str, files: dict[str, bytes]) -> str:
         files: gets pictures; there are none.
 
     Raises:
-        UserError: there is no such record, it does not say what it is of, or a row is longer or shorter than the header.
+        UserError: there is no such record, it does not say what it is of, it is no table, or its rows differ in length.
     """
     path = FOLDER / f"{safe_name(name, 'a record')}.csv"
     if not path.exists():
@@ -37,12 +37,17 @@ def record(name: str, files: dict[str, bytes]) -> str:
     head = _HEAD.match(text)
     if head is None:
         raise UserError(f"{path.name} does not begin with the lines '# command: ...' and '# of: ...'")
-    header, *rows = csv.reader(text[head.end() :].splitlines(), strict=True)
+    try:
+        header, *rows = csv.reader(text[head.end() :].splitlines(), strict=True)
+        if not rows:
+            raise ValueError("it has no rows")
+    except (ValueError, csv.Error) as error:
+        raise UserError(f"{path.name} is no table: {error}") from error
     for number, row in enumerate(rows, 1):
         if len(row) != len(header):
             raise UserError(f"{path.name}: row {number} has {len(row)} cells, the header {len(header)}")
     columns = [[cell for cell in column if cell] for column in zip(*rows, strict=True)]
     right = [i > 0 and bool(cells) and all(map(_NUMBER.match, cells)) for i, cells in enumerate(columns)]
-    lines = ["| " + " | ".join(row) + " |" for row in (header, *rows)]
+    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in (header, *rows)]
     lines.insert(1, "|" + "".join("---:|" if each else "---|" for each in right))
     return "\n".join([f"`{head['command']}`", "", *lines, "", f"- {head['of']}; kept in `evidence/records/{path.name}`", ""])

@@ -26,7 +26,7 @@ def test_pages_are_what_the_ledger_says(monkeypatch, capsys):
     assert pages.main(["--check"]) == 0, capsys.readouterr().out
 
 
-# Tables of these pages have generators of their own (`benchmarks/report.py`, `benchmarks/decisions.py`) or are no results.
+# Most tables of these pages have generators of their own (`benchmarks/report.py`, `benchmarks/decisions.py`) or are no results.
 OTHERS = {"PENDING", "decisions", "index", "published", "speed"}
 
 
@@ -47,6 +47,9 @@ def test_every_record_is_on_a_page():
         (None, "there is no record one.csv in records"),
         ("agent,score\nBC,1\n", "one.csv does not begin with the lines '# command: ...' and '# of: ...'"),
         ("# command: run\n# of: a day\nagent,score\nBC\n", "one.csv: row 1 has 1 cells, the header 2"),
+        ("# command: run\n# of: a day\nagent,score\n", "one.csv is no table: it has no rows"),
+        ("# command: run\n# of: a day\n", "one.csv is no table: "),
+        ('# command: run\n# of: a day\nagent\n"BC" 1\n', "one.csv is no table: "),
     ],
 )
 def test_records_that_cannot_be_shown_are_refused(text, message, tmp_path, monkeypatch):

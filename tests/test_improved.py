@@ -55,6 +55,7 @@ def test_the_log_with_the_highest_lower_end_is_shown(row):
     wide, narrow = [HOPPER + x for x in (0.0, 30.0, 60.0)], [CHEETAH + x for x in (4.0, 5.0, 6.0)]
     found = row({("AWAC", "hopper"): wide, ("AWAC", "halfcheetah"): narrow})
     assert found[:4] == ["AWAC", "halfcheetah-medium-v2, best of 2", "100", "3"]
+    assert row.below == []
     assert found[-1] == "yes"
     assert found[-2] == "5.0 [1.4, 8.6]"  # 5 -+ 6.205 / sqrt(3): Student's interval of 97.5 %, as two logs were looked at
 

@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -121,6 +122,24 @@ def test_pictures_of_mazes(tmp_path, home):
     assert [path.read_text().count('class="maze"') for path in files.values()] == [6, 6]
 
 
+def test_the_threshold_of_a_grid_is_chosen_by_other_errors_than_it_is_judged_by(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT))
+    import evidence.studies.grid_errors as study
+
+    asked = []
+
+    def propagate(on, epsilon, shown, *, seed):
+        asked.append((epsilon, seed))
+        return SimpleNamespace(returns={"support": -abs(epsilon - 0.2), "unconstrained": 9.0})
+
+    monkeypatch.setattr(study, "propagate", propagate)
+    monkeypatch.setattr(study, "THRESHOLDS", 4)
+    on = SimpleNamespace(behavior=np.array([[0.6, 0.4], [0.2, 0.8]]))
+    assert study.chosen(on, 7) == pytest.approx(0.15)
+    assert np.allclose([epsilon for epsilon, _ in asked], [0.15, 0.3, 0.45, 0.6])  # up to where a state has no action; never 0
+    assert {seed for _, seed in asked} == {study.APART + 7}
+
+
 @pytest.mark.slow
 def test_a_model_of_more_data_errs_less(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT))
@@ -129,7 +148,7 @@ def test_a_model_of_more_data_errs_less(monkeypatch):
     Options = study.Options
     monkeypatch.setattr(study, "Options", lambda **given: Options(**given, collected=2_000, judged=500, epochs=100))
     few, many = (study.error("hopper medium", seed=0, rows=rows) for rows in (200, 2_000))
-    assert set(few) == {"own", "far", "slope"}
+    assert set(few) == {"own", "far", "slope", "rise"}
     assert np.isfinite(list(few.values())).all()
     assert many["own"] < few["own"]
 

@@ -1,6 +1,6 @@
 """What BEAR's choice at test time is worth: its actor's mean, its actor's draws, and the best of some draws by Q_1.
 
-    python evidence/studies/bear_choice.py runs/gym/hopper-medium-v2/bear runs/gym/halfcheetah-medium-v2/bear
+    python evidence/studies/bear_choice.py runs/bear-expert
 
 The policies are those of finished runs: nothing is trained.
 """

@@ -5,13 +5,13 @@ import numpy as np
 from deadreckon.theory.propagation import Grid, grid, propagate
 
 ITERATIONS = 80  # after which errors are read off
-THRESHOLDS = 24  # that are tried where the threshold is chosen
+THRESHOLDS = 24  # that are tried where the threshold is chosen, evenly apart and all above 0, which is no constraint
 APART = 1_000_000  # what seeds of the errors by which it is chosen are apart from those that it is judged by
 
 
 def chosen(on: Grid, seed: int) -> float:
     """The threshold whose support loses least, in the mean over draws of errors that it is not judged by."""
-    tried = np.linspace(0.0, on.behavior.max(1).min(), THRESHOLDS)
+    tried = np.linspace(0.0, on.behavior.max(1).min(), THRESHOLDS + 1)[1:]
     returns = [propagate(on, float(each), (ITERATIONS,), seed=APART + seed).returns["support"] for each in tried]
     return float(tried[int(np.argmax(returns))])
 

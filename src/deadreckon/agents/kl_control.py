@@ -42,7 +42,7 @@ class KLControl(SAC):
     @property
     def imitation(self) -> Likelihood:
         """The likelihood by which the model is fitted: it is truncated when it is compared with the actor."""
-        return "normal" if self.likelihood == "truncated_normal" else "tanh_normal"
+        return "tanh_normal" if self.likelihood == "tanh_normal" else "normal"
 
     @property
     def entropy_target(self):

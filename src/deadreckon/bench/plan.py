@@ -29,7 +29,8 @@ def plan(suite: Suite, lanes: int | None = None) -> list[Job]:
         lanes: cells of one program at most, where the suite does not say; None: as many as there are, up to `MOST`.
 
     Raises:
-        UserError: an unknown method, log, task or problem, or a setting that a method does not have.
+        UserError: an unknown method, log, task or problem, a setting that a method does not have, or a value that it does not
+            take.
     """
     return _packed(_jobs(suite, lanes), _together(suite, lanes))
 
