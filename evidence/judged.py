@@ -15,6 +15,7 @@ from deadreckon.ope.metrics import Metrics, compare
 
 FOLDER = Path(__file__).resolve().parent
 CONTROL = "ope-unplugged"
+REDRAWN = 200  # sets of policies, for the spread of a rank correlation
 APART = "d4pg"  # in the names of the policies that are left out
 HALVES = {
     "D4RL's tasks": ("ope-more", False),
@@ -34,11 +35,11 @@ def _results(suite: str) -> dict[str, dict[str, Result]]:
     return found
 
 
-def _metrics(result: Result, without: bool) -> Metrics | None:
-    """Of all policies, or of those that are not left out; None where an estimate is not finite."""
+def _metrics(result: Result, without: bool, resamples: int = 1) -> Metrics | None:
+    """Of all policies, or of those that are not left out; None where an estimate is not finite. Spreads need resamples."""
     kept = np.array([not without or APART not in name for name in result.names])
     estimates = result.estimates[kept]
-    return compare(estimates, result.truth[kept]) if np.isfinite(estimates).all() else None
+    return compare(estimates, result.truth[kept], resamples=resamples) if np.isfinite(estimates).all() else None
 
 
 def apart(name: str, files: dict[str, bytes]) -> str:
@@ -49,7 +50,7 @@ def apart(name: str, files: dict[str, bytes]) -> str:
     for method in next(iter(found.values())):
         cells = []
         for log in tasks.values():
-            every, held = (_metrics(found[log][method], without) for without in (False, True))
+            every, held = _metrics(found[log][method], False, REDRAWN), _metrics(found[log][method], True)
             all_of_them = "-" if every is None else f"{every.rank_correlation[0]:.2f} ± {every.rank_correlation[2]:.2f}"
             cells.append(f"{all_of_them} / {'-' if held is None else f'{held.rank_correlation[0]:.2f}'}")
         lines.append(f"| {method} | {' | '.join(cells)} |")
