@@ -30,7 +30,7 @@ class KLControl(SAC):
     target_kl: NonNegative = 1.0  # target KL divergence of the policy from the behaviour model, in nats
     behavior_lr: NonNegative = 3e-4  # learning rate of the behaviour model
     likelihood: Literal["truncated_normal", "tanh_normal"] = static("truncated_normal")
-    """the behaviour model: a normal distribution around tanh of a network, truncated to the actions' bounds, or tanh-normal"""
+    """likelihood of the behaviour model: normal around tanh of a network, truncated to the bounds of actions, or tanh-normal"""
     behavior_steps: Count = static(100_000)  # updates of the behaviour model before all others
 
     def resolve(self, spec, steps):
