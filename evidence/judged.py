@@ -1,7 +1,8 @@
 """Estimators beside true values: with the policies of D4PG, which leave their logs, and without them, and means over tasks."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -24,19 +25,23 @@ HALVES = {
 }
 
 
-def _results(suite: str) -> dict[str, dict[str, Result]]:
-    """By log and method, of the suite's only seed."""
+@cache
+def _results(suite: str) -> dict[str, dict[str, Result | None]]:
+    """By log and method, of the suite's only seed; None where the ledger has no cell."""
     asked = read(FOLDER / f"{suite}.toml")
-    store, found = store_of([asked], FOLDER), {}
-    rows = {row["cell"]: row for row in store.results().to_pylist()}
+    found: dict[str, dict[str, Result | None]] = {}
+    rows = {row["cell"]: row for row in store_of([asked], FOLDER).results().to_pylist()}
     for job in plan(asked):
         [cell] = job.cells
-        found.setdefault(job.on, {})[job.method] = from_json(json.loads(rows[cell]["more"])["result"])
+        result = from_json(json.loads(rows[cell]["more"])["result"]) if cell in rows else None
+        found.setdefault(job.on, {})[job.method] = result
     return found
 
 
-def _metrics(result: Result, without: bool, resamples: int = 1) -> Metrics | None:
+def _metrics(result: Result | None, without: bool, resamples: int = 1) -> Metrics | None:
     """Of all policies, or of those that are not left out; None where an estimate is not finite. Spreads need resamples."""
+    if result is None:
+        return None
     kept = np.array([not without or APART not in name for name in result.names])
     estimates = result.estimates[kept]
     return compare(estimates, result.truth[kept], resamples=resamples) if np.isfinite(estimates).all() else None
@@ -54,7 +59,7 @@ def apart(name: str, files: dict[str, bytes]) -> str:
             all_of_them = "-" if every is None else f"{every.rank_correlation[0]:.2f} ± {every.rank_correlation[2]:.2f}"
             cells.append(f"{all_of_them} / {'-' if held is None else f'{held.rank_correlation[0]:.2f}'}")
         lines.append(f"| {method} | {' | '.join(cells)} |")
-    return "\n".join([*lines, ""])
+    return "\n".join([*lines, *_lacking([CONTROL]), ""])
 
 
 def halves(name: str, files: dict[str, bytes]) -> str:
@@ -67,10 +72,17 @@ def halves(name: str, files: dict[str, bytes]) -> str:
             values = np.array([own[method][:, i] for method in methods])
             told = [*np.nanmean(values, 1), np.nanmean(values)]
             lines.append(f"| {metric}, {half} | {' | '.join(f'{value:.2f}' for value in told)} |")
-    return "\n".join([*lines, ""])
+    return "\n".join([*lines, *_lacking(dict.fromkeys(suite for suite, _ in HALVES.values())), ""])
 
 
-def _means(found: dict[str, dict[str, Result]], without: bool) -> dict[str, np.ndarray]:
+def _lacking(suites: Iterable[str]) -> list[str]:
+    """What a table must say where cells are missing."""
+    cells = [result for suite in suites for log in _results(suite).values() for result in log.values()]
+    count = sum(result is None for result in cells)
+    return ["", f"- without a result yet: {count:,} of {len(cells):,} cells"] if count else []
+
+
+def _means(found: dict[str, dict[str, Result | None]], without: bool) -> dict[str, np.ndarray]:
     """(tasks, 2) rank correlation and regret of each method; NaN where there is none."""
     out = {}
     for method in next(iter(found.values())):
