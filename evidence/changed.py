@@ -12,7 +12,9 @@ from deadreckon.stats.comparison import paired
 
 BEFORE = ", before"  # how methods are named that are an agent as it was
 # Suites that pair agents with what they were, and those that run the same settings with further seeds.
-PAIRS = ["defaults-gym", "defaults-mazes", "defaults-antmaze", "defaults-flow", "defaults-cql", "defaults-models"]
+PAIRS = [
+    "defaults-gym", "defaults-mazes", "defaults-antmaze", "defaults-flow", "defaults-cql", "defaults-models", "brac-defaults",
+]  # fmt: skip
 MORE = ["defaults-decide", "defaults-hopper", "defaults-awac", "defaults-iql"]
 
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from deadreckon.agents import SAC, SACN, TD3, TD3BC
+from deadreckon.agents import AWR, BRAC, MBPO, SAC, SACN, TD3, TD3BC
 from deadreckon.data.batch import Batch
 from deadreckon.randomness import keys
 from tests.agents.compiled import Compiled
@@ -154,3 +154,29 @@ def test_sac_n_steps_temperature_then_actor_then_critics(batch):
     rate = agent.tau
     for a, b, c in zip(after.target_critics.weights, state.critics.weights, after.critics.weights, strict=True):
         np.testing.assert_allclose(a, (1 - rate) * b + rate * c, rtol=1e-4, atol=1e-6)
+
+
+def biases(net):
+    return np.concatenate([np.ravel(bias) for bias in net.biases])
+
+
+@pytest.mark.parametrize("kind", [SAC, AWR, BRAC])
+def test_first_weights_by_glorots_rule_have_no_biases(kind):
+    both = kind(hidden=(8, 8)), kind(hidden=(8, 8), first_weights="glorot")
+    plain, asked = (agent.resolve(SPEC, 10).init(SPEC, KEY) for agent in both)
+    nets = ["actor", "value"] if kind is AWR else ["actor", "critics"] + ["behavior"] * (kind is BRAC)
+    net_of = lambda state, name: getattr(getattr(state, name), "net", getattr(state, name))  # noqa: E731
+    for name in nets:
+        last = kind is AWR and name == "actor"  # within 0.01, biases too
+        assert np.abs(biases(net_of(plain, name))).max() > 0.02
+        assert np.abs(biases(net_of(asked, name))).max() <= (0.01 if last else 0.0)
+        assert not last or 0.0 < np.abs(net_of(asked, name).weights[-1]).max() <= 0.01
+
+
+def test_first_weights_of_mbpos_model_are_its_own():
+    agent = MBPO(hidden=(8, 8), model_hidden=(8,), model_weight_decay=(0.0, 0.0), rollout_length=(1, 1, 1, 2), retain_steps=1)
+    plain, asked = (agent.replace(**fields).model.create(SPEC, KEY)["nets"]
+                    for fields in ({}, {"model_first_weights": "half_normal"}))  # fmt: skip
+    assert np.abs(biases(plain)).max() > 0.02
+    assert (biases(asked) == 0.0).all()
+    assert np.abs(asked.weights[0]).max() <= 1.0 / np.sqrt(asked.weights[0].shape[-2])

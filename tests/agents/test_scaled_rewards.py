@@ -8,7 +8,7 @@ import numpy as np
 import optax
 import pytest
 
-from deadreckon.agents import AWAC, CQL, FQL, IQL, ReBRAC
+from deadreckon.agents import AWAC, CQL, FQL, IQL, SACN, ReBRAC
 from deadreckon.data.batch import Batch
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
@@ -17,7 +17,7 @@ from deadreckon.nets.optim import cosine_decay
 from deadreckon.training.fit import fit
 from tests.agents import tiny
 
-AGENTS = [IQL, AWAC, CQL, FQL, ReBRAC]
+AGENTS = [IQL, AWAC, CQL, FQL, ReBRAC, SACN]
 
 
 def log_of(rewards, ends):
@@ -43,9 +43,22 @@ def test_the_scale_is_of_the_logs_returns(kind):
     assert agent.resolve(LOG.spec, 10).reward_scale == agent.reward_scale  # resolved once more, as on resume
 
 
+def test_standardised_rewards_have_mean_zero_and_deviation_one():
+    agent = SACN(standardise_rewards=True).resolve(LOG.spec, 10)
+    rewards = np.asarray(LOG.rewards)
+    learned = agent.learned(Batch(reward=jnp.asarray(rewards))).reward
+    np.testing.assert_allclose(learned, (rewards - rewards.mean()) / rewards.std(), rtol=1e-5)
+    assert agent.resolve(LOG.spec, 10) == agent  # as on resume
+
+
 def test_what_cannot_be_is_refused_in_one_line():
     with pytest.raises(UserError, match="IQL takes reward_scale or normalized_return_range, got both"):
         IQL(reward_scale=2.0, normalized_return_range=5.0).resolve(LOG.spec, 10)
+    with pytest.raises(UserError, match="standardise_rewards sets the scale and the shift of rewards: leave out reward_scale"):
+        IQL(standardise_rewards=True, reward_scale=2.0).resolve(LOG.spec, 10)
+    even = log_of([1.0, 1.0], [True, True])
+    with pytest.raises(UserError, match=r"standardise_rewards needs rewards that differ; all of .* are 1"):
+        IQL(standardise_rewards=True).resolve(even.spec, 10)
     same = log_of([1.0, 2.0, 3.0], [False, True, True])
     with pytest.raises(UserError, match=r"needs episodes with different returns; all of .* have 3: give reward_scale instead"):
         IQL(normalized_return_range=5.0).resolve(same.spec, 10)
@@ -53,7 +66,7 @@ def test_what_cannot_be_is_refused_in_one_line():
 
 @pytest.mark.parametrize("name", [
     pytest.param(name, id=kind.__name__, marks=() if kind is IQL else pytest.mark.slow)
-    for name, kind in zip(("iql", "awac", "cql", "fql", "rebrac"), AGENTS, strict=True)
+    for name, kind in zip(("iql", "awac", "cql", "fql", "rebrac", "sac_n"), AGENTS, strict=True)
 ])  # fmt: skip
 def test_training_on_scaled_rewards_is_training_on_a_log_that_has_them(name):
     """The same log in two units: agents that scale the one learn the same networks as those that are given the other.

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from deadreckon.nets.mlp import GLOROT, MLP, ORTHOGONAL, Init, ensemble, joined, minimum, q_values, softplus, split
+from deadreckon.nets.mlp import GLOROT, HALF_NORMAL, MLP, ORTHOGONAL, Init, ensemble, joined, minimum, q_values, softplus, split
 from deadreckon.nets.optim import ADAM, apply_gradients, copy, polyak_update
 from deadreckon.nets.vae import VAE
 
@@ -114,6 +114,12 @@ def test_networks_begin_as_asked():
     for weight in net.weights:
         bound = np.sqrt(6.0 / sum(weight.shape))
         assert 0.8 * bound < float(jnp.abs(weight).max()) <= bound
+    net = MLP.create(20, (64, 64), 3, key, init=HALF_NORMAL)
+    for weight in net.weights[:-1]:  # normal with deviation s, cut at 2 s: 0.88 s is left
+        s = 0.5 / np.sqrt(len(weight))
+        assert 1.9 * s < float(jnp.abs(weight).max()) <= 2.0 * s
+        np.testing.assert_allclose(weight.std(), 0.8796 * s, rtol=0.05)
+    assert all((bias == 0).all() for bias in net.biases)
     net = MLP.create(20, (64, 64), 3, key, init=Init(bias=0.1, last=1e-3))
     assert all((bias == np.float32(0.1)).all() for bias in net.biases[:-1])
     for part in (net.weights[-1], net.biases[-1]):

@@ -16,11 +16,12 @@ from jaxtyping import Array, Float
 
 from deadreckon.agents.agent import Agent, advantage_in_windows, backup, capped_exp, imitation_loss, rows_of_windows
 from deadreckon.data.batch import Batch, BatchSpec
-from deadreckon.nets.mlp import MLP
+from deadreckon.nets.mlp import FIRST_WEIGHTS, MLP, FirstWeights
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.policies.kinds import Categorical, Likelihood, TanhMeanGaussian, create_imitator, stochastic
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, UnitInterval, static
+from deadreckon.training.later_fields import later
 
 
 class State(NamedTuple):
@@ -51,6 +52,8 @@ class AWR(Agent):
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update), in windows of the length above
     standardise: bool = static(True)  # whether observations are standardised to mean 0 and standard deviation 1
+    first_weights: FirstWeights = later("uniform")
+    """initial weights, by the names that SAC has; with the authors', "glorot", the last layer of the actor is within 0.01"""
 
     def needs(self, spec):
         """Windows of transitions."""
@@ -60,8 +63,10 @@ class AWR(Agent):
     def init(self, spec, key):
         """Fresh networks."""
         ka, kv = keys(key, "actor", "value")
-        actor = create_imitator(spec, self.hidden, ka, self.likelihood, self.action_std)
-        value = MLP.create(spec.observation_size, self.hidden, 1, kv)
+        first, first_value = FIRST_WEIGHTS[self.first_weights]
+        first = first._replace(last=0.01) if self.first_weights == "glorot" else first
+        actor = create_imitator(spec, self.hidden, ka, self.likelihood, self.action_std, first)
+        value = MLP.create(spec.observation_size, self.hidden, 1, kv, init=first_value)
         return State(actor, value, init_opt(actor), init_opt(value))
 
     def returns(self, value: MLP, batch: Batch) -> tuple[Float[Array, "b w"], Float[Array, "b w"]]:

@@ -18,7 +18,7 @@ from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics
 from deadreckon.agents.bc import cloned
 from deadreckon.data.batch import BatchSpec
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP, minimum, q_values
+from deadreckon.nets.mlp import FIRST_WEIGHTS, MLP, FirstWeights, minimum, q_values
 from deadreckon.nets.mmd import mmd
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import TanhGaussian
@@ -63,6 +63,7 @@ class BRAC(Agent):
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
     standardise: bool = later(False)  # whether observations are standardised to mean 0 and standard deviation 1
+    first_weights: FirstWeights = later("uniform")  # initial weights, by the names that SAC has (authors: glorot)
 
     def resolve(self, spec, steps):
         """Fills in the warm start."""
@@ -76,8 +77,9 @@ class BRAC(Agent):
     def init(self, spec, key):
         """Fresh networks; targets are copies."""
         ka, kc, kb = keys(key, "actor", "critics", "behavior")
-        make = lambda k: MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, k)  # noqa: E731
-        actor, critics, behavior = make(ka), create_critics(spec, self.hidden, 2, kc), make(kb)
+        first, first_q = FIRST_WEIGHTS[self.first_weights]
+        make = lambda k: MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, k, init=first)  # noqa: E731
+        actor, critics, behavior = make(ka), create_critics(spec, self.hidden, 2, kc, init=first_q), make(kb)
         return State(actor, critics, copy(critics), behavior, init_opt(actor), init_opt(critics))
 
     def prepare(self, state, rows, key, fit):

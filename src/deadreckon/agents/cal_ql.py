@@ -15,7 +15,7 @@ from jaxtyping import Array, Float
 from deadreckon.agents.cql import CQL, soft_maximum
 from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.errors import UserError
-from deadreckon.training.hyperparameters import NonNegative, Sizes, static
+from deadreckon.training.hyperparameters import Sizes, static
 
 
 class CalQL(CQL):
@@ -24,7 +24,6 @@ class CalQL(CQL):
     revision: ClassVar[int] = 1
     supports_discrete: ClassVar[bool] = False
 
-    temperature_lr: NonNegative = 1e-4  # learning rate of the logarithm of the entropy temperature
     hidden: Sizes = static((256, 256))  # width of each hidden layer of the actor
     critic_hidden: Sizes | None = static((256, 256))
     """width of each hidden layer of the critics (AntMaze: four of 256); None: as the actor's"""

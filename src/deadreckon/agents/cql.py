@@ -50,6 +50,7 @@ class CQL(ScaledRewards, SAC):
     told_after: ClassVar[dict[str, str]] = {"standardise": "warm_start"}
 
     actor_lr: NonNegative = 1e-4  # learning rate of the actor
+    temperature_lr: NonNegative = 1e-4  # learning rate of the logarithm of the temperature (public codes: the actor's)
     entropy_backup: bool = static(False)  # whether the critics' targets include the entropy bonus
     hidden: Sizes = static((256, 256, 256))  # width of each hidden layer
     form: Literal["H", "rho"] = static("H")

@@ -1,6 +1,6 @@
 """What model-based agents share: the settings of the ensemble, and the rule that ends episodes in the model."""
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from jaxtyping import PRNGKeyArray
 
@@ -15,6 +15,7 @@ from deadreckon.dynamics.rollout import Ends
 from deadreckon.errors import UserError
 from deadreckon.randomness import key_for
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, Weights, static
+from deadreckon.training.later_fields import later
 
 # Table B.1 and the public code's target entropies. Of the two columns with G = 40 only HalfCheetah is sure in the
 # thesis's scan; InvertedPendulum has 10 in the public code. `rollout_length` is k: first, last, from epoch, to epoch.
@@ -50,6 +51,8 @@ class ModelBasedAgent(Agent):
     """weight decay of each layer of the model (L2 penalty, halved)"""
     model_patience: Count = static(5)  # epochs in a row without improvement that a fit of the model goes on after
     model_epochs: Count = static(1000)  # largest number of epochs of a fit of the model
+    model_first_weights: Literal["uniform", "half_normal"] = later("uniform")
+    """initial weights of the model: uniform in +-1/sqrt(inputs), or normal with half of that, cut, as in MBPO's public code"""
     termination: str | None = static(None)
     """task whose rule ends episodes in the model, or "learned"; None: this task's, if observations show it"""
 
@@ -74,8 +77,9 @@ class ModelBasedAgent(Agent):
         """The networks of the ensemble."""
         assert self.model_hidden is not None  # resolved
         return Gaussian(
-            self.members, self.model_hidden, self.model_lr, 0.0, layer_decay=self.model_weight_decay, as_mbpo=True
-        )
+            self.members, self.model_hidden, self.model_lr, 0.0, layer_decay=self.model_weight_decay, as_mbpo=True,
+            first_weights=self.model_first_weights,
+        )  # fmt: skip
 
     @property
     def trainer(self) -> Trainer:

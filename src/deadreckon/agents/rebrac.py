@@ -6,11 +6,10 @@ import jax
 import jax.numpy as jnp
 
 from deadreckon.agents.agent import backup
-from deadreckon.agents.sac_n import ACTOR_INIT, CRITIC_INIT
 from deadreckon.agents.scaled_rewards import ScaledRewards
 from deadreckon.agents.td3 import TD3
 from deadreckon.data.batch import BatchSpec
-from deadreckon.nets.mlp import Init, minimum, q_values
+from deadreckon.nets.mlp import FIRST_WEIGHTS, minimum, q_values
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 
@@ -19,8 +18,7 @@ class ReBRAC(ScaledRewards, TD3):
 
     revision: ClassVar[int] = 2
     fine_tunes: ClassVar[bool] = False
-    actor_init: ClassVar[Init] = ACTOR_INIT
-    critic_init: ClassVar[Init] = CRITIC_INIT
+    actor_init, critic_init = FIRST_WEIGHTS["rlkit"]
     other_names: ClassVar[dict[str, str]] = {"actor_bc_coef": "actor_penalty", "critic_bc_coef": "critic_penalty"}
 
     actor_lr: NonNegative = 1e-3  # learning rate of the actor

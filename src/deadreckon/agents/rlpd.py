@@ -17,10 +17,11 @@ from deadreckon.agents.agent import create_critics
 from deadreckon.agents.sac import SAC
 from deadreckon.agents.scaled_rewards import ScaledRewards
 from deadreckon.errors import UserError
-from deadreckon.nets.mlp import GLOROT, Init, minimum
+from deadreckon.nets.mlp import FirstWeights, minimum
 from deadreckon.nets.optim import polyak_update
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, static
+from deadreckon.training.later_fields import later
 
 
 class RLPD(ScaledRewards, SAC):
@@ -28,14 +29,13 @@ class RLPD(ScaledRewards, SAC):
 
     revision: ClassVar[int] = 1
     supports_discrete: ClassVar[bool] = False  # as published; its target entropy is one of densities
-    actor_init: ClassVar[Init] = GLOROT
-    critic_init: ClassVar[Init] = GLOROT
     other_names: ClassVar[dict[str, str]] = {"num_qs": "critics", "num_min_qs": "subset", "critic_layer_norm": "layer_norm"}
 
     critics: Count = static(10)  # number of Q-networks
     subset: Count = static(2)  # number of target networks drawn for each update, whose minimum is the target (AntMaze: 1)
     layer_norm: bool = static(True)  # whether the critics use layer normalisation
     policy_freq: Count = static(20)  # critic updates per update of actor and temperature
+    first_weights: FirstWeights = later("glorot")  # initial weights of actor and critics, as SAC's
 
     @classmethod
     def acting(cls, task):

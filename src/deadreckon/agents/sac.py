@@ -11,7 +11,7 @@ from jaxtyping import Array
 from deadreckon.agents.agent import Agent, backup, bellman_loss, create_critics, loss_of_critics
 from deadreckon.data.batch import BatchSpec
 from deadreckon.nets import distributions as dist
-from deadreckon.nets.mlp import MLP, UNIFORM, Init, all_q_values, minimum, q_values
+from deadreckon.nets.mlp import FIRST_WEIGHTS, MLP, FirstWeights, Init, all_q_values, minimum, q_values
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.policies.kinds import Categorical, create_actor, stochastic
 from deadreckon.randomness import keys
@@ -40,8 +40,6 @@ class SAC(Agent):
     online: ClassVar[bool] = True
     fine_tunes: ClassVar[bool] = True
     supports_images: ClassVar[bool] = True
-    actor_init: ClassVar[Init] = UNIFORM  # how its networks begin
-    critic_init: ClassVar[Init] = UNIFORM
     other_names: ClassVar[dict[str, str]] = {"backup_entropy": "entropy_backup", "init_temperature": "temperature"}
 
     actor_lr: NonNegative = 3e-4  # learning rate of the actor
@@ -57,6 +55,8 @@ class SAC(Agent):
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
     standardise: bool = later(False)  # whether observations are standardised to mean 0 and standard deviation 1
+    first_weights: FirstWeights = later("uniform")
+    """initial weights of actor and critics: uniform in +-1/sqrt(inputs), "glorot", "orthogonal", or "rlkit" (last small)"""
 
     def resolve(self, spec, steps):
         """Fills in the target entropy."""
@@ -75,6 +75,16 @@ class SAC(Agent):
     def needs(self, spec):
         """Transitions."""
         return BatchSpec(batch_size=self.batch_size, standardise=self.standardise)
+
+    @property
+    def actor_init(self) -> Init:
+        """How its actor begins."""
+        return FIRST_WEIGHTS[self.first_weights][0]
+
+    @property
+    def critic_init(self) -> Init:
+        """How its critics begin."""
+        return FIRST_WEIGHTS[self.first_weights][1]
 
     def init(self, spec, key) -> Any:
         """Fresh networks; targets are copies."""

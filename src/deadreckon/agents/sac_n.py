@@ -9,26 +9,25 @@ from typing import ClassVar
 import jax.numpy as jnp
 
 from deadreckon.agents.sac import SAC
-from deadreckon.nets.mlp import Init
+from deadreckon.agents.scaled_rewards import ScaledRewards
+from deadreckon.nets.mlp import FirstWeights
 from deadreckon.nets.optim import polyak_update
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, Sizes, static
+from deadreckon.training.later_fields import later
 
-ACTOR_INIT, CRITIC_INIT = Init(bias=0.1, last=1e-3), Init(bias=0.1, last=3e-3)  # also ReBRAC's
 
-
-class SACN(SAC):
+class SACN(ScaledRewards, SAC):
     """SAC with an ensemble of critics."""
 
     revision: ClassVar[int] = 2
     supports_discrete: ClassVar[bool] = False
     online: ClassVar[bool] = False
-    actor_init: ClassVar[Init] = ACTOR_INIT
-    critic_init: ClassVar[Init] = CRITIC_INIT
 
     critics: Count = static(10)
     """number of Q-networks, of which the minimum is used (published: halfcheetah 10, walker2d 20, hopper 500)"""
     hidden: Sizes = static((256, 256, 256))  # width of each hidden layer
+    first_weights: FirstWeights = later("rlkit")  # initial weights of actor and critics, as SAC's
 
     def update(self, state, batch, *, step, key):
         """Temperature, actor, critics, targets: each by what those before it have become."""
@@ -39,3 +38,7 @@ class SACN(SAC):
         state, metrics = self.update_critics(state, batch, k_target, k_critics)
         state = state._replace(target_critics=polyak_update(state.target_critics, state.critics, self.tau))
         return state, metrics | {"actor_loss": loss, "entropy": -log_prob, "temperature": jnp.exp(state.log_temperature)}
+
+    def q_value(self, state, observation, action):
+        """Minimum over the critics, in the log's units; includes the entropy bonus of later steps."""
+        return self.logged_value(super().q_value(state, observation, action))

@@ -2,6 +2,7 @@
 
     r' = scale r + shift,   scale = normalized_return_range / (largest - smallest return of the log's episodes), or a number
 
+With `standardise_rewards` their mean over the log is 0 and their standard deviation 1.
 Returns, evaluations, reports and estimates of policies stay in the log's units.
 """
 
@@ -14,6 +15,7 @@ from deadreckon.agents.agent import Agent
 from deadreckon.data.batch import Batch
 from deadreckon.errors import UserError
 from deadreckon.training.hyperparameters import Number, Positive, host
+from deadreckon.training.later_fields import later
 
 
 class ScaledRewards(Agent):
@@ -25,11 +27,23 @@ class ScaledRewards(Agent):
     """range that the returns of the log's episodes are scaled to (published for IQL and XQL on robots: 1000); None: none"""
     reward_scale: Positive | None = None  # factor of every reward; None: 1, or by normalized_return_range
     reward_shift: Number = 0.0  # number added to every scaled reward (published for IQL on AntMaze: -1)
+    standardise_rewards: bool = later(False)
+    """whether rewards are standardised to mean 0 and standard deviation 1 (published for EDAC on Adroit)"""
 
     def resolve(self, spec, steps):
-        """Fills in the scale of the rewards."""
+        """Fills in the scale of the rewards, and their shift where they are standardised."""
         agent = super().resolve(spec, steps)
         wanted, name = self.normalized_return_range, type(self).__name__
+        if self.standardise_rewards:
+            if wanted is not None or self.reward_scale is not None or self.reward_shift != 0.0:
+                rest = "leave out reward_scale, reward_shift and normalized_return_range"
+                raise UserError(f"{name}.standardise_rewards sets the scale and the shift of rewards: {rest}")
+            if not spec.reward.std > 0.0:
+                raise UserError(
+                    f"{name}.standardise_rewards needs rewards that differ; all of {spec.name} are {spec.reward.mean:g}"
+                )
+            scale = 1.0 / float(spec.reward.std)
+            return agent.replace(reward_scale=scale, reward_shift=-scale * float(spec.reward.mean), standardise_rewards=False)
         if wanted is None:
             return agent.replace(reward_scale=1.0 if self.reward_scale is None else self.reward_scale)
         if self.reward_scale is not None:

@@ -3,12 +3,15 @@
 The probabilistic ensemble of Chua et al. 2018 that MBPO uses (thesis B.4), and MB-FF among the estimators (8.5).
 """
 
+from typing import Literal
+
 import jax
 import jax.numpy as jnp
 
 from deadreckon.dynamics.model import LOG_VARIANCE, Model, bernoulli_nll, choices, gaussian_nll, soft_bounds
-from deadreckon.nets.mlp import MLP, ensemble
+from deadreckon.nets.mlp import MLP, Init, ensemble
 from deadreckon.training.hyperparameters import static
+from deadreckon.training.later_fields import later
 
 BOUND_WEIGHT = 0.01  # of the learned bounds in the loss, which keeps them close
 
@@ -18,12 +21,14 @@ class Gaussian(Model):
 
     deterministic: bool = static(False)  # squared errors instead of likelihoods, means instead of draws
     as_mbpo: bool = static(False)  # losses in the proportions of MBPO's public code, which its decay is meant for
+    first_weights: Literal["uniform", "half_normal"] = later("uniform")  # initial weights, "half_normal" as in the same code
 
     def create(self, spec, key):
         """Networks with outputs (mean, log-variance, logit of an end), and bounds of the log-variances."""
         numbers = spec.observation_size + 1
         inputs = spec.observation_size + spec.action_size
-        make = lambda k: MLP.create(inputs, self.hidden, 2 * numbers + 1, k, activation="swish")  # noqa: E731
+        first = Init(self.first_weights, None if self.first_weights == "uniform" else 0.0)
+        make = lambda k: MLP.create(inputs, self.hidden, 2 * numbers + 1, k, activation="swish", init=first)  # noqa: E731
         bounds = jnp.broadcast_to(jnp.asarray(LOG_VARIANCE)[:, None], (self.members, 2, numbers)) + 0.0
         return {"nets": ensemble(make, self.members, key), "bounds": bounds, "choices": choices(spec, self.members)}
 

@@ -39,13 +39,14 @@ class Init(NamedTuple):
     """How a network begins.
 
     Attributes:
-        weights: "uniform" in +-1/sqrt(inputs), PyTorch's; "orthogonal" with gain sqrt(2); "glorot", uniform; or "lecun", normal
-            with variance 1/inputs, cut at two deviations.
+        weights: "uniform" in +-1/sqrt(inputs), PyTorch's; "orthogonal" with gain sqrt(2); "glorot", uniform; "lecun", normal
+            with variance 1/inputs, cut at two deviations; or "half_normal", normal with deviation 1/(2 sqrt(inputs)) before
+            it is cut at two deviations (PETS, MBPO's models).
         bias: of all layers but the last one of uniform networks; None: uniform in +-1/sqrt(inputs) as the weights.
         last: bound of the last layer's weights and biases, uniform; None: as the others.
     """
 
-    weights: Literal["uniform", "orthogonal", "glorot", "lecun"] = "uniform"
+    weights: Literal["uniform", "orthogonal", "glorot", "lecun", "half_normal"] = "uniform"
     bias: float | None = None
     last: float | None = None
 
@@ -53,7 +54,16 @@ class Init(NamedTuple):
 # The value or logit of an illegal action: no maximum, softmax or draw takes it, and times a probability of zero it is zero.
 ILLEGAL = -1e9
 UNIFORM, ORTHOGONAL, GLOROT = Init(), Init("orthogonal", 0.0), Init("glorot", 0.0)
-LECUN = Init("lecun", 0.0)
+LECUN, HALF_NORMAL = Init("lecun", 0.0), Init("half_normal", 0.0)
+
+# By name, of actors and of critics: "rlkit" are those of the codes that descend from it.
+FirstWeights = Literal["uniform", "glorot", "orthogonal", "rlkit"]
+FIRST_WEIGHTS: dict[FirstWeights, tuple[Init, Init]] = {
+    "uniform": (UNIFORM, UNIFORM),
+    "glorot": (GLOROT, GLOROT),
+    "orthogonal": (ORTHOGONAL, ORTHOGONAL),
+    "rlkit": (Init(bias=0.1, last=1e-3), Init(bias=0.1, last=3e-3)),
+}
 
 
 class MLP(eqx.Module):
@@ -125,13 +135,15 @@ def _layer(key: PRNGKeyArray, inputs: int, outputs: int, init: Init) -> tuple[Fl
     else:
         biases = jnp.full(outputs, init.bias)
     shape = (inputs, outputs)
+    if init.weights == "uniform" or init.last is not None:
+        return jax.random.uniform(k_weights, shape, minval=-bound, maxval=bound), biases
     if init.weights == "orthogonal":
         return jax.nn.initializers.orthogonal(math.sqrt(2.0))(k_weights, shape), biases
     if init.weights == "glorot":
         return jax.nn.initializers.glorot_uniform()(k_weights, shape), biases
     if init.weights == "lecun":
         return jax.nn.initializers.lecun_normal()(k_weights, shape), biases
-    return jax.random.uniform(k_weights, shape, minval=-bound, maxval=bound), biases
+    return jax.random.truncated_normal(k_weights, -2.0, 2.0, shape) * bound / 2.0, biases  # "half_normal"
 
 
 def _bound(inputs: int) -> np.float32:
