@@ -18,7 +18,7 @@ from deadreckon.report.picture import sheet
 
 SUITES = ["bear-defaults", "bear-choice", "bear-threshold", "bear-forms"]
 THRESHOLD = 0.05  # of the MMD, where a method does not say another
-FLOOR = 0.157  # the biased MMD of four draws where the policy is its model of the log: that of all runs of the thesis's form
+FLOOR = 0.157  # where the biased MMD of four draws ends in all runs of the thesis's form, whose multiplier is at its cap
 PICTURE = "bear-constraint.svg"
 KINDS = "the thesis's form", "biased MMD, a threshold near or above its floor", "unbiased MMD", "a VAE as the model"
 

@@ -41,7 +41,7 @@ class AWAC(ScaledRewards):
     max_weight: Positive = 100.0  # largest weight of a transition in the loss of the actor
     samples: Count = static(1)  # actions sampled from the policy to estimate its value
     likelihood: Likelihood = static("normal")
-    """likelihood of logged actions: normal around tanh of a network, as in public code, or tanh-normal"""
+    """likelihood of logged actions: normal around tanh of a network, or tanh-normal"""
     hidden: Sizes = static((256, 256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
     standardise: bool = static(True)  # whether observations are standardised to mean 0 and standard deviation 1

@@ -46,7 +46,7 @@ class AWR(Agent):
     temperature: Positive = 1.0  # temperature that divides the standardised advantage (beta in the paper)
     max_weight: Positive = 20.0  # largest weight of a transition in the loss of the actor
     likelihood: Likelihood = static("normal")
-    """likelihood of logged actions: normal around tanh of a network, as in public code, or tanh-normal"""
+    """likelihood of logged actions: normal around tanh of a network, or tanh-normal"""
     action_std: Positive = 0.4  # standard deviation of actions in [-1, 1], with likelihood="normal" (published: 0.2 on Ant)
     window: Count = static(16)  # consecutive transitions after which the value stands for the rest of the return
     hidden: Sizes = static((256, 256))  # width of each hidden layer

@@ -149,7 +149,7 @@ class ClippedGaussian(Gaussian):
 
 
 class TanhMeanGaussian(ClippedGaussian):
-    """A `ClippedGaussian` around tanh(net(s)) with one deviation an action, as the public codes of IQL, XQL and AWAC have it.
+    """A `ClippedGaussian` around tanh(net(s)) with one deviation an action, as IQL's, XQL's and AWAC's authors have it.
 
     The likelihood of a logged action at a bound is that of a Gaussian in the space of actions: finite, where `TanhGaussian` has
     the value before a tanh that was clipped. Greedy is tanh(net(s)).
