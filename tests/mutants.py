@@ -98,6 +98,16 @@ MUTANTS = (
         ("agents/test_scaled_rewards.py",),
     ),
     Mutant(
+        "standardised-shift", "agents/scaled_rewards.py", "reward_shift=-scale * float(spec.reward.mean)",
+        "reward_shift=-float(spec.reward.mean)", "standardised rewards are shifted by a mean that is not scaled",
+        ("agents/test_scaled_rewards.py",),
+    ),
+    Mutant(
+        "last-layer-as-others", "nets/mlp.py", 'if init.weights == "uniform" or init.last is not None:',
+        'if init.weights == "uniform":', "last layers begin as wide as the others",
+        ("agents/test_actor_critics.py",),
+    ),
+    Mutant(
         "spans-start-at-zero", "training/program.py", "index = first + draw(plan, root, step, count)",
         "index = draw(plan, root, step, count)",
         "lanes of several logs all learn from the first log",
