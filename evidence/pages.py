@@ -11,6 +11,7 @@ A page holds blocks between `<!-- NAME ARGUMENTS -->` and `<!-- end -->`, whose 
     ranking SUITE        interquartile means over logs, probability of improvement over the first method, performance profiles
     constraint SUITE     BEAR's scores beside its constraint at the end of each run: MMD and multiplier
     story                the same of all such suites, in a picture with threshold and floor
+    overestimated        off-policy Q-learning's estimates beside what its policies get, by the amount of an expert's data
     changed              agents beside what they were before a change of their defaults
     improved             agents beside the logs' own mean scores
     above                on which design problems NEMO is above the forward model and the ensemble
@@ -51,6 +52,7 @@ from evidence.changed import changed
 from evidence.designs_above import above
 from evidence.improved import improved
 from evidence.judged import apart, halves
+from evidence.overestimated import overestimated
 from evidence.records import record
 
 STUDIES = "evidence.studies"
@@ -58,7 +60,7 @@ trust(STUDIES)
 
 HERE = Path(__file__).resolve().parent
 PAGES = HERE.parent / "docs" / "results"
-_NAMES = "table|record|curves|ranking|constraint|story|above|apart|halves|claims|changed|improved|pending"
+_NAMES = "table|record|curves|ranking|constraint|story|above|apart|halves|claims|changed|improved|overestimated|pending"
 OPENING = rf"<!-- ({_NAMES})(?: ([\w.-]+))? -->\n"
 BLOCK = re.compile(rf"({OPENING})((?:(?!<!-- ).)*?)(<!-- end -->)", re.S)
 
@@ -225,7 +227,7 @@ def pending(name: str, files: dict[str, bytes]) -> str:
 MAKE: dict[str, Callable[[str, dict[str, bytes]], str]] = {
     "table": table, "record": record, "curves": curves, "ranking": ranking, "constraint": constraint, "story": story,
     "claims": claimed, "above": of_queue(above), "changed": of_queue(changed), "improved": of_queue(improved),
-    "apart": apart, "halves": halves, "pending": pending,
+    "overestimated": of_queue(overestimated), "apart": apart, "halves": halves, "pending": pending,
 }  # fmt: skip
 
 

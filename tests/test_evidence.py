@@ -89,6 +89,16 @@ def test_all_suites_are_in_the_queue_and_can_be_planned(monkeypatch):
     store_of(suites, ROOT)  # one ledger
 
 
+def test_every_suite_with_results_is_on_a_page(monkeypatch):
+    monkeypatch.chdir(ROOT.parent)
+    suites = queue(ROOT / "queue.toml")
+    done = set(store_of(suites, ROOT).results()["cell"].to_pylist())
+    found = {suite.name for suite in suites for job in plan(suite) if not done.isdisjoint(job.cells)}
+    text = "".join(path.read_text() for path in pages.PAGES.glob("*.md"))
+    shown = {name for match in re.finditer(pages.OPENING, text) for name in (match[2] or "").split()}
+    assert sorted(f"{name}.toml" for name in found if f"{name}.toml" not in shown) == []
+
+
 def test_claims_rest_on_suites_of_the_queue():
     names = {suite.name for suite in queue(ROOT / "queue.toml")}
     for claim in claims(ROOT / "claims.toml"):
