@@ -4,6 +4,7 @@ import re
 from math import nan
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from deadreckon.bench import claims as declared
@@ -157,6 +158,50 @@ def test_what_is_missing_of_bears_constraint_is_said(tmp_path, monkeypatch):
     text = bear.constraint(suite, store)
     assert "| a | 2 | 40.0 (30.0 to 50.0) | 0.100 (0.100 to 0.100) | 20 (20 to 20) |" in text
     assert "Without a result yet: 2 of 4 cells, among them all of b." in text
+
+
+def test_a_curve_has_students_interval_over_seeds_and_one_seed_none():
+    two = pages._curve("a", 9, [[(10, 1.0), (20, 3.0)], [(10, 2.0)]])  # the second diverged after 10 updates
+    assert (two.slot, two.dashed) == (1, True)
+    np.testing.assert_array_equal(two.x, [10, 20])
+    np.testing.assert_allclose(two.y, [1.5, 2.5])
+    half = 12.706 * 0.5  # t of one degree of freedom, and s / sqrt(n), which is the same at both steps
+    np.testing.assert_allclose(two.low, [1.5 - half, 2.5 - half], atol=1e-3)
+    np.testing.assert_allclose(two.high, [1.5 + half, 2.5 + half], atol=1e-3)
+    one = pages._curve("a", 0, [[(10, 1.0)]])
+    assert np.isnan([*one.low, *one.high]).all()
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        ("gym.toml medium.toml", "medium has not the logs of gym with its seeds, steps, episodes and rows"),
+        ("medium-again.toml gym-more.toml", "gym-more has not the logs of medium-again with"),
+        ("medium.toml gym.toml", "gym has methods of the suites before it: BC, TD3"),
+    ],
+)
+def test_suites_that_cannot_stand_beside_each_other_are_refused(names, message, monkeypatch):
+    monkeypatch.chdir(ROOT.parent)
+    with pytest.raises(UserError, match=re.escape(message)):
+        pages.made(f"<!-- curves {names} -->\n<!-- end -->\n", {})
+
+
+def test_a_ranking_is_of_the_methods_of_all_its_suites_on_the_logs_of_the_first(tmp_path, monkeypatch):
+    monkeypatch.setattr(pages, "HERE", tmp_path)
+    head = 'kind = "learn"\nledger = "ledger"\nseeds = 2\nsteps = 100\nevaluations = 1\n'
+    logs = 'logs = ["hopper-medium-v2"{}]\n[methods]\n'
+    (tmp_path / "ranked-first.toml").write_text(head + logs.format("") + 'a = { agent = "bc" }\nb = { agent = "td3" }\n')
+    more = head + logs.format(', "walker2d-medium-v2"') + 'c = { agent = "iql" }\n'
+    (tmp_path / "ranked-second.toml").write_text(more)
+    suites = [read(tmp_path / f"ranked-{name}.toml") for name in ("first", "second")]
+    store = store_of(suites, tmp_path)
+    for method, scores in {"a": [10.0, 20.0], "b": [5.0], "c": [30.0, 40.0]}.items():
+        [job] = [job for job in plan_all(suites) if (job.method, job.on) == (method, "hopper-medium-v2")]
+        keep(store, job, scores)
+    text = pages.ranking("ranked-first.toml ranked-second.toml", files := {})
+    assert text.splitlines()[2:4] == ["| c | 35.0 [30.0, 40.0] | 1.00 [1.00, 1.00] |", "| a | 15.0 [10.0, 20.0] |  |"]
+    assert "left out: b." in text
+    assert list(files) == ["ranked-first-profiles.svg"]
 
 
 def test_a_block_that_does_not_end_is_refused():
