@@ -1,6 +1,8 @@
 """What the repository declares as evidence can be read, and its pages say what the ledger says."""
 
+import hashlib
 import re
+import tomllib
 from math import nan
 from pathlib import Path
 
@@ -40,6 +42,19 @@ def test_no_table_of_results_is_written_by_hand(page):
 def test_every_record_is_on_a_page():
     shown = re.findall(r"<!-- record ([\w.-]+) -->", "".join(path.read_text() for path in pages.PAGES.glob("*.md")))
     assert sorted(shown) == sorted(path.stem for path in records.FOLDER.glob("*.csv"))
+
+
+def test_every_figure_is_generated_or_listed_with_its_digest():
+    blocks = [match[0] for path in pages.PAGES.glob("*.md") for match in pages.BLOCK.finditer(path.read_text())]
+    made = {name for block in blocks for name in re.findall(r"!\[[^]]*\]\(([\w.-]+)\)", block)}
+    listed = tomllib.loads((records.FOLDER / "figures.toml").read_text())
+    assert {path.name for path in pages.PAGES.iterdir() if path.suffix != ".md"} == made | listed.keys()
+    assert made.isdisjoint(listed)
+    text = "".join(path.read_text() for path in ROOT.parent.glob("docs/**/*.md"))
+    for name, told in listed.items():
+        assert told["sha256"] == hashlib.sha256((pages.PAGES / name).read_bytes()).hexdigest(), name
+        assert told.keys() == {"command", "of", "sha256"}
+        assert f"{name})" in text
 
 
 @pytest.mark.parametrize(
