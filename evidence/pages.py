@@ -133,7 +133,7 @@ def curves(names: str, files: dict[str, bytes]) -> str:
     if not panels:
         return "No curve yet.\n"
     with tempfile.TemporaryDirectory() as folder:
-        path = sheet(Path(folder) / "curves.svg", panels, methods, 3)
+        path = sheet(Path(folder) / "curves.svg", panels, methods)  # a page is too narrow for three columns
         files[picture := f"{first.name}-curves.svg"] = path.read_bytes()
     text = (
         f"Line: mean over seeds; band: Student's {PERCENT} interval over seeds, wide where these are few. "
