@@ -55,7 +55,7 @@ lint: $(STAMP) ## ruff, import-linter, pyrefly
 docs: $(DOCS_STAMP) ## the site in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
-bench: $(STAMP) ## all speed figures on an idle machine, about half an hour, into docs/results/speed.md
+bench: $(STAMP) ## the speed figures that docs/results/speed.md has places for, on an idle machine, about half an hour
 	$(BIN)/python benchmarks/report.py
 
 fuzz: $(STAMP) ## damaged files of every format at the lowest priority: N=100000 inputs or FOR=2h, FORMATS="hdf5 pickle", RESULTS=FILE

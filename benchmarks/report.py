@@ -1,4 +1,4 @@
-"""All speed measurements in one command: `python benchmarks/report.py` (half an hour on an idle machine).
+"""The speed measurements that a page has places for: `python benchmarks/report.py` (half an hour on an idle machine).
 
 The page is text with places for figures, each between two comment lines that name the command; what stands there is replaced by
 what the command prints, with the date. What people have written around the places stays. `--only NAME` runs some of them.

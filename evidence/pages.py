@@ -7,10 +7,11 @@ A page holds blocks between `<!-- NAME ARGUMENTS -->` and `<!-- end -->`, whose 
 
     record NAME          a table of `records/NAME.csv`: what was measured before there was a ledger (`records.py`)
     table SUITE          the suite's tables, as `deadreckon bench show evidence/SUITE --format markdown` prints them
-    curves SUITE         learning curves, a panel for each log: means over seeds, bands from the lowest to the highest
-    ranking SUITE        interquartile means over logs, probability of improvement over the first method, performance profiles
+    curves SUITE ...     learning curves, a panel for each log of the first suite: means over seeds with Student's intervals
+    ranking SUITE ...    over the same logs: interquartile means, probability of improvement over the first method, profiles
     constraint SUITE     BEAR's scores beside its constraint at the end of each run: MMD and multiplier
     story                the same of all such suites, in a picture with threshold and floor
+    overestimated        off-policy Q-learning's estimates beside what its policies get, by the amount of an expert's data
     changed              agents beside what they were before a change of their defaults
     improved             agents beside the logs' own mean scores
     above                on which design problems NEMO is above the forward model and the ensemble
@@ -37,20 +38,22 @@ from deadreckon.bench.ledger import store_of
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Suite, queue, read
-from deadreckon.bench.tables import tables
+from deadreckon.bench.tables import Cell, tables
 from deadreckon.bench.times import forecast
 from deadreckon.errors import UserError
 from deadreckon.imports import trust
 from deadreckon.report import charts
-from deadreckon.report.picture import PANEL, sheet
+from deadreckon.report.picture import COLOURS, PANEL, sheet
 from deadreckon.report.text import words
 from deadreckon.stats.interval import LEVEL, PERCENT
+from deadreckon.stats.means import mean_interval
 from deadreckon.stats.scores import interval, iqm, performance_profile, probability_of_improvement
 from evidence import bear
 from evidence.changed import changed
 from evidence.designs_above import above
 from evidence.improved import improved
 from evidence.judged import apart, halves
+from evidence.overestimated import overestimated
 from evidence.records import record
 
 STUDIES = "evidence.studies"
@@ -58,8 +61,8 @@ trust(STUDIES)
 
 HERE = Path(__file__).resolve().parent
 PAGES = HERE.parent / "docs" / "results"
-_NAMES = "table|record|curves|ranking|constraint|story|above|apart|halves|claims|changed|improved|pending"
-OPENING = rf"<!-- ({_NAMES})(?: ([\w.-]+))? -->\n"
+_NAMES = "table|record|curves|ranking|constraint|story|above|apart|halves|claims|changed|improved|overestimated|pending"
+OPENING = rf"<!-- ({_NAMES})(?: ([\w. -]+))? -->\n"
 BLOCK = re.compile(rf"({OPENING})((?:(?!<!-- ).)*?)(<!-- end -->)", re.S)
 
 
@@ -81,59 +84,103 @@ def table(name: str, files: dict[str, bytes]) -> str:
     return f"`deadreckon bench show evidence/{name} --format markdown{_asked(suite)}`\n\n{shown}\n"
 
 
-def curves(name: str, files: dict[str, bytes]) -> str:
-    """A picture of a suite's learning curves."""
-    suite, store = _suite(name)
+def _joined(names: str) -> tuple[list[Suite], Store]:
+    """Suites that are shown together, on the logs of the first, and their results.
+
+    Raises:
+        UserError: the results of one cannot stand beside those of the first.
+    """
+    suites = [_suite(name)[0] for name in names.split()]
+    first, *others = suites
+    size = _size(first, first.on)
+    methods = {method.name for method in first.methods}
+    for other in others:
+        if _size(other, first.on) != size:
+            raise UserError(f"{other.name} has not the logs of {first.name} with its seeds, steps, episodes and rows")
+        if both := methods & (own := {method.name for method in other.methods}):
+            raise UserError(f"{other.name} has methods of the suites before it: {', '.join(sorted(both))}")
+        methods |= own
+    return suites, store_of(suites, HERE)
+
+
+def _size(suite: Suite, logs: Sequence[str]) -> tuple[int | None, ...]:
+    """What is alike in results that are compared; None among them where the suite lacks a log."""
+    return suite.seeds, suite.episodes, suite.rows, *(suite.steps.get(log) for log in logs)
+
+
+def _line(method: str, slot: int, x: np.ndarray, value: np.ndarray, low: np.ndarray, high: np.ndarray) -> charts.Series:
+    """A method's line with its band, dashed where no colour is left."""
+    return charts.Series(method, slot % COLOURS, x, value, low, high, dashed=slot >= COLOURS)
+
+
+def curves(names: str, files: dict[str, bytes]) -> str:
+    """A picture of learning curves."""
+    suites, store = _joined(names)
+    first, methods = suites[0], [method.name for suite in suites for method in suite.methods]
     known = {row["cell"] for row in store.results().to_pylist()}
     points: dict[str, list[tuple[int, float]]] = {}
     for row in store.curves().to_pylist():
         points.setdefault(row["cell"], []).append((row["step"], row["score"]))
-    names, planned, panels = [method.name for method in suite.methods], plan(suite), {}
-    for on in suite.on:
-        series = []
-        for slot, method in enumerate(names):
-            jobs = [job for job in planned if job.on == on and job.method == method]
-            own = [sorted(points[cell]) for job in jobs for cell in job.cells if cell in known]
-            if own:
-                steps = np.array([step for step, _ in max(own, key=len)], float)
-                # A seed that diverged ends early and keeps its last good policy, whose score goes on.
-                held = [np.pad([score for _, score in curve], (0, len(steps) - len(curve)), "edge") for curve in own]
-                scores = np.array(held).T
-                series.append(charts.Series.over_seeds(method, slot, steps, scores))
+    found: dict[str, dict[str, list[list[tuple[int, float]]]]] = {}
+    for job in (job for suite in suites for job in plan(suite)):
+        own = [sorted(points[cell]) for cell in job.cells if cell in known]
+        found.setdefault(job.on, {}).setdefault(job.method, []).extend(own)
+    panels = {}
+    for on in first.on:
+        series = [_curve(method, methods.index(method), own) for method, own in found[on].items() if own]
         if series:
             panels[on] = charts.lines(series, title=on, unit="normalised score", size=PANEL)
     if not panels:
         return "No curve yet.\n"
     with tempfile.TemporaryDirectory() as folder:
-        files[picture := f"{suite.name}-curves.svg"] = sheet(Path(folder) / "curves.svg", panels, names, 3).read_bytes()
-    text = "Line: mean over seeds; band: lowest to highest. Seeds that diverged keep the score of their last good policy."
+        path = sheet(Path(folder) / "curves.svg", panels, methods)  # a page is too narrow for three columns
+        files[picture := f"{first.name}-curves.svg"] = path.read_bytes()
+    text = (
+        f"Line: mean over seeds; band: Student's {PERCENT} interval over seeds, wide where these are few. "
+        "Seeds that diverged keep the score of their last good policy."
+    )
     return f"![Normalised score against updates, a panel for each log]({picture})\n\n{text}\n"
 
 
-def ranking(name: str, files: dict[str, bytes]) -> str:
+def _curve(method: str, slot: int, seeds: list[list[tuple[int, float]]]) -> charts.Series:
+    """Mean over seeds with its interval."""
+    steps = np.array([step for step, _ in max(seeds, key=len)], float)
+    # A seed that diverged ends early and keeps its last good policy, whose score goes on.
+    held = [np.pad([score for _, score in curve], (0, len(steps) - len(curve)), "edge") for curve in seeds]
+    means = [mean_interval(scores) for scores in np.array(held).T]
+    value, low, high = (np.array([getattr(mean, end) for mean in means]) for end in ("value", "low", "high"))
+    return _line(method, slot, steps, value, low, high)
+
+
+def ranking(names: str, files: dict[str, bytes]) -> str:
     """Methods that have all seeds of all logs, over all logs together."""
-    suite, store = _suite(name)
-    (found, *_) = tables(suite, plan(suite), store)
-    sound = {method: row for method, row in found.cells.items() if all(cell.sound for cell in row.values())}
-    whole = {method: {on: cell.scores for on, cell in row.items()} for method, row in sound.items()}
+    suites, store = _joined(names)
+    first = suites[0]
+    cells: dict[str, dict[str, Cell]] = {}
+    for suite in suites:
+        cells |= tables(suite, plan(suite), store)[0].cells
+    sound = [method for method, row in cells.items() if all(row[on].sound for on in first.on)]
+    whole = {method: {on: cells[method][on].scores for on in first.on} for method in sound}
     if len(whole) < 2:
         return "No two methods have results on all logs yet.\n"
-    first = next(iter(whole))
+    rival = sound[0]
     order = sorted(whole, key=lambda method: -interval(whole[method], iqm).value)
-    rows = [f"| method | interquartile mean | probability of improvement over {first} |", "|---|---:|---:|"]
+    rows = [f"| method | interquartile mean | probability of improvement over {rival} |", "|---|---:|---:|"]
     for method in order:
-        better = "" if method == first else f"{probability_of_improvement(whole[method], whole[first]):.2f}"
+        better = "" if method == rival else f"{probability_of_improvement(whole[method], whole[rival]):.2f}"
         rows.append(f"| {method} | {interval(whole[method], iqm):.1f} | {better} |")
     grid = np.linspace(0.0, 120.0, 61)
     series = []
     for slot, method in enumerate(whole):
         profile = performance_profile(whole[method], grid)
-        series.append(charts.Series(method, slot, grid, profile.share, profile.low, profile.high))
+        series.append(_line(method, slot, grid, profile.share, profile.low, profile.high))
     chart = charts.lines(series, title="Performance profiles", unit="share of runs above", size=PANEL, across="score")
     with tempfile.TemporaryDirectory() as folder:
         path = sheet(Path(folder) / "profiles.svg", {"Performance profiles": chart}, list(whole))
-        files[picture := f"{suite.name}-profiles.svg"] = path.read_bytes()
-    text = f"{len(suite.on)} logs, {suite.seeds} seeds; {PERCENT} bootstrap intervals, too narrow for few seeds."
+        files[picture := f"{first.name}-profiles.svg"] = path.read_bytes()
+    text = f"{len(first.on)} logs, {first.seeds} seeds; {PERCENT} bootstrap intervals, too narrow for few seeds."
+    if lacking := [method for method in cells if method not in whole]:
+        text += f" Without all seeds of all logs, and left out: {', '.join(lacking)}."
     return "\n".join([*rows, "", text, "", f"![Share of runs that score above a threshold]({picture})", ""])
 
 
@@ -225,7 +272,7 @@ def pending(name: str, files: dict[str, bytes]) -> str:
 MAKE: dict[str, Callable[[str, dict[str, bytes]], str]] = {
     "table": table, "record": record, "curves": curves, "ranking": ranking, "constraint": constraint, "story": story,
     "claims": claimed, "above": of_queue(above), "changed": of_queue(changed), "improved": of_queue(improved),
-    "apart": apart, "halves": halves, "pending": pending,
+    "overestimated": of_queue(overestimated), "apart": apart, "halves": halves, "pending": pending,
 }  # fmt: skip
 
 

@@ -1,9 +1,12 @@
 """What the repository declares as evidence can be read, and its pages say what the ledger says."""
 
+import hashlib
 import re
+import tomllib
 from math import nan
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from deadreckon.bench import claims as declared
@@ -26,19 +29,33 @@ def test_pages_are_what_the_ledger_says(monkeypatch, capsys):
     assert pages.main(["--check"]) == 0, capsys.readouterr().out
 
 
-# Most tables of these pages have generators of their own (`benchmarks/report.py`, `benchmarks/decisions.py`) or are no results.
-OTHERS = {"PENDING", "decisions", "index", "published", "speed"}
+# What `benchmarks/report.py` measured, and tables of decisions, which tests/test_decisions.py compares with the kept results.
+MEASURED = re.compile(r"<!-- [a-z0-9-]+: python [^\n]+ -->\n.*?<!-- end -->", re.S)
+OTHERS = {"PENDING", "index", "published"}  # no results, and those of others
 
 
 @pytest.mark.parametrize("page", sorted({path.stem for path in pages.PAGES.glob("*.md")} - OTHERS))
 def test_no_table_of_results_is_written_by_hand(page):
-    outside = pages.BLOCK.sub("", (pages.PAGES / f"{page}.md").read_text())
+    outside = MEASURED.sub("", pages.BLOCK.sub("", (pages.PAGES / f"{page}.md").read_text()))
     assert [line for line in outside.splitlines() if line.lstrip().startswith("|")] == []
 
 
 def test_every_record_is_on_a_page():
     shown = re.findall(r"<!-- record ([\w.-]+) -->", "".join(path.read_text() for path in pages.PAGES.glob("*.md")))
     assert sorted(shown) == sorted(path.stem for path in records.FOLDER.glob("*.csv"))
+
+
+def test_every_figure_is_generated_or_listed_with_its_digest():
+    blocks = [match[0] for path in pages.PAGES.glob("*.md") for match in pages.BLOCK.finditer(path.read_text())]
+    made = {name for block in blocks for name in re.findall(r"!\[[^]]*\]\(([\w.-]+)\)", block)}
+    listed = tomllib.loads((records.FOLDER / "figures.toml").read_text())
+    assert {path.name for path in pages.PAGES.iterdir() if path.suffix != ".md"} == made | listed.keys()
+    assert made.isdisjoint(listed)
+    text = "".join(path.read_text() for path in ROOT.parent.glob("docs/**/*.md"))
+    for name, told in listed.items():
+        assert told["sha256"] == hashlib.sha256((pages.PAGES / name).read_bytes()).hexdigest(), name
+        assert told.keys() == {"command", "of", "sha256"}
+        assert f"{name})" in text
 
 
 @pytest.mark.parametrize(
@@ -87,6 +104,16 @@ def test_all_suites_are_in_the_queue_and_can_be_planned(monkeypatch):
     assert plan_all(suites)
     assert plan_all(queue(ROOT / "queue.toml", full=True))
     store_of(suites, ROOT)  # one ledger
+
+
+def test_every_suite_with_results_is_on_a_page(monkeypatch):
+    monkeypatch.chdir(ROOT.parent)
+    suites = queue(ROOT / "queue.toml")
+    done = set(store_of(suites, ROOT).results()["cell"].to_pylist())
+    found = {suite.name for suite in suites for job in plan(suite) if not done.isdisjoint(job.cells)}
+    text = "".join(path.read_text() for path in pages.PAGES.glob("*.md"))
+    shown = {name for match in re.finditer(pages.OPENING, text) for name in (match[2] or "").split()}
+    assert sorted(f"{name}.toml" for name in found if f"{name}.toml" not in shown) == []
 
 
 def test_claims_rest_on_suites_of_the_queue():
@@ -147,6 +174,50 @@ def test_what_is_missing_of_bears_constraint_is_said(tmp_path, monkeypatch):
     text = bear.constraint(suite, store)
     assert "| a | 2 | 40.0 (30.0 to 50.0) | 0.100 (0.100 to 0.100) | 20 (20 to 20) |" in text
     assert "Without a result yet: 2 of 4 cells, among them all of b." in text
+
+
+def test_a_curve_has_students_interval_over_seeds_and_one_seed_none():
+    two = pages._curve("a", 9, [[(10, 1.0), (20, 3.0)], [(10, 2.0)]])  # the second diverged after 10 updates
+    assert (two.slot, two.dashed) == (1, True)
+    np.testing.assert_array_equal(two.x, [10, 20])
+    np.testing.assert_allclose(two.y, [1.5, 2.5])
+    half = 12.706 * 0.5  # t of one degree of freedom, and s / sqrt(n), which is the same at both steps
+    np.testing.assert_allclose(two.low, [1.5 - half, 2.5 - half], atol=1e-3)
+    np.testing.assert_allclose(two.high, [1.5 + half, 2.5 + half], atol=1e-3)
+    one = pages._curve("a", 0, [[(10, 1.0)]])
+    assert np.isnan([*one.low, *one.high]).all()
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        ("gym.toml medium.toml", "medium has not the logs of gym with its seeds, steps, episodes and rows"),
+        ("medium-again.toml gym-more.toml", "gym-more has not the logs of medium-again with"),
+        ("medium.toml gym.toml", "gym has methods of the suites before it: BC, TD3"),
+    ],
+)
+def test_suites_that_cannot_stand_beside_each_other_are_refused(names, message, monkeypatch):
+    monkeypatch.chdir(ROOT.parent)
+    with pytest.raises(UserError, match=re.escape(message)):
+        pages.made(f"<!-- curves {names} -->\n<!-- end -->\n", {})
+
+
+def test_a_ranking_is_of_the_methods_of_all_its_suites_on_the_logs_of_the_first(tmp_path, monkeypatch):
+    monkeypatch.setattr(pages, "HERE", tmp_path)
+    head = 'kind = "learn"\nledger = "ledger"\nseeds = 2\nsteps = 100\nevaluations = 1\n'
+    logs = 'logs = ["hopper-medium-v2"{}]\n[methods]\n'
+    (tmp_path / "ranked-first.toml").write_text(head + logs.format("") + 'a = { agent = "bc" }\nb = { agent = "td3" }\n')
+    more = head + logs.format(', "walker2d-medium-v2"') + 'c = { agent = "iql" }\n'
+    (tmp_path / "ranked-second.toml").write_text(more)
+    suites = [read(tmp_path / f"ranked-{name}.toml") for name in ("first", "second")]
+    store = store_of(suites, tmp_path)
+    for method, scores in {"a": [10.0, 20.0], "b": [5.0], "c": [30.0, 40.0]}.items():
+        [job] = [job for job in plan_all(suites) if (job.method, job.on) == (method, "hopper-medium-v2")]
+        keep(store, job, scores)
+    text = pages.ranking("ranked-first.toml ranked-second.toml", files := {})
+    assert text.splitlines()[2:4] == ["| c | 35.0 [30.0, 40.0] | 1.00 [1.00, 1.00] |", "| a | 15.0 [10.0, 20.0] |  |"]
+    assert "left out: b." in text
+    assert list(files) == ["ranked-first-profiles.svg"]
 
 
 def test_a_block_that_does_not_end_is_refused():

@@ -1,6 +1,6 @@
 """Figure 5.1: how a model's error grows with the distance of a policy from the one whose data it learned from.
 
-    python evidence/studies/model_shift.py --picture docs/results/model-shift.svg
+    python evidence/studies/model_shift.py --picture model-shift.svg
 
 A model is fitted to more or less data of one policy of the library, and judged, without being fitted again, on what policies
 do that lie on the way to the next snapshot of the same training: their networks are mixtures of both. Distance is the mean KL
