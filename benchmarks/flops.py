@@ -86,12 +86,13 @@ def needed(opts: dict[str, Any]) -> float:
         valued_by = {"td3_bc": 1, "rebrac": 2}[case]  # critics under the actor
         actor = train(b, net["actor"]) + valued_by * through(b, net["critic"], a)
         return target + critics + actor / 2  # every other update
+    # Of IQL and AWAC the actor's deviation is a parameter.
     if case == "iql":  # target critics at the logged action, V before its step, after it, and at s'
         values = 2 * forward(b, net["critic"]) + train(b, net["value"]) + 2 * forward(b, net["value"])
-        return values + critics + train(b, net["gaussian"])
+        return values + critics + train(b, net["actor"])
     if case == "awac":  # critics at the logged action and at a drawn one, after their step
-        target = forward(b, net["gaussian"]) + 2 * forward(b, net["critic"])
-        return target + critics + 4 * forward(b, net["critic"]) + train(b, net["gaussian"])
+        target = forward(b, net["actor"]) + 2 * forward(b, net["critic"])
+        return target + critics + 4 * forward(b, net["critic"]) + train(b, net["actor"])
     if case == "bcq":
         n = opts["target_samples"]
         behaviour = train(b, net["encoder"]) + train(b, net["decoder"], 2 * a)
