@@ -32,7 +32,7 @@ SOURCES = {
     "design": "Tables 6.1 and 6.2, 16 trials of 128 designs on Design-Bench's data and judges",
     "ope": "appendix E.2, on the original logs, means over redrawn policies of DOPE: neither data nor policies are the same",
 }
-SHOWN = ("deadreckon", "jax", "numpy", "mujoco", "python", "device")  # versions under a table
+SHOWN = ("deadreckon", "jax", "numpy", "mujoco", "python", "device", "cpu")  # versions under a table
 # Agents in the thesis's Table 7.1; BRAC has a name for each form.
 THEIRS = {"bc": "BC", "sac": "SAC-off", "bear": "BEAR", "awr": "AWR", "bcq": "BCQ", "algae_dice": "aDICE", "cql": "CQL"}
 
