@@ -9,7 +9,7 @@ import pytest
 from deadreckon.bench.executor import Event, attempt, run
 from deadreckon.bench.forms import rendered
 from deadreckon.bench.identity import revisions_of
-from deadreckon.bench.jobs import programs
+from deadreckon.bench.jobs import Program, programs
 from deadreckon.bench.local import Local
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import JobResult, Store
@@ -237,6 +237,32 @@ def test_a_setting_that_is_refused_fails_alone(planned, tmp_path, capsys):
     assert [job.method for job in store.undone(jobs)] == ["wrong"]
     assert "leave out target_entropy" in store.failure(jobs[1], 0)["error"]
     assert "its settings go on one by one\n1 of 2: right on maze2d-umaze-v1, seed 0" in capsys.readouterr().out
+
+
+def test_what_runs_and_how_many_wait_is_told_as_programs_begin(planned, capsys):
+    packed = programs(planned())[0]
+    one, two, three = (Program((job,)) for job in packed.jobs)
+    lines, result = Lines(4), JobResult([{"seconds": 1.0}], [])
+    for what, program, payload, waiting in [
+        ("begun", packed, None, 3),
+        ("progress", packed, (1, 2), None),
+        ("split", packed, "no room", None),  # its three jobs go on one by one
+        ("begun", one, None, 5),
+        ("died", one, "code 1", None),  # and waits again
+        ("begun", two, None, 5),
+        ("elsewhere", two, None, None),
+        ("begun", one, None, 4),
+        ("begun", three, None, 3),
+        ("failed", one, ("why", ""), None),
+        ("done", three, [result], None),
+        ("skipped", two, None, None),  # never begun
+        ("begun", packed, None, 1),
+    ]:
+        lines(Event(what, program, payload))
+        told = capsys.readouterr().out
+        assert told.startswith("running: ") == (waiting is not None), what
+        if waiting is not None:
+            assert told == f"running: {program}; {waiting} waiting\n"
 
 
 def test_a_program_that_fails_is_told_of_each_of_its_jobs(planned, tmp_path):
