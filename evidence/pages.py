@@ -167,7 +167,7 @@ def _effect(one: Comparison) -> str:
     same = f", the same with every seed on {words([*one.constant])}" if one.constant else ""
     found = f"{'' if test.among else 'gain '}{one.gain:.3g}{level}{margin}{same}, {one.alone}"
     if one.undefined:
-        found = f"{one.undefined:,} of {one.cells:,} scores are not finite"
+        found = f"{len(one.undefined):,} of {len(one.cells):,} scores are not finite"
     return f"`{test.suite.name}`, {told}: " + ("not there yet" if one.missing else found)
 
 
