@@ -47,7 +47,7 @@ THEIRS = {
              "edac": "EDAC", "decision_transformer": "DT"},
 }  # fmt: skip
 # Fields that leave a method what was published: widths of layers, how long a model of the log's policy is fitted, and the form
-# of BRAC, by which it is named; how far designs may move, which the thesis does not limit; how estimators model the log.
+# of BRAC, by which it is named; how far designs may move, which the thesis does not limit; the model of the behaviour policy.
 UNCHANGED = {
     "learn": {"hidden", "critic_hidden", "behavior_steps", "value_penalty"},
     "design": {"max_travel"},
