@@ -203,7 +203,7 @@ def test_lanes_find_what_cells_find_alone(planned, tmp_path, monkeypatch):
     longer = [dataclasses.replace(job, options=job.options | {"steps": 600}) for job in jobs]
     [program] = programs(longer)
     seconds = together.results()["seconds"][0].as_py()
-    assert forecast([program], together) == {program.name: pytest.approx(10 * seconds)}
+    assert forecast([program], together) == {program.name: (pytest.approx(10 * seconds), True, True)}
 
 
 def test_of_a_program_that_is_done_in_part_the_rest_is_run(planned, tmp_path):
