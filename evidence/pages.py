@@ -18,6 +18,7 @@ A page holds blocks between `<!-- NAME ARGUMENTS -->` and `<!-- end -->`, whose 
     halves               means of ranks and regrets over D4RL's tasks and dm_control's
     claims               every claim with what the results say of it
     pending              declared cells without results, and what they would take
+    plan                 what 40 minutes of a GPU would do of them
 """
 
 import re
@@ -40,6 +41,7 @@ from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Suite, queue, read
 from deadreckon.bench.tables import tables
 from deadreckon.bench.times import Forecast, forecast
+from deadreckon.cli.gpu import plan_told
 from deadreckon.errors import UserError
 from deadreckon.imports import trust
 from deadreckon.report import charts
@@ -60,7 +62,7 @@ trust(STUDIES)
 
 HERE = Path(__file__).resolve().parent
 PAGES = HERE.parent / "docs" / "results"
-_NAMES = "table|record|curves|ranking|constraint|story|above|apart|halves|claims|changed|improved|pending"
+_NAMES = "table|record|curves|ranking|constraint|story|above|apart|halves|claims|changed|improved|pending|plan"
 OPENING = rf"<!-- ({_NAMES})(?: ([\w.-]+))? -->\n"
 BLOCK = re.compile(rf"({OPENING})((?:(?!<!-- ).)*?)(<!-- end -->)", re.S)
 
@@ -247,10 +249,17 @@ def pending(name: str, files: dict[str, bytes]) -> str:
     return "\n".join([*rows, ""]) if len(rows) > 2 else "Nothing.\n"
 
 
+def gpu(name: str, files: dict[str, bytes]) -> str:
+    """The plan for a GPU that is lent for a while, by the rates that the package knows."""
+    told = plan_told(str(HERE / "queue.toml"), HERE, 40 * 60.0)
+    known = "by the ledger and `bench/rates.toml`, nothing being half done"
+    return f"`make evidence-gpu FOR=40m PLAN=1`, {known}\n\n```text\n{told}\n```\n"
+
+
 MAKE: dict[str, Callable[[str, dict[str, bytes]], str]] = {
     "table": table, "record": record, "curves": curves, "ranking": ranking, "constraint": constraint, "story": story,
     "claims": claimed, "above": of_queue(above), "changed": of_queue(changed), "improved": of_queue(improved),
-    "apart": apart, "halves": halves, "pending": pending,
+    "apart": apart, "halves": halves, "pending": pending, "plan": gpu,
 }  # fmt: skip
 
 
