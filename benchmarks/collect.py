@@ -44,13 +44,14 @@ from typing import Any
 import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
-from speed import cpu_model, table
+from speed import table
 
 from deadreckon.bench.idle import measuring
 from deadreckon.collect import generate, recipe
 from deadreckon.tasks import task
 from deadreckon.tasks.gym_mujoco import TASKS as ROBOTS
 from deadreckon.tasks.maze2d import model
+from deadreckon.versions import cpu_model
 
 LENGTH = 1_000
 RATIO = 0.6  # of Gymnasium's rate, which we promise

@@ -9,7 +9,6 @@ Each command is a process of its own, whose `RssAnon` is read 50 times a second.
 
 import argparse
 import re
-import shutil
 import statistics
 import subprocess
 import sys
@@ -21,6 +20,8 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
+
+from deadreckon.bench.idle import measuring
 
 MAIN = "import sys; from deadreckon.cli.main import main; sys.exit(main(sys.argv[1:]))"
 PANDAS = "import sys, pandas; pandas.read_parquet(sys.argv[1])"
@@ -92,8 +93,8 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=3)
     parser.add_argument("--pandas", action="store_true", help="only read the table with pandas")
     given = parser.parse_args()
-    folder = Path(tempfile.mkdtemp(prefix="larger-"))
-    try:
+    with measuring(), tempfile.TemporaryDirectory(prefix="larger-") as name:
+        folder = Path(name)
         make(folder / "large.parquet", given.rows)
         size = (folder / "large.parquet").stat().st_size / 1e9
         print("| what | seconds | rows/s or updates/s | peak of RssAnon, GB |\n| --- | ---: | ---: | ---: |")
@@ -114,9 +115,9 @@ def main() -> None:
             large = updates(folder / "large", folder / "runs", given.steps, True)
             small = updates(folder / "small", folder / "runs", given.steps, False)
             pairs.append((large, small))
-        for name, which in (("the folder, streamed", 0), (f"{given.memory_rows:,} rows in memory", 1)):
+        for what, which in (("the folder, streamed", 0), (f"{given.memory_rows:,} rows in memory", 1)):
             rates, peaks = zip(*(pair[which] for pair in pairs), strict=True)
-            print(f"| TD3+BC, {name} | | {statistics.median(rates):,.1f} | {max(peaks):.2f} |")
+            print(f"| TD3+BC, {what} | | {statistics.median(rates):,.1f} | {max(peaks):.2f} |")
         ratios = [large[0] / small[0] for large, small in pairs]
         judged = folder / "judged"
         updates(folder / "large", judged, 10, True)
@@ -124,8 +125,6 @@ def main() -> None:
         seconds, peak, _ = run("ope", *asked, "--data", folder / "large", "--episodes", str(given.episodes))
         print(f"| ope (FQE), {given.episodes} held-out episodes | {seconds:.0f} | | {peak:.2f} |")
         print(f"\nRatio of the rates by pairs: {', '.join(f'{ratio:.2f}' for ratio in ratios)}")
-    finally:
-        shutil.rmtree(folder)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ ends with a traceback, with a message of several lines, or by a signal; a refusa
 """
 
 import argparse
-import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,6 +17,8 @@ import protocol
 import pyarrow as pa
 from larger import Ended, ended
 from pyarrow import parquet
+
+from deadreckon.bench.idle import measuring
 
 GROUP = 250_000  # rows of a row group at most
 Columns = dict[str, np.ndarray]
@@ -113,12 +114,10 @@ def main() -> int:
     given = parser.parse_args()
     print("| log (as Parquet) | command | seconds | peak of RssAnon, GB | outcome |\n| --- | --- | ---: | ---: | --- |")
     kept = True
-    for name in given.only:
-        folder = Path(tempfile.mkdtemp(prefix="scale-"))
-        try:
-            kept &= case(name, folder, given.steps)
-        finally:
-            shutil.rmtree(folder)
+    with measuring():
+        for name in given.only:
+            with tempfile.TemporaryDirectory(prefix="scale-") as folder:
+                kept &= case(name, Path(folder), given.steps)
     return not kept
 
 

@@ -27,6 +27,7 @@ import protocol
 from protocol import BenchError, Worker
 
 from deadreckon.bench.idle import measuring
+from deadreckon.versions import cpu_model
 
 HERE = Path(__file__).resolve().parent
 RATIO, SHARE = 2.5, 0.6  # what we promise: this many times d3rlpy, or this part of the machine's rate
@@ -237,16 +238,6 @@ def form(value: float | None, pattern: str) -> str:
 def table(head: list[str], rows: list[list[str]]) -> list[str]:
     lines = ["| " + " | ".join(cells) + " |" for cells in [head, *rows]]
     return [lines[0], "|" + "|".join([" --- ", *[" ---: "] * (len(head) - 1)]) + "|", *lines[1:], ""]
-
-
-def cpu_model() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text().splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()
 
 
 def commit() -> str:

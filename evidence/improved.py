@@ -12,24 +12,14 @@ from deadreckon.bench.suite import Suite
 from deadreckon.report.text import words
 from deadreckon.stats.comparison import paired
 from deadreckon.stats.interval import ALPHA, Interval
+from evidence.records import read
 
-# Mean scores: of the logs' episodes (`deadreckon data info NAME`), and of the expert policies over 1,000 episodes. On Maze2D,
-# whose logged episodes go to other goals, of 300 steps, an episode of the task, at the log's mean reward. Logs of people (the
-# door, the kitchen) are not among them: what their episodes score is not what one policy does. Nor are logs whose mean nobody
-# has noted; `LEFT_OUT` has those that the suites below have.
-_WHOLE = {
-    "hopper-medium-v2": 40.1, "halfcheetah-medium-v2": 35.9, "walker2d-medium-v2": 29.5,
-    "hopper-medium-expert-v2": 56.5, "halfcheetah-medium-expert-v2": 58.3,
-    "hopper-random-v2": 1.0, "halfcheetah-random-v2": -0.4,
-    "hopper-uniform-v2": 1.1, "halfcheetah-uniform-v2": -0.2, "walker2d-uniform-v2": 0.0,
-    "hopper-expert-v2": 100.1, "halfcheetah-expert-v2": 80.6, "walker2d-expert-v2": 85.6,
-    "halfcheetah-medium-replay-v2": 16.8, "maze2d-umaze-v1": -3.9, "carla-lane-state-noisy-v0": 72.0,
-}  # fmt: skip
-# By log and rows, which are None of all of them: as suites say it.
+# Mean scores by log and rows, which are None of all of them, as suites say it: of the log's episodes, or of expert logs, of the
+# policy that made them. On Maze2D, whose logged episodes go to other goals, they are of episodes of the task at the log's mean
+# reward. Logs of people (the door, the kitchen) are not among them: what their episodes score is not what one policy does. Nor
+# are logs whose mean nobody has noted; `LEFT_OUT` has those that the suites below have.
 BEHAVIOUR: dict[tuple[str, int | None], float] = {
-    **{(log, None): mean for log, mean in _WHOLE.items()},
-    ("hopper-medium-v2", 200_000): 38.5,
-    ("maze2d-umaze-v1", 200_000): -2.5,
+    (log, None if rows == "all" else int(rows.replace(",", ""))): float(score) for log, rows, score, _ in read("log-means").rows
 }
 LEFT_OUT = {
     "door-human-v1", "walker2d-random-v2", "walker2d-medium-expert-v2", "carla-lane-state-v0", "carla-lane-state-uniform-v0",

@@ -19,6 +19,7 @@ A page holds blocks between `<!-- NAME ARGUMENTS -->` and `<!-- end -->`, whose 
     halves               means of ranks and regrets over D4RL's tasks and dm_control's
     claims               every claim with what the results say of it
     pending              declared cells without results, and what they would take
+    plan                 what 40 minutes of a GPU would do of them
 """
 
 import re
@@ -27,6 +28,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -39,7 +41,8 @@ from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Suite, queue, read
 from deadreckon.bench.tables import Cell, tables
-from deadreckon.bench.times import forecast
+from deadreckon.bench.times import Forecast, forecast
+from deadreckon.cli.gpu import plan_told
 from deadreckon.errors import UserError
 from deadreckon.imports import trust
 from deadreckon.report import charts
@@ -50,6 +53,7 @@ from deadreckon.stats.means import mean_interval
 from deadreckon.stats.scores import interval, iqm, performance_profile, probability_of_improvement
 from evidence import bear
 from evidence.changed import changed
+from evidence.closing import hours, to_close
 from evidence.designs_above import above
 from evidence.improved import improved
 from evidence.judged import apart, halves
@@ -61,7 +65,7 @@ trust(STUDIES)
 
 HERE = Path(__file__).resolve().parent
 PAGES = HERE.parent / "docs" / "results"
-_NAMES = "table|record|curves|ranking|constraint|story|above|apart|halves|claims|changed|improved|overestimated|pending"
+_NAMES = "table|record|curves|ranking|constraint|story|above|apart|halves|claims|changed|improved|overestimated|pending|plan"
 OPENING = rf"<!-- ({_NAMES})(?: ([\w. -]+))? -->\n"
 BLOCK = re.compile(rf"({OPENING})((?:(?!<!-- ).)*?)(<!-- end -->)", re.S)
 
@@ -214,25 +218,54 @@ def _effect(one: Comparison) -> str:
     same = f", the same with every seed on {words([*one.constant])}" if one.constant else ""
     found = f"{'' if test.among else 'gain '}{one.gain:.3g}{level}{margin}{same}, {one.alone}"
     if one.undefined:
-        found = f"{one.undefined:,} of {one.cells:,} scores are not finite"
+        found = f"{len(one.undefined):,} of {len(one.cells):,} scores are not finite"
     return f"`{test.suite.name}`, {told}: " + ("not there yet" if one.missing else found)
+
+
+class _Waiting(NamedTuple):
+    """A suite of the queue at one size: how many cells it has, and what each of those that are missing is expected to take."""
+
+    suite: Suite
+    full: bool
+    cells: int
+    missing: dict[str, Forecast | None]
+
+
+@cache
+def _waiting() -> list[_Waiting]:
+    """All suites at either size, in the order of the queue."""
+    sized = [(suite, full) for full in (False, True) for suite in queue(HERE / "queue.toml", full)]
+    store = store_of([suite for suite, _ in sized], HERE)
+    planned = [(suite, full, len(jobs), programs(store.undone(jobs))) for suite, full in sized for jobs in [plan(suite, 1)]]
+    times = forecast([program for *_, missing in planned for program in missing], store)
+    one = lambda program: program.jobs[0].cells[0]  # noqa: E731 - planned for a lane, so it is the only one
+    return [_Waiting(*about, {one(each): times[each.name] for each in missing}) for *about, missing in planned]
+
+
+TO_CLOSE = (
+    "*To close* is what the CPU size lacks: core-hours of the scores that are missing (the marks are those of "
+    "[what has not been run](PENDING.md)), or, where all are there, more seeds of the comparison that decides, if its mean and "
+    "spread stayed as they are; they would have to be declared before they are run."
+)
 
 
 def claimed(name: str, files: dict[str, bytes]) -> str:
     """A row for each claim, and below them what each rests on."""
-    rows = ["| | claim | in the thesis | CPU size | full size |", "|---|---|---|---|---|"]
+    rows = ["| | claim | in the thesis | CPU size | to close | full size |", "|---|---|---|---|---|---|"]
     details: list[str] = []
+    cost = {cell: took for each in _waiting() if not each.full for cell, took in each.missing.items()}
     for claim in claims(HERE / "claims.toml"):
         store = store_of([read(path) for test in claim.tests for path in test.suites], HERE) if claim.tests else Store(HERE)
         own = verdict(claim, store)
         sized = any(read(path).full for test in claim.tests for path in test.suites)
         full = _reads(verdict(claim, store, full=True)) if sized else "the same"
-        rows.append(f"| {claim.id} | {claim.says} | {claim.place} | {_reads(own)} | {full if claim.tests else ''} |")
+        told = _reads(own), to_close(own, cost), full if claim.tests else ""
+        rows.append(f"| {' | '.join([claim.id, claim.says, claim.place, *told])} |")
         for one in own.comparisons:
             details += [f"- {claim.id}{where}, {_effect(each)}" for each, where in zip(one.stages, ("", ", again"))]
         if claim.note:
             details.append(f"- {claim.id}: {claim.note}")
-    return "\n".join([*rows, "", *details, ""])
+    return "\n".join([*rows, "", TO_CLOSE, "", *details, ""])
 
 
 def story(name: str, files: dict[str, bytes]) -> str:
@@ -252,27 +285,28 @@ def of_queue(make: Callable[[Sequence[Suite], Store], str]) -> Callable[[str, di
 
 
 def pending(name: str, files: dict[str, bytes]) -> str:
-    """Suites with cells that are missing, and the time of a core that they would take where jobs like them are done on one."""
+    """Suites with cells that are missing, and the time of a core that they would take by that of finished ones."""
     rows = ["| suite | size | cells missing | hours of one core | command |", "|---|---|---:|---:|---|"]
-    sized = [(suite, full) for full in (False, True) for suite in queue(HERE / "queue.toml", full)]
-    store = store_of([suite for suite, _ in sized], HERE)
-    planned = [(suite, full, jobs, programs(store.undone(jobs))) for suite, full in sized for jobs in [plan(suite, 1)]]
-    times = forecast([program for *_, missing in planned for program in missing], store)
-    for suite, full, jobs, missing in planned:
+    for suite, full, cells, missing in _waiting():
         if not missing:
             continue
-        known = [seconds for program in missing if (seconds := times[program.name]) is not None]
-        hours = f"{'' if len(known) == len(missing) else '> '}{sum(known) / 3600:,.1f}" if known else "not measured"
         command = f"deadreckon bench evidence/{suite.name}.toml{' --full' if full else ''}{_asked(suite)}"
-        size, count = "full" if full else "CPU", f"{len(missing):,} of {len(jobs):,}"
-        rows.append(f"| {suite.about} | {size} | {count} | {hours} | `{command}` |")
+        size, count = "full" if full else "CPU", f"{len(missing):,} of {cells:,}"
+        rows.append(f"| {suite.about} | {size} | {count} | {hours(missing.values())} | `{command}` |")
     return "\n".join([*rows, ""]) if len(rows) > 2 else "Nothing.\n"
+
+
+def gpu(name: str, files: dict[str, bytes]) -> str:
+    """The plan for a GPU that is lent for a while, by the rates that the package knows."""
+    told = plan_told(str(HERE / "queue.toml"), HERE, 40 * 60.0)
+    known = "by the ledger and `bench/rates.toml`, nothing being half done"
+    return f"`make evidence-gpu FOR=40m PLAN=1`, {known}\n\n```text\n{told}\n```\n"
 
 
 MAKE: dict[str, Callable[[str, dict[str, bytes]], str]] = {
     "table": table, "record": record, "curves": curves, "ranking": ranking, "constraint": constraint, "story": story,
     "claims": claimed, "above": of_queue(above), "changed": of_queue(changed), "improved": of_queue(improved),
-    "overestimated": of_queue(overestimated), "apart": apart, "halves": halves, "pending": pending,
+    "overestimated": of_queue(overestimated), "apart": apart, "halves": halves, "pending": pending, "plan": gpu,
 }  # fmt: skip
 
 

@@ -11,6 +11,7 @@ Cells are text as pages show it.
 import csv
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 from deadreckon.errors import UserError
 from deadreckon.names import safe_name
@@ -20,12 +21,20 @@ _HEAD = re.compile(r"# command: (?P<command>.+)\n# of: (?P<of>.+)\n")
 _NUMBER = re.compile(r"[-+–]?\d[\d,.]*")
 
 
-def record(name: str, files: dict[str, bytes]) -> str:
-    """A record in Markdown: its command, its table, and what its numbers are of; columns that begin with numbers to the right.
+class Record(NamedTuple):
+    """A file of `records`: what printed its numbers, what they are of, and its cells."""
+
+    command: str
+    of: str
+    header: list[str]
+    rows: list[list[str]]
+
+
+def read(name: str) -> Record:
+    """A record.
 
     Args:
         name: of the file, without its ending.
-        files: gets pictures; there are none.
 
     Raises:
         UserError: there is no such record, it does not say what it is of, it is no table, or its rows differ in length.
@@ -46,8 +55,22 @@ def record(name: str, files: dict[str, bytes]) -> str:
     for number, row in enumerate(rows, 1):
         if len(row) != len(header):
             raise UserError(f"{path.name}: row {number} has {len(row)} cells, the header {len(header)}")
+    return Record(head["command"], head["of"], header, rows)
+
+
+def record(name: str, files: dict[str, bytes]) -> str:
+    """A record in Markdown: its command, its table, and what its numbers are of; columns that begin with numbers to the right.
+
+    Args:
+        name: of the file, without its ending.
+        files: gets pictures; there are none.
+
+    Raises:
+        UserError: as `read` does.
+    """
+    command, of, header, rows = read(name)
     columns = [[cell for cell in column if cell] for column in zip(*rows, strict=True)]
     right = [i > 0 and bool(cells) and all(map(_NUMBER.match, cells)) for i, cells in enumerate(columns)]
     lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in (header, *rows)]
     lines.insert(1, "|" + "".join("---:|" if each else "---|" for each in right))
-    return "\n".join([f"`{head['command']}`", "", *lines, "", f"- {head['of']}; kept in `evidence/records/{path.name}`", ""])
+    return "\n".join([f"`{command}`", "", *lines, "", f"- {of}; kept in `evidence/records/{name}.csv`", ""])

@@ -4,6 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from deadreckon.bench.idle import is_measured
+
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
 
 
@@ -24,6 +26,23 @@ def test_operations_by_hand_are_those_of_the_program(monkeypatch, case):
     program = ours.make_ours(case, options).flops
     assert flops.needed(options) <= program * 1.001
     assert program == pytest.approx(flops.needed(options), rel=0.12)
+
+
+@pytest.mark.parametrize(("module", "begins"), [("larger", "make"), ("scale", "case")])
+def test_idle_processes_stand_still_while_large_tables_are_timed(module, begins, monkeypatch):
+    monkeypatch.syspath_prepend(str(FOLDER))
+    timed, seen = __import__(module), []
+
+    def begun(*given):
+        seen.append(is_measured())
+        raise SystemExit
+
+    monkeypatch.setattr(timed, begins, begun)
+    monkeypatch.setattr("sys.argv", [f"{module}.py"])
+    with pytest.raises(SystemExit):
+        timed.main()
+    assert seen == [True]
+    assert not is_measured()
 
 
 def test_figures_go_to_their_places_and_text_stays(monkeypatch, tmp_path, capsys):

@@ -145,8 +145,8 @@ def test_a_claim_that_is_contradicted_says_so_before_all_scores_are_there():
     test = declared.Test(ROOT / "gym.toml", "BC", ("TD3",), ("hopper-medium-v2",))
     low, nothing = Interval(-5.0, -6.0, -4.0), Interval(nan, nan, nan)
     there, missing, undefined = (
-        Comparison(test, "TD3", test.on, gain, gain, 6, *lacks, 0.95)
-        for gain, lacks in ((low, (0, 0)), (nothing, (2, 0)), (nothing, (0, 1)))
+        Comparison(test, "TD3", test.on, gain, gain, frozenset("abcdef"), *map(frozenset, lacks), 0.95)
+        for gain, lacks in ((low, ("", "")), (nothing, ("ab", "")), (nothing, ("", "a")))
     )
     claim = Claim("C", "says", "place", (test,))
     assert pages._reads(Verdict(claim, (there, missing))) == "**contradicted**"

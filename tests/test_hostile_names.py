@@ -266,7 +266,8 @@ def test_the_name_of_a_suites_file_is_one_that_its_results_can_hold(place):  # n
 def test_a_row_of_results_names_a_run_of_its_own_folder(tmp_path):
     store = Store(tmp_path)
     assert store.run_of({"job": "bc-hopper"}) == tmp_path / "runs" / "bc-hopper"
-    for job in ("../../elsewhere", "/etc", ""):
+    assert store.run_of({"job": "bc-3_logs/bc-hopper"}) == tmp_path / "runs" / "bc-3_logs" / "bc-hopper"
+    for job in ("../../elsewhere", "bc/../../elsewhere", "/etc", ""):
         with pytest.raises(UserError, match="so no file can be called that"):
             store.run_of({"job": job})
 

@@ -5,6 +5,7 @@ import platform
 import sys
 from collections.abc import Sequence
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 from deadreckon._version import __version__
@@ -24,6 +25,16 @@ def versions() -> dict[str, Any]:
         "device": f"{device.platform} {device.device_kind}",
         "threads": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
     }
+
+
+def cpu_model() -> str:
+    """The processor's model as its maker calls it, or where the system does not tell its kind, such as `x86_64`."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()  # Linux; on ARM without names of models
+    except OSError:
+        lines = []
+    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(named, "") or platform.processor() or platform.machine()
 
 
 def installed(package: str) -> dict[str, str]:

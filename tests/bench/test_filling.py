@@ -10,10 +10,10 @@ import pytest
 
 from deadreckon.bench.device import platforms_of, required, shared
 from deadreckon.bench.executor import Event, attempt, run
-from deadreckon.bench.filling import Filling, Load, jobs_of, missing, schedule, use
+from deadreckon.bench.filling import LANES, Filling, Load, jobs_of, missing, schedule, use
 from deadreckon.bench.jobs import Job, Program, programs
 from deadreckon.bench.ledger import store_of
-from deadreckon.bench.plan import plan, plan_across, plan_all
+from deadreckon.bench.plan import _shape, plan, plan_across, plan_all
 from deadreckon.bench.rates import Rates, work
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import queue, read
@@ -80,6 +80,8 @@ def test_other_suites_share_it_too_and_what_depends_on_more_of_a_log_does_not(su
     (other := tmp_path / "other.toml").write_text(SUITE.replace("rows = 600", "rows = 700"))
     assert [each.lanes for each in programs(plan_across([read(suite), read(other)]))] == [16, 8]
     assert [each.lanes for each in programs(plan_across([read(suite)], lanes=3))] == [2] * 6
+    (same := tmp_path / "same.toml").write_text(SUITE)
+    assert plan_across([read(suite), read(same)]) == plan_across([read(suite)])
     head = SUITE.partition("[methods]")[0]
     for name in ("algae_dice", "decision_transformer"):  # initial observations, the length of episodes
         (alone := tmp_path / "alone.toml").write_text(head + f'[methods]\nalone = {{ agent = "{name}" }}\n')
@@ -102,7 +104,8 @@ def test_rates_are_the_measured_ones_or_estimates_that_do_not_exceed_them():
     assert half == (pytest.approx(35_894 / 2), False)
     assert rates.rate(job("my:agent"), 16).value == min(rates.rate(job(name), 16).value for name in ("my:agent", "cql", "sac"))
     assert Rates("NVIDIA A100").rate(job(), 16) == (pytest.approx(35_894), False)
-    assert work(job(hidden=[512, 512])) == pytest.approx(work(job()) * (512**2 + 2 * 24 * 512) / (256**2 + 2 * 24 * 256))
+    wide, usual = (work("td3_bc", job(hidden=[width, width]).settings) for width in (512, 256))
+    assert wide == pytest.approx(usual * (512**2 + 2 * 24 * 512) / (256**2 + 2 * 24 * 256))
 
 
 def test_what_was_measured_here_is_kept_and_comes_first(tmp_path):
@@ -170,17 +173,34 @@ def test_the_full_size_is_planned_where_it_fits_and_programs_do_not_depend_on_th
     assert short[0].updates == 40 * 8
 
 
+def test_of_one_suite_programs_with_more_lanes_come_first(tmp_path):
+    mazes = ', "maze2d-umaze-v1", "maze2d-medium-v1"'
+    suites = []
+    for name, logs in (("one", f'"hopper-medium-v2"{mazes}'), ("two", '"hopper-random-v2"')):
+        logs = SUITE.replace('"maze2d-umaze-v1", "maze2d-medium-v1", "hopper-medium-v2"', logs).replace("[8]", f"[{len(logs)}]")
+        (path := tmp_path / f"{name}.toml").write_text(logs)
+        suites.append(read(path))
+    loads = missing(suites, [], Store(tmp_path), Rates(H100), 60.0)
+    assert [(load.program.jobs[0].suite, load.program.lanes) for load in loads] == [("one", 8), ("one", 4), ("two", 4)]
+
+
+FIRST = ("gym", "medium", "extremes", "gym-more", "bear-constraint")
+
+
 @pytest.mark.slow
-def test_forty_minutes_of_an_h100_are_filled_with_evidence(monkeypatch, tmp_path):
+@pytest.mark.parametrize("whole", [False, True], ids=["five suites with nothing done", "the queue with its ledger"])
+def test_forty_minutes_of_an_h100_are_filled_with_evidence(whole, monkeypatch, tmp_path):
     monkeypatch.chdir(EVIDENCE.parent)
-    names = ("gym", "medium", "extremes", "gym-more", "bear-constraint")
-    small, large = ([read(EVIDENCE / f"{name}.toml", full=full) for name in names] for full in (False, True))
-    loads = missing(small, large, Store(tmp_path), Rates(H100), 2400.0)
+    small, large = (queue(EVIDENCE / "queue.toml", full=full) for full in (False, True))
+    if not whole:
+        small, large = ([suite for suite in suites if suite.name in FIRST] for suites in (small, large))
+    store = store_of(small, tmp_path) if whole else Store(tmp_path)
+    loads = missing(small, large, store, Rates(H100), 2400.0)
     planned = schedule(loads, 2400.0, 8)
     made = use(planned, 2400.0)
     assert made.rate >= 30_000
     assert made.training >= 0.85
-    assert made.lanes >= 16
+    assert made.lanes >= (32 if whole else 25)
     # The same sums by another way.
     done = [one for one in planned if one.end is not None]
     assert done
@@ -193,7 +213,22 @@ def test_forty_minutes_of_an_h100_are_filled_with_evidence(monkeypatch, tmp_path
     cells = [cell for one in planned for job in one.load.program.jobs for cell in job.cells]
     assert len(set(cells)) == len(cells)
     # Cells are those that `bench --full` and `bench` without it would run.
-    assert set(cells) <= {cell for suites in (small, large) for job in plan_all(suites, 1) for cell in job.cells}
+    learned = [[suite for suite in suites if suite.kind == "learn"] for suites in (small, large)]
+    assert set(cells) <= {cell for suites in learned for job in plan_all(suites, 1) for cell in job.cells}
+
+
+@pytest.mark.slow
+def test_programs_of_the_queue_have_as_many_lanes_as_there_are_cells_for(monkeypatch, tmp_path):
+    """TD3+BC and methods of its size have 32 lanes and more wherever as many cells of one shape are left."""
+    monkeypatch.chdir(EVIDENCE.parent)
+    large = [suite for suite in queue(EVIDENCE / "queue.toml", full=True) if suite.kind == "learn"]
+    found: dict[str, list[int]] = {}
+    for program in programs(store_of(large, tmp_path).undone(plan_across(large, LANES))):
+        job = program.jobs[0]
+        if job.agent in ("bc", "td3", "td3_bc", "sac"):
+            found.setdefault(_shape(job, across=True), []).append(program.lanes)
+    assert max(max(lanes) for lanes in found.values()) == LANES
+    assert [lanes for lanes in found.values() if sum(each < 32 for each in lanes) > 1] == []
 
 
 # ---- while it runs -------------------------------------------------------------------------------------------------

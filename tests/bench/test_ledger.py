@@ -18,6 +18,7 @@ from deadreckon.bench.jobs import Job, Program, programs
 from deadreckon.bench.ledger import Ledger, store_of
 from deadreckon.bench.local import Local
 from deadreckon.bench.plan import plan, plan_all
+from deadreckon.bench.rates import work
 from deadreckon.bench.store import JobResult, Store
 from deadreckon.bench.suite import queue, read
 from deadreckon.bench.tables import _notes, tables
@@ -215,20 +216,56 @@ def test_a_finished_cell_is_not_written_over(folder):
     assert {path: path.read_text() for path in (folder / "ledger").rglob("*") if path.is_file()} == before
 
 
-def test_times_are_of_programs_of_the_same_sizes(folder):
-    job = Job("learn", "BC", "bc", {"lr": 1e-3, "hidden": [32]}, "", "a", "a", {"steps": 100, "episodes": 1, "every": 50}, (0,))
+def test_times_are_of_programs_of_the_same_sizes_or_rough(folder):
+    shape = {"lr": 1e-3, "hidden": [32, 32], "batch_size": 256}
+    job = Job("learn", "BC", "bc", shape, "", "a", "a", {"steps": 100, "episodes": 1, "every": 50}, (0,))
+    design = Job("design", "NEMO", "nemo", {"steps": 30}, "", "a", "a", {"budget": "cpu", "fields": {"steps": 30}}, (0,))
     store = Store(folder / "store")
-    row = {"seed": 0, "score": 1.0, "raw": 1.0, "steps": 100, "seconds": 10.0, "failure": "", "versions": CORE}
-    store.keep(job, JobResult([row], []))
+    row = {"seed": 0, "score": 1.0, "raw": 1.0, "seconds": 10.0, "failure": "", "versions": CORE}
+    store.keep(job, JobResult([row | {"steps": 100}], []))
+    store.keep(design, JobResult([row | {"steps": 0}], []))
 
-    def seconds(**changes):
+    def expected(job, **changes):
         program = Program((dataclasses.replace(job, **changes),))
-        return forecast([program], store)[program.name]
+        found = forecast([program], store)[program.name]
+        return found and (round(found.seconds, 6), found.close, found.whole)
 
-    assert seconds(options=job.options | {"steps": 500, "every": 100}, settings=job.settings | {"lr": 3e-4}) == 50.0
-    assert seconds(on="b", data="b") == 10.0
-    assert seconds(settings=job.settings | {"hidden": [256]}) is None
-    assert seconds(options=job.options | {"acting": {"updates_per_step": 20.0}}) is None
+    longer = job.options | {"steps": 500, "every": 100}
+    assert expected(job, options=longer, settings=shape | {"lr": 3e-4}) == (50.0, True, True)
+    assert expected(job, on="b", data="b") == (10.0, False, True)
+    more = (256**2 + 2 * 24 * 256) / (32**2 + 2 * 24 * 32)  # work of an update; the first and last layer count as 24 wide
+    assert expected(job, settings=shape | {"hidden": [256, 256]}) == (round(10.0 * more, 6), False, True)
+    assert expected(job, settings=shape | {"batch_size": 512}, on="b", data="b", options=longer) == (100.0, False, True)
+    assert expected(job, options=job.options | {"history": 4}) == (10.0, False, False)  # its updates alone
+    assert expected(job, seeds=(0, 1)) is None
+    assert expected(job, agent="td3") is None
+    assert expected(job, on="carla-lane-v0", data="b") == (10.0, False, False)  # pictures
+    assert expected(design, settings={"steps": 600}, options={"budget": "cpu", "fields": {"steps": 600}}) == (10.0, False, True)
+    assert expected(design, options=design.options | {"budget": "full"}) is None
+
+
+def test_of_agents_that_no_core_has_run_the_updates_are_counted(folder):
+    """As of the agent that they are derived from, where that has learned from a log."""
+    options = {"steps": 1000, "episodes": 1, "every": 50}
+    sac = Job("learn", "SAC", "sac", {"hidden": [256, 256], "batch_size": 256}, "", "a", "a", options, (0,))
+    store = Store(folder / "store")
+    row = {"seed": 0, "score": 1.0, "raw": 1.0, "steps": 1000, "seconds": 2.0, "failure": "", "versions": CORE}
+    store.keep(sac, JobResult([row], []))
+
+    def expected(kind, agent, on="a", **more):
+        program = Program((dataclasses.replace(sac, kind=kind, agent=agent, on=on, options=options | more),))
+        found = forecast([program], store)[program.name]
+        return found and (round(found.seconds, 6), found.close, found.whole)
+
+    acting = {"copies": 1, "explore": 200, "block": 100, "updates_per_step": 4.0}
+    assert expected("online", "mbpo", "hopper", acting=acting) == (6.4, False, False)  # 800 steps, 3,200 updates
+    log = {"name": "hopper-medium-v2", "use": "first", "offline": 500}
+    assert expected("online", "sac", "hopper", acting=acting | {"explore": 0}, log=log) == (9.0, False, False)  # 4,500
+    assert expected("learn", "mopo") == (2.0, False, False)
+    more = work("combo", sac.settings) / work("sac", sac.settings)
+    assert expected("learn", "combo") == (round(2.0 * more, 6), False, False)
+    assert expected("online", "ppo", "hopper", acting=acting) is None
+    assert expected("learn", "td3") is None
 
 
 def test_times_of_a_gpu_say_nothing_of_a_core_and_the_other_way_round(folder):
@@ -243,7 +280,7 @@ def test_times_of_a_gpu_say_nothing_of_a_core_and_the_other_way_round(folder):
     ):  # fmt: skip
         told = {"seed": seed, "seconds": seconds, "versions": json.dumps({"device": device})}
         store.keep(dataclasses.replace(job, seeds=(seed,)), JobResult([row | told], []))
-        assert known() == found
+        assert known() == [took and (pytest.approx(took), True, True) for took in found]
 
 
 def test_a_run_ends_in_time_and_goes_on(folder, monkeypatch):

@@ -9,7 +9,7 @@ import pytest
 from deadreckon.bench.executor import Event, attempt, run
 from deadreckon.bench.forms import rendered
 from deadreckon.bench.identity import revisions_of
-from deadreckon.bench.jobs import programs
+from deadreckon.bench.jobs import Program, programs
 from deadreckon.bench.local import Local
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import JobResult, Store
@@ -203,7 +203,7 @@ def test_lanes_find_what_cells_find_alone(planned, tmp_path, monkeypatch):
     longer = [dataclasses.replace(job, options=job.options | {"steps": 600}) for job in jobs]
     [program] = programs(longer)
     seconds = together.results()["seconds"][0].as_py()
-    assert forecast([program], together) == {program.name: pytest.approx(10 * seconds)}
+    assert forecast([program], together) == {program.name: (pytest.approx(10 * seconds), True, True)}
 
 
 def test_of_a_program_that_is_done_in_part_the_rest_is_run(planned, tmp_path):
@@ -237,6 +237,32 @@ def test_a_setting_that_is_refused_fails_alone(planned, tmp_path, capsys):
     assert [job.method for job in store.undone(jobs)] == ["wrong"]
     assert "leave out target_entropy" in store.failure(jobs[1], 0)["error"]
     assert "its settings go on one by one\n1 of 2: right on maze2d-umaze-v1, seed 0" in capsys.readouterr().out
+
+
+def test_what_runs_and_how_many_wait_is_told_as_programs_begin(planned, capsys):
+    packed = programs(planned())[0]
+    one, two, three = (Program((job,)) for job in packed.jobs)
+    lines, result = Lines(4), JobResult([{"seconds": 1.0}], [])
+    for what, program, payload, waiting in [
+        ("begun", packed, None, 3),
+        ("progress", packed, (1, 2), None),
+        ("split", packed, "no room", None),  # its three jobs go on one by one
+        ("begun", one, None, 5),
+        ("died", one, "code 1", None),  # and waits again
+        ("begun", two, None, 5),
+        ("elsewhere", two, None, None),
+        ("begun", one, None, 4),
+        ("begun", three, None, 3),
+        ("failed", one, ("why", ""), None),
+        ("done", three, [result], None),
+        ("skipped", two, None, None),  # never begun
+        ("begun", packed, None, 1),
+    ]:
+        lines(Event(what, program, payload))
+        told = capsys.readouterr().out
+        assert told.startswith("running: ") == (waiting is not None), what
+        if waiting is not None:
+            assert told == f"running: {program}; {waiting} waiting\n"
 
 
 def test_a_program_that_fails_is_told_of_each_of_its_jobs(planned, tmp_path):

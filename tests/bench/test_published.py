@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from deadreckon.agents.model_based import PRESETS
-from deadreckon.bench.published import load, reference, scores
+from deadreckon.bench.published import best, load, reference, scores
 from deadreckon.errors import UserError
 from deadreckon.tasks import names
 
@@ -140,6 +140,19 @@ def test_names_resolve():
     assert scores("kitchen-mixed-v0")["BC"] == 47.5
     for none in ("hopper", "ant-medium-v2", "maze2d-umaze-dense-v1", "maze2d-mixed", "", "table_7_1"):
         assert scores(none) == {}
+
+
+def test_scores_of_corl_and_the_best_of_all():
+    assert scores("hopper-medium-v2@dr1", "corl") == scores("hopper-medium", "corl")
+    assert scores("hopper-medium-v2", "corl")["IQL"] == 67.53
+    assert scores("walker2d-mixed-v0", "corl")["DT"] == 59.86
+    assert scores("hopper-random-v2", "corl") == {}
+    with pytest.raises(UserError, match="unknown published table 'cor': did you mean corl"):
+        scores("hopper-medium-v2", "cor")
+    assert best("hopper-medium-v2@dr1") == (102.29, "ReBRAC", "CORL")
+    assert best("hopper-random-v2") == (12.2, "BRAC-v", "thesis")  # SAC's 100 is of learning online
+    assert best("door-human-v1") == (9.9, "CQL", "thesis")
+    assert best("ant-medium-v2") is None
 
 
 def test_references():

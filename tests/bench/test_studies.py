@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import math
 
 import numpy as np
@@ -101,6 +102,18 @@ def test_numbers_of_numpy_and_truth_values_are_numbers(suite, tmp_path, capsys):
     assert list(found.cells["A"]["a"].scores) == [0.0, 1.0]
     assert main(["bench", "show", str(path), "--out", str(store.path), "--trust", "tests.bench.test_studies"]) == 0
     assert "mean error, less is better" in capsys.readouterr().out  # of a single table, too
+
+
+def test_rows_name_the_processor_which_is_no_part_of_a_cell(suite, tmp_path, monkeypatch):
+    path, rows = suite("right"), []
+    for model in ("first", "second"):
+        monkeypatch.setattr("deadreckon.bench.work.cpu_model", lambda model=model: model)
+        store = Store(tmp_path / model)
+        [shown] = tables(read(path), done(path, store), store)
+        assert any(line.startswith("made with ") and line.endswith(f", cpu {model}") for line in shown.notes)
+        rows.append(store.results().to_pylist())
+    assert [json.loads(row["versions"])["cpu"] for own in rows for row in own] == ["first", "first", "second", "second"]
+    assert [row["cell"] for row in rows[0]] == [row["cell"] for row in rows[1]]
 
 
 def test_a_queue_is_one_table_of_csv(suite, tmp_path, capsys):

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tests.faults import inputs
-from tests.faults.commands import Command, digests, finished, leftovers, progress
+from tests.faults.commands import Command, computed, digests, finished, leftovers, progress, repeated
 from tests.faults.process import Running, apart, at_operation, begin, run
 
 MOST = 10  # kills of one case before the command may end
@@ -112,6 +112,7 @@ def killed(place: Place, command: Command, rng: random.Random) -> Outcome:
     words, broken, kills, operations = command.words(place.inputs), [], 0, 0
     while True:
         done, far = finished(command, place.out), progress(command, place.out)
+        before = len(computed(command, place.folder))
         last = kills == MOST or (kills > 0 and not command.goes_on)
         precise = rng.random() < 0.5
         hook = at_operation(int(300 ** rng.random()), lambda: os.kill(os.getpid(), signal.SIGKILL))
@@ -132,8 +133,13 @@ def killed(place: Place, command: Command, rng: random.Random) -> Outcome:
         if running.code == -signal.SIGKILL:
             kills, operations = kills + 1, operations + precise
         broken += _kept(command, place.out, done, far)
+        if again := repeated(command, place.folder, done, before):
+            broken.append(f"computed again: {', '.join(again[:3])}")
         if running.code != -signal.SIGKILL:
             break
+    cells = computed(command, place.folder)
+    if (again := len(cells) - len(set(cells))) > kills:  # what the one process was at, or had not delivered, when it was killed
+        broken.append(f"{again} cells computed again after {kills} kills")
     if not command.goes_on and kills:
         told = running.code == 1 and "DO NOT DEPLOY: the process that did the work ended" in "\n".join(running.lines("out"))
         broken += clean_end(running) if told or not running.code else refused(running, "is there already")

@@ -5,7 +5,7 @@ import json
 import re
 import zipfile
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ class Command:
         weight: share of the kills.
         others: patterns of results whose bytes are not compared, since they hold times.
         goes_on: whether the same command goes on.
+        computed: file in the command's folder with a line whenever a cell of `inputs.STUDY` is computed; `kept` are its cells.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Command:
     weight: float = 1.0
     others: tuple[str, ...] = ("*.html", "*.seconds")
     goes_on: bool = True
+    computed: str = ""
 
     def words(self, inputs: Path) -> list[str]:
         """The command's words."""
@@ -95,7 +97,7 @@ COMMANDS = (
     Command("bench, Ray", _words("bench small.toml --executor ray --out out"), weight=0.2,
             kept=("results/*.parquet",)),
     Command("bench, evidence queue", _words("bench queue.toml --workers 1 --out out --trust studies_of_tests"), weight=0.8,
-            kept=("../ledger/study/*/*.json",), others=("*.html", "*.seconds", "done.txt")),
+            kept=("../ledger/study/*/*.json",), others=("*.html", "*.seconds", "done.txt"), computed="done.txt"),
     Command("recommend", _words(f"recommend {{inputs}}/rows.csv --budget 15s {ROWS} --out out"), weight=0.2, goes_on=False),
 )  # fmt: skip
 
@@ -154,6 +156,27 @@ def finished(command: Command, out: Path) -> dict[str, tuple[int, int]]:
             if "checkpoints" not in (command.steps or "") or int(path.stem) <= newest.get(path.parent.parent, -1):
                 found[str(path)] = (path.stat().st_ino, path.stat().st_mtime_ns)
     return found
+
+
+def computed(command: Command, folder: Path) -> list[str]:
+    """The cells that the command has computed in a folder so far, as often as it has."""
+    path = folder / command.computed
+    return path.read_text().splitlines() if command.computed and path.exists() else []
+
+
+def repeated(command: Command, folder: Path, done: Iterable[str], before: int) -> list[str]:
+    """Cells that were computed though they were finished.
+
+    Args:
+        command: that has run.
+        folder: that it has run in.
+        done: files of cells that were finished before.
+        before: how many lines of `computed` there were then.
+    """
+    now = computed(command, folder)[before:]
+    cells = [json.loads(Path(path).read_text()) for path in done] if command.computed else []
+    names = {f"{cell['on']} {cell['settings']['size']} {cell['seed']}" for cell in cells}
+    return sorted(names & set(now))
 
 
 def progress(command: Command, out: Path) -> dict[str, int]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.faults.commands import COMMANDS, Command, checkpoint_steps, digests, finished, leftovers
+from tests.faults.commands import COMMANDS, Command, checkpoint_steps, computed, digests, finished, leftovers, repeated
 from tests.faults.study import EACH, KILL, done_before, planned, table
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -50,6 +50,22 @@ def test_what_must_not_change_is_told_from_what_may(tmp_path):
     assert same["a.json"] == same["b.json"] != same["c.json"]
     (tmp_path / ".x.lock").touch()
     assert leftovers(tmp_path) == [".x.lock"]
+
+
+def test_a_finished_cell_that_is_computed_again_is_noticed(tmp_path):
+    queue = Command("bench", (), kept=("../ledger/study/*/*.json",), computed="done.txt")
+    cell = tmp_path / "ledger" / "study" / "a" / "one-0.json"
+    cell.parent.mkdir(parents=True)
+    (tmp_path / "out").mkdir()
+    cell.write_text(json.dumps({"on": "a", "settings": {"size": 1.0}, "seed": 3}))
+    (tmp_path / "done.txt").write_text("a 1.0 3\na 1.0 4\n")
+    done = finished(queue, tmp_path / "out")
+    assert len(done) == 1
+    assert repeated(queue, tmp_path, done, 1) == []  # the other cell, which is not finished
+    assert repeated(queue, tmp_path, done, 0) == ["a 1.0 3"]
+    assert computed(queue, tmp_path) == ["a 1.0 3", "a 1.0 4"]
+    other = Command("train", ())
+    assert computed(other, tmp_path) == repeated(other, tmp_path, done, 0) == []
 
 
 def test_the_table_counts():

@@ -29,7 +29,7 @@ def gym():
     cells = {name: {on: Cell(10.0 * k + np.array([-1.0, 0.0, 1.0]), 0, 0, k == 2) for on in suite.on}
              for k, name in enumerate(names)}  # fmt: skip
     cells[names[3]][suite.on[0]] = Cell(np.zeros(0), 3, 0)
-    printed = {on: {names[1]: 12.5} for on in suite.on}
+    printed = {on: {"thesis": {names[1]: 12.5}, "CORL": {names[2]: 62.5}} for on in suite.on}
     return Table(suite, METRICS["learn"][0], cells, printed, {}, ("a note",))
 
 
@@ -40,7 +40,7 @@ def test_the_page_shows_means_per_domain_tables_and_notes(gym, tmp_path, browse)
     assert groups(gym) == {"gym": list(gym.suite.on)}
     assert f"gym: mean of {count}" in text
     assert f"on {count} of {count}: {gym.suite.methods[2].name}." in text
-    assert text.count("thesis 12.5") == count
+    assert text.count("thesis 12.5") == text.count("CORL 62.5") == count
     assert "3 missing" in text
     assert "a note" in text
     assert "nan" not in text

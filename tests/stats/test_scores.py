@@ -11,7 +11,7 @@ from scipy import stats
 
 from deadreckon.errors import UserError
 from deadreckon.stats import scores as s
-from deadreckon.stats.comparison import between, bold, paired, paired_within, variance_ratio
+from deadreckon.stats.comparison import between, bold, more_runs, paired, paired_within, variance_ratio
 
 FEW = 200  # resamples
 UNEVEN = [np.array([1.0, 5.0, 2.0]), np.array([10.0]), np.array([-3.0, 4.0, 8.0, 7.0, 90.0])]
@@ -242,6 +242,29 @@ def test_paired_without_spread():
     assert (same.value, same.low, same.high, same.p, same.p_better) == (0.0, 0.0, 0.0, 1.0, 0.5)
     more = paired([[2, 3], [4, 5]], [[1, 2], [3, 4]])
     assert (more.value, more.low, more.high, more.p, more.p_better) == (1.0, 1.0, 1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("level", [0.95, 0.975])
+def test_more_runs_are_as_many_as_the_interval_needs(level):
+    """Of one task by trying each number; of two alike, whose means have half of the variance and twice the freedom."""
+    gaps = np.array([2.0, -1.0, 3.0, 0.5, 1.0])
+
+    def needed(bound, tasks):
+        for count in itertools.count(len(gaps)):
+            freedom = tasks * (count - 1)
+            half = stats.t.ppf((1 + level) / 2, freedom) * gaps.std(ddof=1) / np.sqrt(tasks * count)
+            if half < abs(gaps.mean() - bound):
+                return count - len(gaps)
+
+    for tasks in (1, 2):
+        found = paired([gaps] * tasks, [np.zeros(5)] * tasks, level)
+        for bound in (0.0, 0.9, 1.4, -30.0):
+            assert more_runs(found, 5, bound, level) == needed(bound, tasks)
+        assert more_runs(found, 5, found.value, level) is None
+        assert more_runs(found, 5, found.low - 1e-9, level) == 0 < more_runs(found, 5, found.low + 1e-9, level)
+    assert more_runs(paired([[2.0]], [[1.0]]), 1, 0.0) is None
+    certain = paired([[2.0, 3.0]], [[1.0, 2.0]])
+    assert (more_runs(certain, 2, 0.0), more_runs(certain, 2, 1.0)) == (0, None)
 
 
 def test_profile_by_hand():

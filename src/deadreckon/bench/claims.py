@@ -22,6 +22,7 @@ task over that between seeds (`stats.comparison.variance_ratio`). Tasks with one
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
 
@@ -118,9 +119,10 @@ class Comparison:
         on: what it rests on.
         gain: mean difference, more being better, with its interval; NaN where there is nothing.
         strict: the same at the level at which one of many comparisons contradicts the claim.
-        cells: that it needs.
-        missing: of these, that are not there.
-        undefined: of these, that are there and have no finite number for the metric, such as a correlation of equal estimates.
+        cells: names of the cells that it needs.
+        missing: of these, those that are not there.
+        undefined: of these, those that are there and have no finite number for the metric, such as a correlation of equal
+            estimates.
         level: of the interval of the gain.
         constant: logs on which all seeds differ by the same: how they vary there is not known, and the interval too narrow
             unless the test has a range.
@@ -132,9 +134,9 @@ class Comparison:
     on: tuple[str, ...]
     gain: Interval
     strict: Interval
-    cells: int
-    missing: int
-    undefined: int
+    cells: frozenset[str]
+    missing: frozenset[str]
+    undefined: frozenset[str]
     level: float
     constant: tuple[str, ...] = ()
     again: "Comparison | None" = None
@@ -189,18 +191,27 @@ class Verdict:
 
     @property
     def cells(self) -> int:
-        """That it needs, those of several comparisons counted for each."""
-        return sum(each.cells for one in self.comparisons for each in one.stages)
+        """How many it needs; what several comparisons need counts once."""
+        return len(frozenset[str]().union(*(each.cells for each in self._stages)))
+
+    @property
+    def absent(self) -> frozenset[str]:
+        """Names of those that are not there."""
+        return frozenset[str]().union(*(each.missing for each in self._stages))
 
     @property
     def missing(self) -> int:
-        """Of these, that are not there."""
-        return sum(each.missing for one in self.comparisons for each in one.stages)
+        """How many are not there."""
+        return len(self.absent)
 
     @property
     def undefined(self) -> int:
-        """Of these, that are there without a finite number."""
-        return sum(each.undefined for one in self.comparisons for each in one.stages)
+        """How many are there without a finite number."""
+        return len(frozenset[str]().union(*(each.undefined for each in self._stages)))
+
+    @property
+    def _stages(self) -> list[Comparison]:
+        return [each for one in self.comparisons for each in one.stages]
 
 
 def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
@@ -245,19 +256,16 @@ def _compared(
     rows: Mapping[str, dict[str, Any]], alpha: float, count: int,
 ) -> Comparison:  # fmt: skip
     """One of `count` comparisons of a claim at level 1 - alpha, from the plans of its suites and the results of their cells."""
-
-    missing, seen = 0, []
+    cells: dict[str, float] = {}
 
     def scores(path: Path, methods: Sequence[str], logs: Sequence[str]) -> dict[str, np.ndarray]:
         """A number a seed by log, NaN where there is none; of several methods their mean."""
-        nonlocal missing
         have = lambda cell: number(rows[cell], test.metric) if cell in rows else math.nan  # noqa: E731
         found = {}
         for log in logs:
             own = [[cell for job in plans[path] if (job.method, job.on) == (m, log) for cell in job.cells] for m in methods]
-            missing += sum(cell not in rows for cells in own for cell in cells)
-            values = _scaled(test, np.array([[have(cell) for cell in cells] for cells in own]))
-            seen.append(values.reshape(-1))
+            values = _scaled(test, np.array([[have(cell) for cell in row] for row in own]))
+            cells.update(zip(chain(*own), values.reshape(-1), strict=True))
             found[log] = values.mean(0)
         return found
 
@@ -272,18 +280,20 @@ def _compared(
         theirs = scores(test.suite, (rival,), on)
     for path in test.compared:
         _check_metric(test, path, plans[path], rows)
-    values = np.concatenate(seen)
-    if test.range is not None and (beyond := [x for x in values if x < test.range[0] or x > test.range[1]]):
+    if test.range is not None and (beyond := [x for x in cells.values() if x < test.range[0] or x > test.range[1]]):
         low, high = test.range
         raise UserError(f"{test.suite}: a result has the {test.metric} {beyond[0]:g}, beyond the range [{low:g}, {high:g}]")
-    if lacking := int((~np.isfinite(values)).sum()):
+    missing = cells.keys() - rows.keys()
+    undefined = {cell for cell, value in cells.items() if not math.isfinite(value)} - missing
+    needed = frozenset(cells), frozenset(missing), frozenset(undefined)
+    if missing or undefined:
         nothing = Interval(math.nan, math.nan, math.nan)
-        return Comparison(test, rival, on, nothing, nothing, len(values), missing, lacking - missing, 1.0 - alpha)
+        return Comparison(test, rival, on, nothing, nothing, *needed, 1.0 - alpha)
     if test.less:
         ours, theirs = theirs, ours
     gain, strict = (_gain(test, ours, theirs, level) for level in (1.0 - alpha, 1.0 - alpha / count))
     same = () if test.among or test.beside is not None else (log for log in ours if np.ptp(ours[log] - theirs[log]) == 0.0)
-    return Comparison(test, rival, on, gain, strict, len(values), 0, 0, 1.0 - alpha, tuple(same))
+    return Comparison(test, rival, on, gain, strict, *needed, 1.0 - alpha, tuple(same))
 
 
 def _scaled(test: Test, values: np.ndarray) -> np.ndarray:

@@ -86,7 +86,8 @@ def load_of(program: Program, full: bool, rates: Rates, store: Store) -> Load:
 
 
 def missing(small: Sequence[Suite], large: Sequence[Suite], store: Store, rates: Rates, seconds: float) -> list[Load]:
-    """What is not done yet, in the order of the suites: at full size where that can be done in the time, else at the other.
+    """What is not done yet, in the order of the suites, of one suite the programs with more lanes first, as these make more
+    updates a second: at full size where that can be done in the time, else at the other.
 
     Programs do not depend on the time, so that half-done ones are found by a command that has another.
 
@@ -112,7 +113,7 @@ def missing(small: Sequence[Suite], large: Sequence[Suite], store: Store, rates:
             elif names <= full:
                 continue
             loads.append(load)
-    return sorted(loads, key=lambda load: min(order[job.suite] for job in load.program.jobs))
+    return sorted(loads, key=lambda load: (min(order[job.suite] for job in load.program.jobs), -load.program.lanes))
 
 
 def schedule(loads: Iterable[Load], seconds: float, workers: int) -> list[Planned]:

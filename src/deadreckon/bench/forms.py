@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from deadreckon.bench.published import TABLES
 from deadreckon.bench.tables import Table
 from deadreckon.data.formats.csv_out import write_rows
 from deadreckon.errors import unknown
@@ -36,7 +37,7 @@ def rendered(tables: Sequence[Table], form: str = "text") -> str:
 
 
 def _grid(table: Table, mark: str) -> list[list[str]]:
-    """Heads, a row a log, task or problem with the thesis's scores below, and the interquartile means."""
+    """Heads, a row a log, task or problem with published scores below, and the interquartile means."""
     methods, digits = list(table.cells), table.metric.digits
     rows = [["", *methods]]
     for on in table.suite.on:
@@ -48,9 +49,8 @@ def _grid(table: Table, mark: str) -> list[list[str]]:
             counts = [f"{n} {what}" for n, what in ((cell.missing, "missing"), (cell.failed, "failed")) if n]
             row.append(text + (f" ({', '.join(counts)})" if counts and len(cell.scores) else ""))
         rows.append(row)
-        if table.printed[on]:
-            theirs = table.printed[on]
-            rows.append(["  thesis", *(f"{theirs[m]:.{digits}f}" if m in theirs else "" for m in methods)])
+        for source, theirs in table.printed[on].items():
+            rows.append([f"  {source}", *(f"{theirs[m]:.{digits}f}" if m in theirs else "" for m in methods)])
     if len(table.suite.on) > 1 and table.metric.joint:
         trimmed = table.suite.seeds * len(table.suite.on) >= FEWEST
         head = "IQM of all" if trimmed else "mean of all"
@@ -90,7 +90,8 @@ def _latex(table: Table) -> str:
 def _csv(tables: Sequence[Table]) -> str:
     out = io.StringIO()
     several = len({table.suite.name for table in tables}) > 1  # of a queue
-    heads = ["metric", "on", "method", "seeds", "mean", "low", "high", "bold", "missing", "failed", "thesis"]
+    heads = ["metric", "on", "method", "seeds", "mean", "low", "high", "bold", "missing", "failed"]
+    heads += [source.lower() for source in TABLES]
     rows: list[list[Any]] = [["suite", *heads] if several else heads]
     for table, on in ((each, on) for each in tables for on in each.suite.on):
         for method, row in table.cells.items():
@@ -98,7 +99,8 @@ def _csv(tables: Sequence[Table]) -> str:
             sound = len(cell.scores) and np.isfinite(cell.scores).all()
             numbers = [cell.estimate.value, cell.estimate.low, cell.estimate.high] if sound else [""] * 3
             told = [len(cell.scores), *numbers, int(cell.bold), cell.missing, cell.failed]
-            found = [table.metric.column, on, method, *told, table.printed[on].get(method, "")]
+            theirs = [table.printed[on].get(source, {}).get(method, "") for source in TABLES]
+            found = [table.metric.column, on, method, *told, *theirs]
             rows.append([table.suite.name, *found] if several else found)
     write_rows(out, rows, "\n")
     return out.getvalue().rstrip("\n")

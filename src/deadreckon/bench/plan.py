@@ -72,11 +72,17 @@ def plan_all(suites: Sequence[Suite], lanes: int | None = None) -> list[Job]:
 def plan_across(suites: Sequence[Suite], lanes: int = MOST) -> list[Job]:
     """All jobs of suites of kind `learn`, of which those on logs of one shape share programs, whatever their suite.
 
+    What several suites have is a job of the first: it would be left out of programs in which it had taken lanes from others.
+
     Args:
         suites: that are run together; what they say of lanes does not count.
         lanes: cells of one program at most.
     """
-    return _packed([job for suite in suites for job in _jobs(dataclasses.replace(suite, lanes=lanes), lanes)], lanes, True)
+    first: dict[tuple[str, ...], Job] = {}
+    for suite in suites:
+        for job in _jobs(dataclasses.replace(suite, lanes=lanes), lanes):
+            first.setdefault(tuple(job.cells), job)
+    return _packed(list(first.values()), lanes, True)
 
 
 def _packed(jobs: Sequence[Job], lanes: int, across: bool = False) -> list[Job]:

@@ -2,7 +2,7 @@
 
 import math
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
@@ -90,7 +90,7 @@ class Rates:
         own = [(count, rate) for entry in self._entries if entry.of(self.device, job)
                for count, rate in zip(entry.lanes, entry.rates)]  # fmt: skip
         if not own:
-            return Rate(_base(lanes) / max(work(job) / _table()["work"][BASE], 1.0), False)
+            return Rate(_base(lanes) / max(work(job.agent, job.settings) / _table()["work"][BASE], 1.0), False)
         count, rate = min(own, key=lambda one: abs(math.log(one[0] / lanes)))  # the first of equals: the newest
         return Rate(rate * _base(lanes) / _base(count), True)
 
@@ -117,17 +117,22 @@ class Rates:
         return times * job.options["episodes"] * lanes * task.horizon / speed
 
 
-def work(job: Job) -> float:
+def work(agent: str, settings: Mapping[str, Any]) -> float:
     """Millions of operations of an update: of the agent's defaults, scaled by batch and widths; of unknown agents the most."""
     from deadreckon.agents import AGENTS, agent_class
 
     known = _table()["work"]
-    if job.agent not in known:
+    if agent not in known:
         return max(known.values())
-    own = agent_class(job.agent)() if job.agent in AGENTS else None
+    own = agent_class(agent)() if agent in AGENTS else None
     usual = {name: getattr(own, name, None) for name in ("hidden", "batch_size")}
-    scale = _size(job.settings.get("hidden")) / _size(usual["hidden"])
-    return known[job.agent] * scale * (job.settings.get("batch_size") or 1) / (usual["batch_size"] or 1)
+    scale = _size(settings.get("hidden")) / _size(usual["hidden"])
+    return known[agent] * scale * (settings.get("batch_size") or 1) / (usual["batch_size"] or 1)
+
+
+def has_work(agent: str) -> bool:
+    """Whether the work of an update is known of the agent itself."""
+    return agent in _table()["work"]
 
 
 def _size(hidden: Any) -> float:

@@ -26,7 +26,7 @@ from deadreckon.bench.jobs import Job, Program, file_name
 from deadreckon.errors import reading
 from deadreckon.files import read_json, replacing, write_json
 from deadreckon.foreign.parquet import read_parquet
-from deadreckon.names import safe_name
+from deadreckon.names import safe_path
 
 RESULT = pa.schema(
     [
@@ -90,7 +90,7 @@ class Store:
         Raises:
             UserError: what the row names lies elsewhere.
         """
-        return self.path / "runs" / safe_name(str(row["job"]), f"{self.path}: run")
+        return self.path / "runs" / safe_path(str(row["job"]), f"{self.path}: run")  # of a shared program in that one's folder
 
     def _part(self, kind: str, job: Job) -> Path:
         return self.path / kind / f"{job.name}.parquet"

@@ -26,15 +26,33 @@ from deadreckon.stats.means import mean_interval
 from deadreckon.stats.scores import interval, iqm
 from deadreckon.training.field_names import with_field_names
 
-# Where the thesis's numbers stand, and what they are of.
+# What published numbers are of.
 SOURCES = {
-    "learn": "Table 7.1, after 500,000 updates on D4RL's logs: not the same data, not the same simulator",
-    "design": "Tables 6.1 and 6.2, 16 trials of 128 designs on Design-Bench's data and judges",
-    "ope": "appendix E.2, on the original logs, means over redrawn policies of DOPE: neither data nor policies are the same",
+    "learn": {
+        "thesis": "Table 7.1, after 500,000 updates on D4RL's logs: not the same data, not the same simulator",
+        "CORL": "last scores of its README (commit 2ed69e3) on D4RL's logs: not the same data, not the same simulator",
+    },
+    "design": {"thesis": "Tables 6.1 and 6.2, 16 trials of 128 designs on Design-Bench's data and judges"},
+    "ope": {
+        "thesis": "appendix E.2, on the original logs, means over redrawn policies of DOPE: "
+        "neither data nor policies are the same"
+    },
 }
-SHOWN = ("deadreckon", "jax", "numpy", "mujoco", "python", "device")  # versions under a table
-# Agents in the thesis's Table 7.1; BRAC has a name for each form.
-THEIRS = {"bc": "BC", "sac": "SAC-off", "bear": "BEAR", "awr": "AWR", "bcq": "BCQ", "algae_dice": "aDICE", "cql": "CQL"}
+SHOWN = ("deadreckon", "jax", "numpy", "mujoco", "python", "device", "cpu")  # versions under a table
+# Agents in the published tables; in the thesis's BRAC has a name for each form.
+THEIRS = {
+    "thesis": {"bc": "BC", "sac": "SAC-off", "bear": "BEAR", "brac": "BRAC-v", "awr": "AWR", "bcq": "BCQ",
+               "algae_dice": "aDICE", "cql": "CQL"},
+    "CORL": {"bc": "BC", "td3_bc": "TD3+BC", "awac": "AWAC", "cql": "CQL", "iql": "IQL", "rebrac": "ReBRAC", "sac_n": "SAC-N",
+             "edac": "EDAC", "decision_transformer": "DT"},
+}  # fmt: skip
+# Fields that leave a method what was published: widths of layers, how long a model of the log's policy is fitted, and the form
+# of BRAC, by which it is named; how far designs may move, which the thesis does not limit; the model of the behaviour policy.
+UNCHANGED = {
+    "learn": {"hidden", "critic_hidden", "behavior_steps", "value_penalty"},
+    "design": {"max_travel"},
+    "ope": {"behavior", "log_ratio_range", "alive_only", "folds"},
+}
 
 
 _SCORE = Metric("score", "normalised score")
@@ -90,7 +108,7 @@ class Table:
         suite: what was asked for.
         metric: of the scores.
         cells: method -> what it was run on -> scores, of which there may be none yet.
-        printed: what it was run on -> method -> the thesis's score.
+        printed: what it was run on -> source (`thesis`, `CORL`) -> method -> the score that is published for it.
         whole: method -> interquartile mean over all, of methods that have all seeds of all.
         notes: what a reader must know, one line each.
     """
@@ -98,7 +116,7 @@ class Table:
     suite: Suite
     metric: Metric
     cells: dict[str, dict[str, Cell]]
-    printed: dict[str, dict[str, float]]
+    printed: dict[str, dict[str, dict[str, float]]]
     whole: dict[str, Interval]
     notes: tuple[str, ...]
 
@@ -161,31 +179,60 @@ def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_
     missing = [(job, s) for job in jobs for s in job.seeds if name(job, s) not in by_cell]
     spread = f"{suite.seeds} seeds; means with Student's {PERCENT} intervals over seeds, wide where these are few"
     notes = [spread if suite.seeds > 1 else "1 seed, so that nothing says how far seeds differ; the best of a row is marked"]
-    if any(printed.values()):
-        notes.append(f"thesis: {SOURCES[suite.kind]}")
+    beside = {source for own in printed.values() for source in own}
+    notes += [f"{source}: {told}" for source, told in SOURCES.get(suite.kind, {}).items() if source in beside]
+    if suite.kind == "learn":
+        notes += _best(suite)
     return Table(suite, metric, cells, printed, means, (*notes, *_notes(jobs, missing, store, shown)))
 
 
-def _printed(suite: Suite, on: str, metric: Metric) -> dict[str, float]:
-    """Method -> what the thesis prints for it there."""
+def _printed(suite: Suite, on: str, metric: Metric) -> dict[str, dict[str, float]]:
+    """Source -> method -> the score that it publishes for it there."""
     if suite.kind == "learn":
-        scores, names = published.scores(on), {}
-        for method in suite.methods:
-            names[method.name] = THEIRS.get(method.agent, "")
-            if method.agent == "brac":
-                penalised = with_field_names(agent_class("brac"), method.fields).get("value_penalty", True)
-                names[method.name] = "BRAC-v" if penalised else "BRAC-p"
+        scores = {source: published.scores(on, table) for source, table in published.TABLES.items()}
     elif suite.kind == "design":
         found = designs_published().get({"raw": "100", "median_raw": "50"}.get(metric.column, ""), {}).get(on, {})
-        scores = {theirs: pair[0] for theirs, pair in found.items()}
-        names = {method.name: method.agent for method in suite.methods}
+        scores = {"thesis": {theirs: pair[0] for theirs, pair in found.items()}}
     elif suite.kind == "ope" and metric.column != "absolute_error":  # E.2 has errors in returns
-        names = {method.name: estimator(method.agent).label for method in suite.methods}
-        pairs = {label: ope_printed(metric.column, on, label) for label in names.values()}
-        scores = {label: pair[0] for label, pair in pairs.items() if pair is not None}
+        labels = [estimator(method.agent).label for method in suite.methods]
+        pairs = {label: ope_printed(metric.column, on, label) for label in labels}
+        scores = {"thesis": {label: pair[0] for label, pair in pairs.items() if pair is not None}}
     else:
         return {}
-    return {ours: scores[theirs] for ours, theirs in names.items() if theirs in scores}
+    names = {source: _as_published(suite, source) for source in scores}
+    beside = {
+        source: {ours: own[theirs] for theirs, ours in names[source].items() if theirs in own} for source, own in scores.items()
+    }
+    return {source: own for source, own in beside.items() if own}
+
+
+def _as_published(suite: Suite, source: str) -> dict[str, str]:
+    """Name in a published table -> the suite's method that is this one and no variant; the first where there are several.
+
+    A method with its defaults or with a preset is, and one that sets fields of `UNCHANGED` alone.
+    """
+    found: dict[str, str] = {}
+    for method in suite.methods:
+        name, fields = method.agent, method.fields
+        if suite.kind == "ope":
+            name = estimator(method.agent).label
+        elif suite.kind == "learn":
+            if (name := THEIRS[source].get(method.agent, "")) == "":
+                continue
+            fields = with_field_names(agent_class(method.agent), fields)
+            if method.agent == "brac" and not fields.get("value_penalty", True):
+                name = "BRAC-p"
+        whole = method.history == 1 and not method.encoder and method.shift is None
+        if whole and fields.keys() <= UNCHANGED[suite.kind]:
+            found.setdefault(name, method.name)
+    return found
+
+
+def _best(suite: Suite) -> list[str]:
+    """The best published score of each log, whatever agents the suite has."""
+    known = {on: found for on in suite.on if (found := published.best(on))}
+    told = [f"{on} {found.score:.1f} ({found.algorithm}, {found.source})" for on, found in known.items()]
+    return [f"best published in Table 7.1 (its online SAC aside) and in CORL: {'; '.join(told)}"] if told else []
 
 
 def _notes(jobs: Sequence[Job], missing: Sequence[tuple[Job, int]], store: Store, found: list[dict[str, Any]]) -> list[str]:

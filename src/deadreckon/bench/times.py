@@ -2,18 +2,35 @@
 
 import json
 import statistics
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
-from deadreckon.bench.jobs import Program
+from deadreckon.bench.jobs import Job, Program, turns
+from deadreckon.bench.rates import has_work, work
 from deadreckon.bench.store import Store
 
 
-def forecast(waiting: Sequence[Program], store: Store, accelerated: bool = False) -> dict[str, float | None]:
-    """Seconds of each program by its name, or None where none like it is done.
+class Forecast(NamedTuple):
+    """What a program is expected to take.
+
+    Attributes:
+        seconds: of the processor, or of an accelerator.
+        close: whether programs of the same sizes on the same data are done; else it is rough.
+        whole: whether it is of all that the program does; else of its updates alone, without models, rollouts and simulation.
+    """
+
+    seconds: float
+    close: bool = True
+    whole: bool = True
+
+
+def forecast(waiting: Sequence[Program], store: Store, accelerated: bool = False) -> dict[str, Forecast | None]:
+    """What each program takes by its name, or None where nothing is known.
 
     By the median seconds a step of programs of the same agent, the same sizes and as many lanes: of those on the same data
-    where there are some.
+    where there are some, else of those on other data. Where no sizes are the same, of all of the agent in proportion to the
+    work of an update (`rates.work`), if the options that are no settings, such as the budget, are the same. Where there are
+    none, the updates alone are counted, by programs of the agent, or of the one that it is derived from, that learn from logs.
 
     Args:
         waiting: the programs.
@@ -27,24 +44,71 @@ def forecast(waiting: Sequence[Program], store: Store, accelerated: bool = False
         if json.loads(row["versions"]).get("device", "").startswith("cpu") == accelerated:
             continue
         done.setdefault(row["job"].partition("/")[0], []).append(row)
-    same: dict[tuple[str, str, str, int, str], list[float]] = {}
+    like: dict[tuple[Any, ...], list[float]] = {}  # seconds a step, divided by the work of one
     for first, *others in done.values():
+        settings, options = json.loads(first["settings"]), json.loads(first["asked"])
         each = first["seconds"] / max(max(row["steps"] for row in (first, *others)), 1)
-        sizes = _sizes(json.loads(first["settings"]), json.loads(first["asked"]))
-        for on in (first["on"], ""):
-            same.setdefault((first["kind"], first["agent"], sizes, 1 + len(others), on), []).append(each)
-    out: dict[str, float | None] = {}
-    for program in waiting:
-        job = program.jobs[0]
-        like = job.kind, job.agent, _sizes(job.settings, job.options), program.lanes
-        known = same.get((*like, job.on)) or same.get((*like, ""))
-        out[program.name] = None if not known else statistics.median(known) * max(job.options.get("steps", 1), 1)
-    return out
+        each /= _work(first["kind"], first["agent"], settings)
+        keys = _keys(first["kind"], first["agent"], 1 + len(others), first["on"], settings, options)
+        for key in (*keys, (first["kind"], first["agent"], 1 + len(others))):
+            like.setdefault(key, []).append(each)
+    times = {key: statistics.median(found) for key, found in like.items()}
+    return {program.name: _expected(program, times) for program in waiting}
 
 
-def _sizes(settings: dict[str, Any], options: dict[str, Any]) -> str:
-    """What the time of a step depends on: settings that are sizes or choices, and all options but the length of the run and how
-    often it is judged."""
+def _expected(program: Program, times: Mapping[tuple[Any, ...], float]) -> Forecast | None:
+    job = program.jobs[0]
+    keys = _keys(job.kind, job.agent, program.lanes, job.on, job.settings, job.options)
+    own = _work(job.kind, job.agent, job.settings)
+    if found := next((key for key in keys if key in times), None):
+        return Forecast(times[found] * own * max(job.options.get("steps", 1), 1), close=found == keys[0])
+    for name in _lineage(job):
+        if (key := ("learn", name, program.lanes)) in times:
+            each = own if has_work(job.agent) else work(name, job.settings)
+            return Forecast(times[key] * each * _updates(job), close=False, whole=False)
+    return None
+
+
+def _keys(
+    kind: str, agent: str, lanes: int, on: str, settings: Mapping[str, Any], options: Mapping[str, Any]
+) -> list[tuple[Any, ...]]:  # fmt: skip
+    """What programs may have in common that take as long a step, the most telling first: sizes and data, sizes, data, neither.
+
+    Sizes are settings that are sizes or choices, and all options but the length of the run and how often it is judged; without
+    them remain the options that are no settings. Data are also of a kind: pictures take longer than numbers.
+    """
     shape = {name: value for name, value in settings.items() if not isinstance(value, float)}
     rest = {name: value for name, value in options.items() if name not in ("steps", "episodes", "every")}
-    return json.dumps([shape, rest], sort_keys=True)
+    other = {name: value for name, value in rest.items() if name != "fields"}  # settings of designers and estimators
+    sizes = [json.dumps(each, sort_keys=True) for each in ([shape, rest], other)]
+    return [(kind, agent, lanes, size, where) for size in sizes for where in (on, _has_pictures(kind, on))]
+
+
+def _has_pictures(kind: str, on: str) -> bool:
+    """Whether it is a log of pictures."""
+    from deadreckon.tasks.registry import of_log
+
+    task = of_log(on) if kind == "learn" else None
+    return task is not None and len(task.observation_shape) > 1
+
+
+def _work(kind: str, agent: str, settings: Mapping[str, Any]) -> float:
+    """Of a step, in proportion to others of the same agent."""
+    return work(agent, settings) if kind in ("learn", "online") else 1.0
+
+
+def _lineage(job: Job) -> list[str]:
+    """The agent of a job that learns and those that it is derived from, the nearest first."""
+    from deadreckon.agents import AGENTS, agent_class
+
+    if job.kind not in ("learn", "online"):
+        return []
+    names = {kind: name for name, (_, kind, _) in AGENTS.items()}
+    return [names[kind.__name__] for kind in agent_class(job.agent).__mro__ if kind.__name__ in names]
+
+
+def _updates(job: Job) -> int:
+    """In the whole of a job that learns, those on a log before it acts included."""
+    if job.kind == "learn":
+        return job.options["steps"]
+    return turns(job).updates(job.options["steps"]) + job.options.get("log", {}).get("offline", 0)

@@ -16,6 +16,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
 from deadreckon.progress import Progress, unwatched
 from deadreckon.runs.holdout import trial_parts
+from deadreckon.versions import cpu_model, versions
 
 
 def perform(
@@ -55,6 +56,7 @@ def perform(
     spent.keep()
     for row in (row for found in results for row in found.rows):
         row["seconds"] = spent.seconds
+        row["versions"] = json.dumps(json.loads(row["versions"]) | {"cpu": cpu_model()})
     return results
 
 
@@ -206,7 +208,6 @@ def _last(metrics: dict[str, np.ndarray], own: np.ndarray) -> dict[str, float]:
 def _design(job: Job, folder: Path, watch: Progress) -> JobResult:
     from deadreckon.mbo import PROBLEMS, problem
     from deadreckon.mbo.protocol import evaluate_designers
-    from deadreckon.versions import versions
 
     told = lambda what, step, steps: watch(step, steps)  # noqa: E731
     posed, file = problem(job.on), PROBLEMS[job.on].file
@@ -234,7 +235,6 @@ def _design(job: Job, folder: Path, watch: Progress) -> JobResult:
 def _ope(job: Job, folder: Path, watch: Progress) -> JobResult:
     from deadreckon.ope.dope import METRICS, evaluate_log, to_json
     from deadreckon.tasks.registry import of_log
-    from deadreckon.versions import versions
 
     log, task = _log(job), of_log(job.on)
     assert task is not None  # the plan has refused it
@@ -257,8 +257,6 @@ def _ope(job: Job, folder: Path, watch: Progress) -> JobResult:
 
 
 def _study(job: Job, folder: Path, watch: Progress) -> JobResult:
-    from deadreckon.versions import versions
-
     rows = []
     for done, seed in enumerate(job.seeds):
         watch(done, len(job.seeds))

@@ -163,11 +163,15 @@ def announce(name, jobs, store, executor, each: bool):
     waiting = programs(store.undone(jobs))
     cells, missing = len({cell for job in jobs for cell in job.cells}), sum(program.lanes for program in waiting)
     print(f"{name}: {cells:,} cell{'s' * (cells != 1)}, {cells - missing:,} of them done; results in {store.place}")
-    seconds = forecast(waiting, store, accelerated=executor.lanes is None)
+    expected = forecast(waiting, store, accelerated=executor.lanes is None)
     for program in waiting if each else ():
-        took = seconds[program.name]
-        print(f"  {program}: {'no job like it yet' if took is None else f'about {in_words(took)}'}")
-    known = [took for took in seconds.values() if took is not None]
+        took = expected[program.name]
+        if took is None:
+            print(f"  {program}: no job like it yet")
+            continue
+        how = "about" if took.close else "roughly" if took.whole else "updates alone roughly"
+        print(f"  {program}: {how} {in_words(took.seconds)}")
+    known = [took.seconds for took in expected.values() if took is not None]
     if known:
         more = f"; {len(waiting) - len(known)} more have no like" if len(known) < len(waiting) else ""
         workers = f"{executor.workers} worker{'s' * (executor.workers != 1)}"

@@ -35,7 +35,7 @@ def fill(suite: str, path: Path, seconds: float, workers: int | None, dry_run: b
     if workers is not None and workers < 1:
         raise UserError(f"workers must be 1 or more, got {workers}")
     if dry_run:
-        return _plan(suite, path, seconds, workers, device_kind())
+        return print(plan_told(suite, path, seconds, workers, device_kind()))
     with shared() as how:
         kind = device_kind()
         if kind is None:
@@ -57,19 +57,28 @@ def _prepared(
     return store, rates, missing(small, large, store, rates, seconds), workers
 
 
-def _plan(suite: str, path: Path, seconds: float, workers: int | None, kind: str | None) -> None:
+def plan_told(suite: str, path: Path, seconds: float, workers: int | None = None, kind: str | None = None) -> str:
+    """What a dry run prints: a line a program, and what they make of the time.
+
+    Args:
+        suite, path, seconds, workers: as of `fill`.
+        kind: of the device, as JAX calls it; None where there is none, and the plan is for one of which rates are known.
+    """
     _, rates, loads, processes = _prepared(suite, path, seconds, workers, kind)
     planned = schedule(loads, seconds, processes)
     which = rates.device if kind else f"{rates.device}, which is not here,"
-    print(f"{Path(suite).stem}: {in_words(seconds)} of one {which} and {rates.cores} cores, {processes} processes")
-    for one in planned:
-        print(f"  {_line(one)}")
     made = use(planned, seconds)
     cells = sum(one.load.program.lanes for one in planned if one.end is not None)
     left = sum(load.program.lanes for load in loads) - cells
-    print(f"{cells:,} cells would be done; {left:,} that learn from logs would be left, some of them begun")
     whole = f"{made.training:.0%} of it in training, {made.lanes:.0f} lanes in the mean"
-    print(f"{made.rate:,.0f} updates of a seed per second in the mean over the whole time, {whole}")
+    return "\n".join(
+        [
+            f"{Path(suite).stem}: {in_words(seconds)} of one {which} and {rates.cores} cores, {processes} processes",
+            *(f"  {_line(one)}" for one in planned),
+            f"{cells:,} cells would be done; {left:,} that learn from logs would be left, some of them begun",
+            f"{made.rate:,.0f} updates of a seed per second in the mean over the whole time, {whole}",
+        ]
+    )
 
 
 def _line(one: Planned) -> str:

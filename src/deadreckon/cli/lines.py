@@ -2,23 +2,40 @@
 
 
 class Lines:
-    """Tells what happens: a line a job that begins, ends or fails."""
+    """Tells what happens: a line when a program begins, and one when it ends or fails.
+
+    Args:
+        total: programs that are to be done.
+    """
 
     def __init__(self, total: int):
         self.total, self.done = total, 0
+        self._left = 0  # that failed, or that another command is at
+        self._running: set[str] = set()  # not those that an executor only keeps until there is room
 
     def __call__(self, event) -> None:
         """Tells an event."""
+        if event.what == "progress":
+            return
+        if event.what == "begun":
+            self._running.add(event.program.name)
+            # `tune --sampler` counts settings, each of which may be several programs: there the total is too small.
+            waiting = max(self.total - self.done - self._left - len(self._running), 0)
+            print(f"running: {event.program}; {waiting} waiting", flush=True)
+            return
+        self._running.discard(event.program.name)
         if event.what == "done":
             self.done += 1
             seconds = event.payload[0].rows[0]["seconds"]
             print(f"{self.done} of {self.total}: {event.program}, {seconds:,.0f} s", flush=True)
         elif event.what == "failed":
+            self._left += 1
             print(f"FAILED: {event.program}: {event.payload[0]}", flush=True)
         elif event.what == "skipped":
             self.done += 1
             print(f"{self.done} of {self.total}: {event.program}, done by another command", flush=True)
         elif event.what == "elsewhere":
+            self._left += 1
             print(f"{event.program}: another command is at it, and it is left to that one", flush=True)
         elif event.what == "split":
             self.total += len(event.program.jobs) - 1

@@ -1,4 +1,4 @@
-"""A suite's page: bars of each method per domain (thesis Figure 7.4), and its tables with the thesis's numbers beside."""
+"""A suite's page: bars of each method per domain (thesis Figure 7.4), and its tables with published numbers beside."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -81,7 +81,8 @@ def _bars(table: Table) -> Markup | None:
         rows = []
         for i, (method, row) in enumerate(table.cells.items()):
             cells = {on: row[on] for on in members}
-            printed = [table.printed[on][method] for on in members if method in table.printed[on]]
+            thesis = [table.printed[on].get("thesis", {}) for on in members]
+            printed = [scores[method] for scores in thesis if method in scores]
             # The thesis's mean stands beside ours only where it prints all that ours is a mean of.
             other = float(np.mean(printed)) if len(printed) == len(members) else None
             ticks = ticks or other is not None
@@ -116,13 +117,13 @@ def _table(table: Table) -> Markup:
     for on in table.suite.on:
         tds = [tag("th", on, scope="row")]
         for method, row in table.cells.items():
-            cell, theirs = row[on], table.printed[on].get(method)
+            cell = row[on]
             known = len(cell.scores) > 0 and bool(np.isfinite(cell.scores).all())
             value = shown(cell.estimate.value) if known else "-"
             spread = known and np.isfinite(cell.estimate.low)
             small = [f"{shown(cell.estimate.low)} to {shown(cell.estimate.high)}"] if spread else []
             small += [f"{count} {what}" for count, what in ((cell.missing, "missing"), (cell.failed, "failed")) if count]
-            small += [] if theirs is None else [f"thesis {shown(theirs)}"]
+            small += [f"{source} {shown(own[method])}" for source, own in table.printed[on].items() if method in own]
             tds.append(tag("td", tag("b", value) if cell.bold else value, [tag("small", line) for line in small]))
         rows.append(tag("tr", tds))
     text = (

@@ -1,6 +1,7 @@
 """Two methods, all of a table, two sets of tasks, or groups of runs: intervals of differences, and which cells are bold."""
 
 import math
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -93,6 +94,33 @@ def paired_within(ours: Scores, theirs: Scores, extent: float, level: float = LE
         low -= other * (extent + float(gap[0])) / len(gaps)
         high += other * (extent - float(gap[0])) / len(gaps)
     return Interval(found.value, low, high)
+
+
+def more_runs(found: Difference, runs: int, bound: float, level: float = LEVEL) -> int | None:
+    """How many more runs of each task bring a bound out of the interval of `paired`, if mean and variances stay as they are.
+
+    Args:
+        found: of `paired`.
+        runs: that each task had.
+        bound: such as 0.
+        level: that `found` has.
+
+    Returns:
+        0 where the bound lies outside already; None where it is the mean itself, to a millionth of the interval, or where
+        there is no interval.
+    """
+    check_level(level)
+    distance = abs(found.value - bound)
+    if not distance > 1e-6 * (found.high - found.value):
+        return None
+
+    def half(count: int) -> float:
+        """Of the interval; degrees of freedom grow as runs do."""
+        first, now = (float(stdtrit(found.dof * (each - 1) / (runs - 1), (1 + level) / 2)) for each in (runs, count))
+        return (found.high - found.value) * now / first * math.sqrt(runs / count)
+
+    counts = range(runs, 2 + math.ceil(runs * (half(runs) / distance) ** 2))
+    return bisect_left(counts, True, key=lambda count: half(count) < distance)
 
 
 def between(ours: Scores, theirs: Scores, level: float = LEVEL) -> Difference:

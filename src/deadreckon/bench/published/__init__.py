@@ -1,4 +1,4 @@
-"""Numbers that others have published, kept as data files that say where they are from: `load`, `scores`, `reference`.
+"""Numbers that others have published, kept as data files that say where they are from: `load`, `scores`, `best`, `reference`.
 
 They were made on the original logs and simulators: beside ours for orientation, never averaged with ours. What was wrong with
 the scan of a table, and where the thesis's tables contradict each other, is listed in the files and on the documentation's page
@@ -8,12 +8,14 @@ on published numbers.
 import json
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from deadreckon.data.entries import ENTRIES
 from deadreckon.errors import UserError, unknown
 from deadreckon.tasks import Reference, names, task
 
+# Tables of the scores of agents that have learned from logs, by how they are called beside ours.
+TABLES = {"thesis": "table_7_1", "CORL": "corl"}
 _FILES = {path.stem: path for path in sorted(Path(__file__).parent.glob("*.json"))}
 
 
@@ -32,17 +34,42 @@ def load(name: str) -> dict[str, Any]:
     return json.loads(_FILES[name].read_text(encoding="utf-8"))
 
 
-def scores(task: str) -> dict[str, float]:
-    """Normalised scores by algorithm, thesis Table 7.1; empty where it has none.
+def scores(task: str, table: str = TABLES["thesis"]) -> dict[str, float]:
+    """Normalised scores by algorithm; empty where the table has none.
 
     Args:
         task: a log, such as `hopper-medium-v2@dr1` or `hopper-medium`. Version and origin do not matter; `hopper-mixed` is the
             thesis's other name of `hopper-medium-replay`.
+        table: `table_7_1` of the thesis, or `corl`.
+
+    Raises:
+        UserError: as `load` does.
     """
-    table, name = load("table_7_1")["scores"], plain(task)
-    if name not in table and name.endswith("-mixed"):
+    rows, name = {plain(log): row for log, row in load(table)["scores"].items()}, plain(task)
+    if name not in rows and name.endswith("-mixed"):
         name = name.removesuffix("mixed") + "medium-replay"
-    return table.get(name, {})
+    found = rows.get(name, {})
+    return {algorithm: score[0] if isinstance(score, list) else score for algorithm, score in found.items()}
+
+
+class Best(NamedTuple):
+    """The best published score of a log, and whose it is."""
+
+    score: float
+    algorithm: str
+    source: str
+
+
+def best(task: str) -> Best | None:
+    """The best score of `TABLES` of an algorithm that learns from the log alone; None where they have none.
+
+    Args:
+        task: as of `scores`.
+    """
+    own = {source: scores(task, table) for source, table in TABLES.items()}
+    own["thesis"].pop("SAC", None)  # which learns online
+    found = [Best(score, algorithm, source) for source, row in own.items() for algorithm, score in row.items()]
+    return max(found, key=lambda each: each.score, default=None)
 
 
 def reference(domain: str) -> Reference:

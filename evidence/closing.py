@@ -1,0 +1,59 @@
+"""What would decide claims that are open: core-hours of the scores that are missing, or more seeds."""
+
+from collections.abc import Iterable, Mapping
+from operator import itemgetter
+
+from deadreckon.bench.claims import Comparison, Verdict
+from deadreckon.bench.suite import read
+from deadreckon.bench.times import Forecast
+from deadreckon.stats.comparison import Difference, more_runs
+
+
+def hours(expected: Iterable[Forecast | None]) -> str:
+    """The sum in hours, with `>` where some are not known, or in part, and `about` where some are rough."""
+    every = list(expected)
+    known = [each for each in every if each is not None]
+    if not known:
+        return "not measured"
+    whole = len(known) == len(every) and all(each.whole for each in known)
+    marks = ("" if whole else "> ") + ("" if all(each.close for each in known) else "about ")
+    return f"{marks}{sum(each.seconds for each in known) / 3600:,.1f}"
+
+
+def to_close(found: Verdict, cost: Mapping[str, Forecast | None]) -> str:
+    """What an open claim lacks in words; nothing of one that is decided or has no tests.
+
+    Args:
+        found: the verdict at the size that `cost` is of.
+        cost: what cells that are missing are expected to take.
+    """
+    if found.state != "open" or not found.comparisons:
+        return ""
+    if found.absent:
+        time = hours(cost[cell] for cell in sorted(found.absent))
+        scores = f"{found.missing:,} score{'s' * (found.missing != 1)}"
+        return f"{scores}, {time}{'' if time == 'not measured' else ' core-hours'}"
+    if found.undefined:
+        return "no seeds: a score that is not finite stays so"
+    left = [one.stages[-1] for one in found.comparisons if one.state == "open"]
+    counts = [_seeds(one, len(found.comparisons)) for one in left]
+    known = [(count, one) for count, one in zip(counts, left) if count is not None]
+    against = [(count, one) for count, one in known if one.gain.value < one.test.margin]
+    if not against and len(known) < len(left):
+        return "no number of seeds, if the difference stays as it is"
+    # One comparison contradicts a claim, and all have to hold.
+    chosen, state = (min(against, key=itemgetter(0)), "contradicted") if against else (max(known, key=itemgetter(0)), "holds")
+    count = f"{float(f'{chosen[0]:.2g}'):,.0f}"  # two digits: it rests on a difference that is not known better
+    return f"about {count} more seeds of `{chosen[1].test.suite.name}`, if the difference stays as it is: {state} then"
+
+
+def _seeds(one: Comparison, comparisons: int) -> int | None:
+    """How many more seeds would decide it; None where none would, or where seeds are not what it varies with."""
+    if one.test.beside is not None or one.test.among or one.constant:
+        return None
+    # Of several comparisons each contradicts the claim at a level for as many (`bench.claims`).
+    below = one.gain.value < one.test.margin
+    interval, miss = (one.strict, (1.0 - one.level) / comparisons) if below else (one.gain, 1.0 - one.level)
+    if not isinstance(interval, Difference):  # of a metric with a range
+        return None
+    return more_runs(interval, read(one.test.suite).seeds, one.test.margin, 1.0 - miss)

@@ -1,0 +1,84 @@
+"""What is said of open claims: hours of what is missing, or seeds that would decide."""
+
+import numpy as np
+import pytest
+
+from deadreckon.bench import claims as declared
+from deadreckon.bench.claims import Claim, Comparison, Verdict
+from deadreckon.bench.times import Forecast
+from deadreckon.stats.comparison import paired
+from deadreckon.stats.interval import Interval
+from evidence.closing import hours, to_close
+
+SUITE = """
+kind = "learn"
+seeds = 4
+logs = ["hopper-medium-v2"]
+
+[methods]
+BC = { agent = "bc" }
+TD3 = { agent = "td3" }
+"""
+CELLS = frozenset("abcd")
+GAPS = np.array([-6.0, -2.0, 2.0, 6.0])  # of mean 0, with an interval of 4 runs that reaches to +-8.2
+
+
+@pytest.fixture
+def said(tmp_path):
+    """What is said of a claim whose comparisons have these means, whatever is missing or not finite."""
+    (tmp_path / "suite.toml").write_text(SUITE)
+
+    def told(*means, margin=0.0, missing="", undefined="", cost=(), **test):
+        one = declared.Test(tmp_path / "suite.toml", ("BC",), ("TD3",), ("hopper-medium-v2",), margin=margin, **test)
+        found = []
+        for mean in means:
+            gain, strict = (paired([mean + GAPS], [np.zeros(4)], 1.0 - 0.05 / k) for k in (1, len(means)))
+            lacks = frozenset(missing), frozenset(undefined)
+            found.append(Comparison(one, "TD3", one.on, gain, strict, CELLS, *lacks, 0.95))
+        return to_close(Verdict(Claim("C", "says", "place", (one,)), tuple(found)), dict(cost))
+
+    return told
+
+
+def test_hours_say_what_is_left_out_and_what_is_rough():
+    close, rough, part = Forecast(3600.0), Forecast(1800.0, close=False), Forecast(1800.0, close=False, whole=False)
+    assert hours([close, close]) == "2.0"
+    assert hours([close, rough]) == "about 1.5"
+    assert hours([close, None]) == "> 1.0"
+    assert hours([close, part]) == "> about 1.5"
+    assert hours([None]) == "not measured"
+
+
+def test_of_scores_that_are_missing_the_hours_are_told(said):
+    cost = {"a": Forecast(7200.0), "b": Forecast(3600.0)}
+    assert said(1.0, missing="ab", cost=cost) == "2 scores, 3.0 core-hours"
+    assert said(1.0, 1.0, missing="a", cost=cost) == "1 score, 2.0 core-hours"
+    assert said(1.0, missing="a", cost={"a": None}) == "1 score, not measured"
+
+
+def test_of_what_is_decided_nothing_is_told(said):
+    assert said(9.0) == said(-9.0) == said(-12.0, 1.0) == ""
+    assert to_close(Verdict(Claim("C", "says", "place"), ()), {}) == ""
+
+
+def test_seeds_are_those_that_the_interval_needs(said):
+    """Of a standard deviation of 5.16: 1.96 x 5.16 / sqrt(105) is 0.99."""
+    ends = "more seeds of `suite.toml`, if the difference stays as it is"
+    assert said(1.0) == f"about 100 {ends}: holds then"  # 105 in all, by Student's t, of which 4 are there
+    assert said(4.0) == f"about 5 {ends}: holds then"  # 9 in all: 2.31 x 5.16 / sqrt(9) is 3.97
+    assert said(-4.0) == f"about 5 {ends}: contradicted then"
+    assert said(-2.0, margin=-3.0) == f"about 100 {ends}: holds then"
+    assert said(1.0, 4.0) == f"about 100 {ends}: holds then"  # all have to
+    assert said(1.0, -4.0) == f"about 8 {ends}: contradicted then"  # at a level for two
+
+
+def test_where_no_seeds_would_decide_it_is_said(said):
+    none = "no number of seeds, if the difference stays as it is"
+    assert said(0.0) == said(4.0, margin=4.0) == said(0.0, 4.0) == none
+    assert said(4.0, among=True) == none
+    assert said(1.0, undefined="a") == "no seeds: a score that is not finite stays so"
+    ranged = Comparison(
+        declared.Test("suite.toml", ("BC",), ("TD3",), ("a",), range=(0.0, 1.0)), "TD3", ("a",), Interval(0.1, -0.1, 0.3),
+        Interval(0.1, -0.2, 0.4), CELLS, frozenset(), frozenset(), 0.95,
+    )  # fmt: skip
+    assert to_close(Verdict(Claim("C", "says", "place"), (ranged,)), {}) == none
