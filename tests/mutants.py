@@ -763,7 +763,7 @@ MUTANTS = (
         ("mbo/test_nemo.py::test_a_claim_counts_as_one_row_of_the_data",),
     ),
     Mutant(
-        "lecun-bias", "nets/mlp.py", 'LECUN = Init("lecun", 0.0)', 'LECUN = Init("lecun")', "biases begin at random",
+        "lecun-bias", "nets/mlp.py", 'LECUN, HALF_NORMAL = Init("lecun", 0.0),', 'LECUN, HALF_NORMAL = Init("lecun"),', "biases begin at random",
         ("mbo/test_nemo.py::test_models_begin_as_lecun_s",),
     ),
     Mutant(
@@ -1901,7 +1901,7 @@ MUTANTS = (
     ),
     Mutant(
         "outside-row", "bench/store.py",
-        'safe_name(str(row["job"]), f"{self.path}: run")', 'str(row["job"])',
+        'safe_path(str(row["job"]), f"{self.path}: run")', 'str(row["job"])',
         "a row of results names any folder", ("test_hostile_names.py",),
     ),
     Mutant(

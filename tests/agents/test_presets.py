@@ -25,7 +25,8 @@ def test_presets_are_settings_that_their_agents_take(agent):
         if agent == "mobile":  # the corridor has no rewards above its floor
             fields["min_target"] = None
         made = kind(**fields).resolve(spec, 10)
-        fields.pop("normalized_return_range", None)  # which becomes a scale
+        for what in ("normalized_return_range", "standardise_rewards"):  # which become a scale and a shift
+            fields.pop(what, None)
         assert all(getattr(made, field) == value for field, value in fields.items())
 
 
