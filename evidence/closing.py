@@ -1,7 +1,6 @@
 """What would decide claims that are open: core-hours of the scores that are missing, or more seeds."""
 
 from collections.abc import Iterable, Mapping
-from operator import itemgetter
 
 from deadreckon.bench.claims import Comparison, Verdict
 from deadreckon.bench.suite import read
@@ -21,7 +20,7 @@ def hours(expected: Iterable[Forecast | None]) -> str:
 
 
 def to_close(found: Verdict, cost: Mapping[str, Forecast | None]) -> str:
-    """What an open claim lacks in words; nothing of one that is decided or has no tests.
+    """What an open claim lacks in words, if differences stay as they are; nothing of one that is decided or has no tests.
 
     Args:
         found: the verdict at the size that `cost` is of.
@@ -37,14 +36,14 @@ def to_close(found: Verdict, cost: Mapping[str, Forecast | None]) -> str:
         return "no seeds: a score that is not finite stays so"
     left = [one.stages[-1] for one in found.comparisons if one.state == "open"]
     counts = [_seeds(one, len(found.comparisons)) for one in left]
-    known = [(count, one) for count, one in zip(counts, left) if count is not None]
-    against = [(count, one) for count, one in known if one.gain.value < one.test.margin]
+    known = [count for count in counts if count is not None]
+    against = [count for count, one in zip(counts, left) if count is not None and one.gain.value < one.test.margin]
     if not against and len(known) < len(left):
-        return "no number of seeds, if the difference stays as it is"
+        return "no number of seeds"
     # One comparison contradicts a claim, and all have to hold.
-    chosen, state = (min(against, key=itemgetter(0)), "contradicted") if against else (max(known, key=itemgetter(0)), "holds")
-    count = f"{float(f'{chosen[0]:.2g}'):,.0f}"  # two digits: it rests on a difference that is not known better
-    return f"about {count} more seeds of `{chosen[1].test.suite.name}`, if the difference stays as it is: {state} then"
+    chosen, state = (min(against), "contradicted") if against else (max(known), "holds")
+    count = f"{float(f'{chosen:.2g}'):,.0f}"  # two digits: it rests on a difference that is not known better
+    return f"about {count} more seeds, then {state}"
 
 
 def _seeds(one: Comparison, comparisons: int) -> int | None:

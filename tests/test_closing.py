@@ -63,17 +63,16 @@ def test_of_what_is_decided_nothing_is_told(said):
 
 def test_seeds_are_those_that_the_interval_needs(said):
     """Of a standard deviation of 5.16: 1.96 x 5.16 / sqrt(105) is 0.99."""
-    ends = "more seeds of `suite.toml`, if the difference stays as it is"
-    assert said(1.0) == f"about 100 {ends}: holds then"  # 105 in all, by Student's t, of which 4 are there
-    assert said(4.0) == f"about 5 {ends}: holds then"  # 9 in all: 2.31 x 5.16 / sqrt(9) is 3.97
-    assert said(-4.0) == f"about 5 {ends}: contradicted then"
-    assert said(-2.0, margin=-3.0) == f"about 100 {ends}: holds then"
-    assert said(1.0, 4.0) == f"about 100 {ends}: holds then"  # all have to
-    assert said(1.0, -4.0) == f"about 8 {ends}: contradicted then"  # at a level for two
+    assert said(1.0) == "about 100 more seeds, then holds"  # 105 in all, by Student's t, of which 4 are there
+    assert said(4.0) == "about 5 more seeds, then holds"  # 9 in all: 2.31 x 5.16 / sqrt(9) is 3.97
+    assert said(-4.0) == "about 5 more seeds, then contradicted"
+    assert said(-2.0, margin=-3.0) == "about 100 more seeds, then holds"
+    assert said(1.0, 4.0) == "about 100 more seeds, then holds"  # all have to
+    assert said(1.0, -4.0) == "about 8 more seeds, then contradicted"  # at a level for two
 
 
 def test_where_no_seeds_would_decide_it_is_said(said):
-    none = "no number of seeds, if the difference stays as it is"
+    none = "no number of seeds"
     assert said(0.0) == said(4.0, margin=4.0) == said(0.0, 4.0) == none
     assert said(4.0, among=True) == none
     assert said(1.0, undefined="a") == "no seeds: a score that is not finite stays so"
