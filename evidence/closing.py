@@ -33,8 +33,12 @@ def to_close(found: Verdict, cost: Mapping[str, Forecast | None]) -> str:
         scores = f"{found.missing:,} score{'s' * (found.missing != 1)}"
         return f"{scores}, {time}{'' if time == 'not measured' else ' core-hours'}"
     if found.undefined:
-        return "no seeds: a score that is not finite stays so"
-    left = [one.stages[-1] for one in found.comparisons if one.state == "open"]
+        return "not estimated: a score is not finite"
+    left = [one for one in found.comparisons if one.state == "open"]
+    if any(one.again is not None for one in left):
+        return "both stages leave it open"
+    if any(one.test.beside is not None or one.test.among or not isinstance(one.gain, Difference) for one in left):
+        return "not estimated: more than seeds vary"
     counts = [_seeds(one, len(found.comparisons)) for one in left]
     known = [count for count in counts if count is not None]
     against = [count for count, one in zip(counts, left) if count is not None and one.gain.value < one.test.margin]
@@ -43,16 +47,15 @@ def to_close(found: Verdict, cost: Mapping[str, Forecast | None]) -> str:
     # One comparison contradicts a claim, and all have to hold.
     chosen, state = (min(against), "contradicted") if against else (max(known), "holds")
     count = f"{float(f'{chosen:.2g}'):,.0f}"  # two digits: it rests on a difference that is not known better
-    return f"about {count} more seeds, then {state}"
+    return f"about {count} fresh seeds, then {state}"
 
 
 def _seeds(one: Comparison, comparisons: int) -> int | None:
-    """How many more seeds would decide it; None where none would, or where seeds are not what it varies with."""
-    if one.test.beside is not None or one.test.among or one.constant:
-        return None
-    # Of several comparisons each contradicts the claim at a level for as many (`bench.claims`).
+    """How many fresh seeds of a second stage would decide it (`bench.claims`); None where the difference is the margin."""
+    # Of several comparisons each contradicts the claim at a level for as many.
     below = one.gain.value < one.test.margin
     interval, miss = (one.strict, (1.0 - one.level) / comparisons) if below else (one.gain, 1.0 - one.level)
-    if not isinstance(interval, Difference):  # of a metric with a range
-        return None
-    return more_runs(interval, read(one.test.suite).seeds, one.test.margin, 1.0 - miss)
+    assert isinstance(interval, Difference)
+    runs = read(one.test.suite).seeds
+    more = more_runs(interval, runs, one.test.margin, 1.0 - miss, wanted=1.0 - miss / 2.0)
+    return None if more is None else runs + more

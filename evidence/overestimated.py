@@ -1,10 +1,10 @@
 """How far off-policy Q-learning's own estimates are above what its policy gets, by the amount of an expert's data."""
 
-import json
 from collections.abc import Sequence
 
 import numpy as np
 
+from deadreckon.bench.checked import number
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Suite
@@ -25,7 +25,7 @@ def overestimated(suites: Sequence[Suite], store: Store) -> str:
         suites: of which those of `SUITES` count, at their own size.
         store: the results.
     """
-    rows = {row["cell"]: json.loads(row["more"]) for row in store.results().to_pylist()}
+    rows = {row["cell"]: row for row in store.results().to_pylist()}
     by_name = {suite.name: suite for suite in suites}
     lines = [f"| {METHOD} in | rows of the log | seeds | discounted return | overestimate |", "|---|" + "---:|" * 4]
     for suite in (by_name[name] for name in SUITES if name in by_name):
@@ -35,7 +35,7 @@ def overestimated(suites: Sequence[Suite], store: Store) -> str:
         if not found:
             lines.append(f"{head} - | - |")
             continue
-        got, above = (np.array([more[name] for more in found]) for name in ("discounted_return", "overestimate"))
+        got, above = (np.array([number(row, name) for row in found]) for name in ("discounted_return", "overestimate"))
         told = f"{np.median(above):,.0f} ({above.min():,.0f} to {above.max():,.0f})"
         lines.append(f"{head} {mean_interval(got):.0f} | {told} |")
     note = f"Discounted return: mean over seeds with Student's {PERCENT} interval; overestimate: median (lowest to highest)."

@@ -244,8 +244,8 @@ def _waiting() -> list[_Waiting]:
 
 TO_CLOSE = (
     "*To close* is what the CPU size lacks: core-hours of the scores that are missing (the marks are those of "
-    "[what has not been run](PENDING.md)), or, where all are there, more seeds of the comparison that decides, if its mean and "
-    "spread stayed as they are; they would have to be declared before they are run."
+    "[what has not been run](PENDING.md)), or, where all are there, fresh seeds of a second stage, if mean and spread stay as "
+    "they are; they would have to be declared before they are run. There is no third stage."
 )
 
 

@@ -763,7 +763,8 @@ MUTANTS = (
         ("mbo/test_nemo.py::test_a_claim_counts_as_one_row_of_the_data",),
     ),
     Mutant(
-        "lecun-bias", "nets/mlp.py", 'LECUN, HALF_NORMAL = Init("lecun", 0.0),', 'LECUN, HALF_NORMAL = Init("lecun"),', "biases begin at random",
+        "lecun-bias", "nets/mlp.py", 'LECUN, TRUNCATED = Init("lecun", 0.0),', 'LECUN, TRUNCATED = Init("lecun"),',
+        "biases begin at random",
         ("mbo/test_nemo.py::test_models_begin_as_lecun_s",),
     ),
     Mutant(

@@ -28,7 +28,7 @@ def versions() -> dict[str, Any]:
 
 
 def cpu_model() -> str:
-    """The processor's model as its maker calls it, or where the system does not tell its kind, such as `x86_64`."""
+    """The processor's model as its maker calls it, or its kind, such as `x86_64`, if the system does not tell the model."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()  # Linux; on ARM without names of models
     except OSError:

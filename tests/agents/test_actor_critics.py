@@ -1,5 +1,7 @@
 """TD3, TD3+BC and SAC against numpy written from their equations, on fixed numbers."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 from deadreckon.agents import AWR, BRAC, MBPO, SAC, SACN, TD3, TD3BC
 from deadreckon.data.batch import Batch
+from deadreckon.data.spec import Discrete
 from deadreckon.randomness import keys
 from tests.agents.compiled import Compiled
 from tests.agents.test_bear import lane, numpy_gaussian
@@ -164,7 +167,7 @@ def biases(net):
 def test_first_weights_by_glorots_rule_have_no_biases(kind):
     both = kind(hidden=(8, 8)), kind(hidden=(8, 8), first_weights="glorot")
     plain, asked = (agent.resolve(SPEC, 10).init(SPEC, KEY) for agent in both)
-    nets = ["actor", "value"] if kind is AWR else ["actor", "critics"] + ["behavior"] * (kind is BRAC)
+    nets = ["actor", "value"] if kind is AWR else ["actor", "critics"]
     net_of = lambda state, name: getattr(getattr(state, name), "net", getattr(state, name))  # noqa: E731
     for name in nets:
         last = kind is AWR and name == "actor"  # within 0.01, biases too
@@ -173,10 +176,27 @@ def test_first_weights_by_glorots_rule_have_no_biases(kind):
         assert not last or 0.0 < np.abs(net_of(asked, name).weights[-1]).max() <= 0.01
 
 
+@pytest.mark.parametrize(("asked", "least", "most"), [("uniform", 0.02, 1.0), ("glorot", 0.0, 0.0)])
+def test_first_weights_of_a_clone_are_those_of_the_agent(asked, least, most):
+    """BRAC's behaviour model, as which its actor begins, is a clone of the log."""
+    agent = BRAC(hidden=(8, 8), behavior_steps=3, first_weights=asked).resolve(SPEC, 10)
+    begun = lambda clone, steps, key: clone.init(SPEC, key)  # noqa: E731 - as if it learned nothing
+    state = agent.prepare(agent.init(SPEC, KEY), None, KEY, begun)
+    for net in (state.behavior, state.actor):
+        assert least <= np.abs(biases(net)).max() <= most
+
+
+def test_first_weights_of_discrete_actions_are_those_asked_for():
+    spec = dataclasses.replace(SPEC, action=Discrete(3))
+    plain, asked = (SAC(hidden=(8, 8), first_weights=each).resolve(spec, 10).init(spec, KEY) for each in ("uniform", "glorot"))
+    assert np.abs(biases(plain.actor.net)).max() > 0.02
+    assert np.abs(biases(asked.actor.net)).max() == 0.0
+
+
 def test_first_weights_of_mbpos_model_are_its_own():
     agent = MBPO(hidden=(8, 8), model_hidden=(8,), model_weight_decay=(0.0, 0.0), rollout_length=(1, 1, 1, 2), retain_steps=1)
     plain, asked = (agent.replace(**fields).model.create(SPEC, KEY)["nets"]
-                    for fields in ({}, {"model_first_weights": "half_normal"}))  # fmt: skip
+                    for fields in ({}, {"model_first_weights": "truncated_normal"}))  # fmt: skip
     assert np.abs(biases(plain)).max() > 0.02
     assert (biases(asked) == 0.0).all()
     assert np.abs(asked.weights[0]).max() <= 1.0 / np.sqrt(asked.weights[0].shape[-2])

@@ -11,7 +11,7 @@ import pytest
 from deadreckon.agents import AWAC, CQL, FQL, IQL, SACN, ReBRAC
 from deadreckon.data.batch import Batch
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.spec import Box
+from deadreckon.data.spec import Box, Spec
 from deadreckon.errors import UserError
 from deadreckon.nets.optim import cosine_decay
 from deadreckon.training.fit import fit
@@ -56,6 +56,8 @@ def test_what_cannot_be_is_refused_in_one_line():
         IQL(reward_scale=2.0, normalized_return_range=5.0).resolve(LOG.spec, 10)
     with pytest.raises(UserError, match="standardise_rewards sets the scale and the shift of rewards: leave out reward_scale"):
         IQL(standardise_rewards=True, reward_scale=2.0).resolve(LOG.spec, 10)
+    with pytest.raises(UserError, match="IQL.standardise_rewards needs a log, whose rewards it standardises"):
+        IQL(standardise_rewards=True).resolve(Spec.empty((1,), Box((-1.0,), (1.0,)), "online"), 10)
     even = log_of([1.0, 1.0], [True, True])
     with pytest.raises(UserError, match=r"standardise_rewards needs rewards that differ; all of .* are 1"):
         IQL(standardise_rewards=True).resolve(even.spec, 10)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from deadreckon.nets.mlp import GLOROT, HALF_NORMAL, MLP, ORTHOGONAL, Init, ensemble, joined, minimum, q_values, softplus, split
+from deadreckon.nets.mlp import GLOROT, MLP, ORTHOGONAL, TRUNCATED, Init, ensemble, joined, minimum, q_values, softplus, split
 from deadreckon.nets.optim import ADAM, apply_gradients, copy, polyak_update
 from deadreckon.nets.vae import VAE
 
@@ -114,7 +114,7 @@ def test_networks_begin_as_asked():
     for weight in net.weights:
         bound = np.sqrt(6.0 / sum(weight.shape))
         assert 0.8 * bound < float(jnp.abs(weight).max()) <= bound
-    net = MLP.create(20, (64, 64), 3, key, init=HALF_NORMAL)
+    net = MLP.create(20, (64, 64), 3, key, init=TRUNCATED)
     for weight in net.weights[:-1]:  # normal with deviation s, cut at 2 s: 0.88 s is left
         s = 0.5 / np.sqrt(len(weight))
         assert 1.9 * s < float(jnp.abs(weight).max()) <= 2.0 * s

@@ -249,7 +249,7 @@ def test_more_runs_are_as_many_as_the_interval_needs(level):
     """Of one task by trying each number; of two alike, whose means have half of the variance and twice the freedom."""
     gaps = np.array([2.0, -1.0, 3.0, 0.5, 1.0])
 
-    def needed(bound, tasks):
+    def needed(bound, tasks, level):
         for count in itertools.count(len(gaps)):
             freedom = tasks * (count - 1)
             half = stats.t.ppf((1 + level) / 2, freedom) * gaps.std(ddof=1) / np.sqrt(tasks * count)
@@ -259,7 +259,8 @@ def test_more_runs_are_as_many_as_the_interval_needs(level):
     for tasks in (1, 2):
         found = paired([gaps] * tasks, [np.zeros(5)] * tasks, level)
         for bound in (0.0, 0.9, 1.4, -30.0):
-            assert more_runs(found, 5, bound, level) == needed(bound, tasks)
+            assert more_runs(found, 5, bound, level) == needed(bound, tasks, level)
+            assert more_runs(found, 5, bound, level, wanted=0.99) == needed(bound, tasks, 0.99)
         assert more_runs(found, 5, found.value, level) is None
         assert more_runs(found, 5, found.low - 1e-9, level) == 0 < more_runs(found, 5, found.low + 1e-9, level)
     assert more_runs(paired([[2.0]], [[1.0]]), 1, 0.0) is None

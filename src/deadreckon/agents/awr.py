@@ -53,7 +53,7 @@ class AWR(Agent):
     batch_size: Count = static(256)  # batch size (transitions per update), in windows of the length above
     standardise: bool = static(True)  # whether observations are standardised to mean 0 and standard deviation 1
     first_weights: FirstWeights = later("uniform")
-    """initial weights, by the names that SAC has; with the authors', "glorot", the last layer of the actor is within 0.01"""
+    """initial weights: "uniform", "orthogonal", "rlkit", or "glorot" with a last layer of the actor within 0.01 (authors)"""
 
     def needs(self, spec):
         """Windows of transitions."""

@@ -9,7 +9,7 @@ import optax
 from deadreckon.agents.agent import Agent
 from deadreckon.data.batch import BatchSpec
 from deadreckon.errors import UserError
-from deadreckon.nets.mlp import MLP
+from deadreckon.nets.mlp import FIRST_WEIGHTS, MLP, FirstWeights
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior
@@ -39,11 +39,15 @@ class BC(Agent):
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
     standardise: bool = later(False)  # whether observations are standardised to mean 0 and standard deviation 1
+    first_weights: FirstWeights = later("uniform")
+    """initial weights of a Gaussian or normal model, or of logits: "uniform", "glorot", "orthogonal" or "rlkit" (as SAC's)"""
 
     def resolve(self, spec, steps):
         """Of discrete actions there is one model."""
         if spec.discrete and self.model != "gaussian":
             raise UserError(f"BC.model: of discrete actions it is a network's logits; leave {self.model!r} out")
+        if self.first_weights != "uniform" and self.model not in ("gaussian", "normal"):
+            raise UserError(f"BC.first_weights={self.first_weights!r} needs model='gaussian' or 'normal', got {self.model!r}")
         return super().resolve(spec, steps)
 
     def needs(self, spec):
@@ -53,7 +57,8 @@ class BC(Agent):
     def init(self, spec, key):
         """A fresh model."""
         if self.model in ("gaussian", "normal"):
-            model = create_imitator(spec, self.hidden, key, "normal" if self.model == "normal" else "tanh_normal")
+            likelihood: Likelihood = "normal" if self.model == "normal" else "tanh_normal"
+            model = create_imitator(spec, self.hidden, key, likelihood, init=FIRST_WEIGHTS[self.first_weights][0])
         elif self.model == "clipped":
             model = behavior.Clipped.create(spec, self.hidden, key)
         else:
@@ -82,11 +87,12 @@ def cloned(
     """A model of the log's policy, as `behavior_lr` and `behavior_steps` of an agent say.
 
     Args:
-        agent: whose networks are as wide and whose batches as large.
+        agent: whose networks are as wide and begin alike, and whose batches are as large.
         fit: trains a learner on the agent's log, as `prepare` gets it.
         key: of the training.
         likelihood: of its actions.
     """
     model = "normal" if likelihood == "normal" else "gaussian"
-    clone = BC(lr=float(agent.behavior_lr), model=model, hidden=agent.hidden, batch_size=agent.batch_size)
+    same = dict(hidden=agent.hidden, batch_size=agent.batch_size, first_weights=agent.first_weights)
+    clone = BC(lr=float(agent.behavior_lr), model=model, **same)
     return fit(clone, agent.behavior_steps, key).model

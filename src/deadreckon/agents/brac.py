@@ -63,7 +63,7 @@ class BRAC(Agent):
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
     standardise: bool = later(False)  # whether observations are standardised to mean 0 and standard deviation 1
-    first_weights: FirstWeights = later("uniform")  # initial weights, by the names that SAC has (authors: glorot)
+    first_weights: FirstWeights = later("uniform")  # initial weights: "uniform", "glorot" (authors), "orthogonal" or "rlkit"
 
     def resolve(self, spec, steps):
         """Fills in the warm start."""

@@ -51,8 +51,8 @@ class ModelBasedAgent(Agent):
     """weight decay of each layer of the model (L2 penalty, halved)"""
     model_patience: Count = static(5)  # epochs in a row without improvement that a fit of the model goes on after
     model_epochs: Count = static(1000)  # largest number of epochs of a fit of the model
-    model_first_weights: Literal["uniform", "half_normal"] = later("uniform")
-    """initial weights of the model: uniform in +-1/sqrt(inputs), or normal with half of that, cut, as in MBPO's public code"""
+    model_first_weights: Literal["uniform", "truncated_normal"] = later("uniform")
+    """initial weights of the model: uniform in +-1/sqrt(inputs), or truncated normal with deviation 1/(2 sqrt(inputs))"""
     termination: str | None = static(None)
     """task whose rule ends episodes in the model, or "learned"; None: this task's, if observations show it"""
 

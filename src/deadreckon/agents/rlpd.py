@@ -35,7 +35,7 @@ class RLPD(ScaledRewards, SAC):
     subset: Count = static(2)  # number of target networks drawn for each update, whose minimum is the target (AntMaze: 1)
     layer_norm: bool = static(True)  # whether the critics use layer normalisation
     policy_freq: Count = static(20)  # critic updates per update of actor and temperature
-    first_weights: FirstWeights = later("glorot")  # initial weights of actor and critics, as SAC's
+    first_weights: FirstWeights = later("glorot")  # initial weights: "uniform", "glorot", "orthogonal" or "rlkit"
 
     @classmethod
     def acting(cls, task):

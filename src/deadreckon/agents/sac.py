@@ -56,7 +56,7 @@ class SAC(Agent):
     batch_size: Count = static(256)  # batch size (transitions per update)
     standardise: bool = later(False)  # whether observations are standardised to mean 0 and standard deviation 1
     first_weights: FirstWeights = later("uniform")
-    """initial weights of actor and critics: uniform in +-1/sqrt(inputs), "glorot", "orthogonal", or "rlkit" (last small)"""
+    """initial weights: uniform in +-1/sqrt(inputs), "glorot", "orthogonal" or "rlkit" (hidden biases 0.1, small last layers)"""
 
     def resolve(self, spec, steps):
         """Fills in the target entropy."""

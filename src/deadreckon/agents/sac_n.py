@@ -27,7 +27,7 @@ class SACN(ScaledRewards, SAC):
     critics: Count = static(10)
     """number of Q-networks, of which the minimum is used (published: halfcheetah 10, walker2d 20, hopper 500)"""
     hidden: Sizes = static((256, 256, 256))  # width of each hidden layer
-    first_weights: FirstWeights = later("rlkit")  # initial weights of actor and critics, as SAC's
+    first_weights: FirstWeights = later("rlkit")  # initial weights: "uniform", "glorot", "orthogonal" or "rlkit"
 
     def update(self, state, batch, *, step, key):
         """Temperature, actor, critics, targets: each by what those before it have become."""

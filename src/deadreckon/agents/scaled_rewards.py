@@ -38,6 +38,8 @@ class ScaledRewards(Agent):
             if wanted is not None or self.reward_scale is not None or self.reward_shift != 0.0:
                 rest = "leave out reward_scale, reward_shift and normalized_return_range"
                 raise UserError(f"{name}.standardise_rewards sets the scale and the shift of rewards: {rest}")
+            if not spec.rows:
+                raise UserError(f"{name}.standardise_rewards needs a log, whose rewards it standardises; leave it out online")
             if not spec.reward.std > 0.0:
                 raise UserError(
                     f"{name}.standardise_rewards needs rewards that differ; all of {spec.name} are {spec.reward.mean:g}"

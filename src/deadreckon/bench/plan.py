@@ -72,7 +72,8 @@ def plan_all(suites: Sequence[Suite], lanes: int | None = None) -> list[Job]:
 def plan_across(suites: Sequence[Suite], lanes: int = MOST) -> list[Job]:
     """All jobs of suites of kind `learn`, of which those on logs of one shape share programs, whatever their suite.
 
-    What several suites have is a job of the first: it would be left out of programs in which it had taken lanes from others.
+    A job that several suites have, with the same seeds, is one of the first: it would be left out of programs in which it had
+    taken lanes from others.
 
     Args:
         suites: that are run together; what they say of lanes does not count.

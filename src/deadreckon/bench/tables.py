@@ -47,7 +47,8 @@ THEIRS = {
              "edac": "EDAC", "decision_transformer": "DT"},
 }  # fmt: skip
 # Fields that leave a method what was published: widths of layers, how long a model of the log's policy is fitted, and the form
-# of BRAC, by which it is named; how far designs may move, which the thesis does not limit; the model of the behaviour policy.
+# of BRAC, by which it is named; how far designs may move, which the thesis does not limit; of estimators, how the behaviour
+# policy is known, over which rows ratios are weighted, and by which range and folds.
 UNCHANGED = {
     "learn": {"hidden", "critic_hidden", "behavior_steps", "value_penalty"},
     "design": {"max_travel"},
@@ -209,8 +210,10 @@ def _printed(suite: Suite, on: str, metric: Metric) -> dict[str, dict[str, float
 def _as_published(suite: Suite, source: str) -> dict[str, str]:
     """Name in a published table -> the suite's method that is this one and no variant; the first where there are several.
 
-    A method with its defaults or with a preset is, and one that sets fields of `UNCHANGED` alone.
+    A method with its defaults or with a preset is, and one that sets fields of `UNCHANGED` alone; of a part of a log none is.
     """
+    if suite.rows:
+        return {}
     found: dict[str, str] = {}
     for method in suite.methods:
         name, fields = method.agent, method.fields

@@ -171,12 +171,14 @@ def announce(name, jobs, store, executor, each: bool):
             continue
         how = "about" if took.close else "roughly" if took.whole else "updates alone roughly"
         print(f"  {program}: {how} {in_words(took.seconds)}")
-    known = [took.seconds for took in expected.values() if took is not None]
+    found = [took for took in expected.values() if took is not None]
+    known = [took.seconds for took in found]
     if known:
         more = f"; {len(waiting) - len(known)} more have no like" if len(known) < len(waiting) else ""
         workers = f"{executor.workers} worker{'s' * (executor.workers != 1)}"
         spread = f"{in_words(max(max(known), sum(known) / executor.workers))} with {workers}"
-        print(f"about {spread}, by the times of jobs that are done{more}")
+        least = "" if all(took.whole for took in found) else "at least "
+        print(f"{least}about {spread}, by the times of jobs that are done{more}")
     return waiting
 
 

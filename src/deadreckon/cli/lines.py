@@ -19,9 +19,9 @@ class Lines:
             return
         if event.what == "begun":
             self._running.add(event.program.name)
-            # `tune --sampler` counts settings, each of which may be several programs: there the total is too small.
-            waiting = max(self.total - self.done - self._left - len(self._running), 0)
-            print(f"running: {event.program}; {waiting} waiting", flush=True)
+            waiting = self.total - self.done - self._left - len(self._running)
+            # `tune --sampler` counts settings, each of which may be several programs: there the number is not known.
+            print(f"running: {event.program}{f'; {waiting} waiting' if waiting >= 0 else ''}", flush=True)
             return
         self._running.discard(event.program.name)
         if event.what == "done":

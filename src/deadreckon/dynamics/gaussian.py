@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from deadreckon.dynamics.model import LOG_VARIANCE, Model, bernoulli_nll, choices, gaussian_nll, soft_bounds
-from deadreckon.nets.mlp import MLP, Init, ensemble
+from deadreckon.nets.mlp import MLP, TRUNCATED, UNIFORM, ensemble
 from deadreckon.training.hyperparameters import static
 from deadreckon.training.later_fields import later
 
@@ -21,13 +21,13 @@ class Gaussian(Model):
 
     deterministic: bool = static(False)  # squared errors instead of likelihoods, means instead of draws
     as_mbpo: bool = static(False)  # losses in the proportions of MBPO's public code, which its decay is meant for
-    first_weights: Literal["uniform", "half_normal"] = later("uniform")  # initial weights, "half_normal" as in the same code
+    first_weights: Literal["uniform", "truncated_normal"] = later("uniform")  # initial weights (MBPO's public code: the latter)
 
     def create(self, spec, key):
         """Networks with outputs (mean, log-variance, logit of an end), and bounds of the log-variances."""
         numbers = spec.observation_size + 1
         inputs = spec.observation_size + spec.action_size
-        first = Init(self.first_weights, None if self.first_weights == "uniform" else 0.0)
+        first = {"uniform": UNIFORM, "truncated_normal": TRUNCATED}[self.first_weights]
         make = lambda k: MLP.create(inputs, self.hidden, 2 * numbers + 1, k, activation="swish", init=first)  # noqa: E731
         bounds = jnp.broadcast_to(jnp.asarray(LOG_VARIANCE)[:, None], (self.members, 2, numbers)) + 0.0
         return {"nets": ensemble(make, self.members, key), "bounds": bounds, "choices": choices(spec, self.members)}

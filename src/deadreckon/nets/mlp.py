@@ -40,13 +40,13 @@ class Init(NamedTuple):
 
     Attributes:
         weights: "uniform" in +-1/sqrt(inputs), PyTorch's; "orthogonal" with gain sqrt(2); "glorot", uniform; "lecun", normal
-            with variance 1/inputs, cut at two deviations; or "half_normal", normal with deviation 1/(2 sqrt(inputs)) before
-            it is cut at two deviations (PETS, MBPO's models).
+            with variance 1/inputs, cut at two deviations; or "truncated_normal", with deviation 1/(2 sqrt(inputs))
+            before it is cut at two deviations (models of PETS and MBPO).
         bias: of all layers but the last one of uniform networks; None: uniform in +-1/sqrt(inputs) as the weights.
         last: bound of the last layer's weights and biases, uniform; None: as the others.
     """
 
-    weights: Literal["uniform", "orthogonal", "glorot", "lecun", "half_normal"] = "uniform"
+    weights: Literal["uniform", "orthogonal", "glorot", "lecun", "truncated_normal"] = "uniform"
     bias: float | None = None
     last: float | None = None
 
@@ -54,7 +54,7 @@ class Init(NamedTuple):
 # The value or logit of an illegal action: no maximum, softmax or draw takes it, and times a probability of zero it is zero.
 ILLEGAL = -1e9
 UNIFORM, ORTHOGONAL, GLOROT = Init(), Init("orthogonal", 0.0), Init("glorot", 0.0)
-LECUN, HALF_NORMAL = Init("lecun", 0.0), Init("half_normal", 0.0)
+LECUN, TRUNCATED = Init("lecun", 0.0), Init("truncated_normal", 0.0)
 
 # By name, of actors and of critics: "rlkit" are those of the codes that descend from it.
 FirstWeights = Literal["uniform", "glorot", "orthogonal", "rlkit"]
@@ -143,7 +143,7 @@ def _layer(key: PRNGKeyArray, inputs: int, outputs: int, init: Init) -> tuple[Fl
         return jax.nn.initializers.glorot_uniform()(k_weights, shape), biases
     if init.weights == "lecun":
         return jax.nn.initializers.lecun_normal()(k_weights, shape), biases
-    return jax.random.truncated_normal(k_weights, -2.0, 2.0, shape) * bound / 2.0, biases  # "half_normal"
+    return jax.random.truncated_normal(k_weights, -2.0, 2.0, shape) * bound / 2.0, biases  # "truncated_normal"
 
 
 def _bound(inputs: int) -> np.float32:

@@ -189,9 +189,9 @@ class Categorical(NormalizedPolicy):
     has_log_prob = True
 
     @classmethod
-    def create(cls, spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray) -> "Categorical":
+    def create(cls, spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray, init: Init = UNIFORM) -> "Categorical":
         """A fresh network."""
-        return cls(MLP.create(spec.observation_size, hidden, spec.action_size, key, mask=spec.mask_size))
+        return cls(MLP.create(spec.observation_size, hidden, spec.action_size, key, init=init, mask=spec.mask_size))
 
     def probs(self, observation: Float[Array, "n o"]) -> Float[Array, "n c"]:
         """The probability of every action."""
@@ -223,7 +223,7 @@ before the tanh (`TanhGaussian`), under which actions at the bounds are far away
 def create_actor(spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray, init: Init = UNIFORM) -> MLP | Categorical:
     """A stochastic actor: a network to mean and log-deviation before the tanh, or the logits of discrete actions."""
     if spec.discrete:
-        return Categorical.create(spec, hidden, key)
+        return Categorical.create(spec, hidden, key, init)
     return MLP.create(spec.observation_size, hidden, 2 * spec.action_size, key, init=init)
 
 

@@ -96,7 +96,7 @@ def paired_within(ours: Scores, theirs: Scores, extent: float, level: float = LE
     return Interval(found.value, low, high)
 
 
-def more_runs(found: Difference, runs: int, bound: float, level: float = LEVEL) -> int | None:
+def more_runs(found: Difference, runs: int, bound: float, level: float = LEVEL, wanted: float | None = None) -> int | None:
     """How many more runs of each task bring a bound out of the interval of `paired`, if mean and variances stay as they are.
 
     Args:
@@ -104,19 +104,22 @@ def more_runs(found: Difference, runs: int, bound: float, level: float = LEVEL) 
         runs: that each task had.
         bound: such as 0.
         level: that `found` has.
+        wanted: level of the interval that the bound is to be out of; None: the same.
 
     Returns:
         0 where the bound lies outside already; None where it is the mean itself, to a millionth of the interval, or where
         there is no interval.
     """
     check_level(level)
+    check_level(wanted := level if wanted is None else wanted)
     distance = abs(found.value - bound)
     if not distance > 1e-6 * (found.high - found.value):
         return None
 
     def half(count: int) -> float:
         """Of the interval; degrees of freedom grow as runs do."""
-        first, now = (float(stdtrit(found.dof * (each - 1) / (runs - 1), (1 + level) / 2)) for each in (runs, count))
+        first, now = (float(stdtrit(found.dof * (each - 1) / (runs - 1), (1 + at) / 2))
+                      for each, at in ((runs, level), (count, wanted)))  # fmt: skip
         return (found.high - found.value) * now / first * math.sqrt(runs / count)
 
     counts = range(runs, 2 + math.ceil(runs * (half(runs) / distance) ** 2))
