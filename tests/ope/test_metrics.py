@@ -9,6 +9,7 @@ from deadreckon.errors import UserError
 from deadreckon.ope import dope
 from deadreckon.ope import metrics as m
 from deadreckon.runs import dope as protocol
+from deadreckon.stats.ranks import spearman, spearman_of_each
 
 
 def test_by_hand():
@@ -167,3 +168,13 @@ def test_tables_of_dm_control_are_those_of_the_thesis_for_it():
 def test_what_the_protocol_refuses_before_it_begins(options, message):
     with pytest.raises(UserError, match=message):
         protocol.dope(["fqe"], **options)
+
+
+def test_many_rank_correlations_are_those_of_each():
+    rng = np.random.default_rng(0)
+    a, b = rng.integers(0, 4, (50, 6)).astype(float), rng.normal(size=(50, 6))  # with many ties
+    a[0] = 2.0
+    found = spearman_of_each(a, b)
+    assert np.isnan(found[0])
+    np.testing.assert_allclose(found[1:], [spearman(x, y) for x, y in zip(a[1:], b[1:])], rtol=1e-12)
+    assert spearman_of_each(a[:0], b[:0]).shape == (0,)

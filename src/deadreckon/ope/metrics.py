@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.stats.ranks import spearman
+from deadreckon.stats.ranks import spearman, spearman_of_each
 
 RESAMPLES = 1000  # of the policies
 PUBLIC_CLIP = 2.0  # what the public notebook cuts normalised estimates at, which makes ties of overestimates
@@ -131,15 +131,18 @@ def compare(
     draws = np.random.default_rng(seed).integers(0, len(truth), (resamples, len(truth)))
     # A set of one policy, drawn over and over, has no ranks.
     draws = draws[(draws != draws[:, :1]).any(1)]
-    found = {}
     of_all = {"absolute_error": absolute_error, "rank_correlation": rank_correlation, "regret": partial(regret, k=k)}
-    for name, of in of_all.items():
-        found[name] = Measured(of(estimates, truth), *_mean_and_spread([of(estimates[d], truth[d]) for d in draws]))
+    redrawn = {
+        "absolute_error": np.abs(estimates - truth)[draws].mean(1),
+        "rank_correlation": spearman_of_each(estimates[draws], truth[draws]),
+        "regret": np.array([regret(estimates[d], truth[d], k) for d in draws]),
+    }
+    found = {name: Measured(of(estimates, truth), *_mean_and_spread(redrawn[name])) for name, of in of_all.items()}
     return Metrics(**found, k=k, count=len(truth))
 
 
-def _mean_and_spread(values: list[float]) -> tuple[float, float]:
-    kept = np.asarray(values)[np.isfinite(values)]
+def _mean_and_spread(values: np.ndarray) -> tuple[float, float]:
+    kept = values[np.isfinite(values)]
     return (float(kept.mean()), float(kept.std())) if len(kept) else (float("nan"), float("nan"))
 
 

@@ -1,6 +1,7 @@
 """Rank correlation."""
 
 import numpy as np
+from jaxtyping import Float
 
 
 def spearman(a: np.ndarray, b: np.ndarray) -> float:
@@ -9,3 +10,12 @@ def spearman(a: np.ndarray, b: np.ndarray) -> float:
 
     flat = np.ptp(a) == 0 or np.ptp(b) == 0
     return 0.0 if flat else float(np.corrcoef(rankdata(a), rankdata(b))[0, 1])
+
+
+def spearman_of_each(a: Float[np.ndarray, "n rows"], b: Float[np.ndarray, "n rows"]) -> Float[np.ndarray, "n"]:
+    """`spearman` of many pairs of lists at once, of which a flat one makes NaN."""
+    from scipy.stats import rankdata
+
+    x, y = (ranks - ranks.mean(1, keepdims=True) for ranks in (rankdata(each, axis=1) for each in (a, b)))
+    spread = np.sqrt(np.square(x).sum(1) * np.square(y).sum(1))
+    return np.divide((x * y).sum(1), spread, out=np.full(len(a), np.nan), where=spread > 0.0)
