@@ -39,6 +39,8 @@ def to_close(found: Verdict, cost: Mapping[str, Forecast | None]) -> str:
         return "both stages leave it open"
     if any(one.test.beside is not None or one.test.among or not isinstance(one.gain, Difference) for one in left):
         return "not estimated: more than seeds vary"
+    if any(one.constant for one in left):
+        return "not estimated: all seeds differ by the same on a log"
     counts = [_seeds(one, len(found.comparisons)) for one in left]
     known = [count for count in counts if count is not None]
     against = [count for count, one in zip(counts, left) if count is not None and one.gain.value < one.test.margin]

@@ -83,5 +83,8 @@ def test_where_no_seeds_would_decide_it_is_said(said):
         Interval(0.1, -0.2, 0.4), CELLS, frozenset(), frozenset(), 0.95,
     )  # fmt: skip
     assert to_close(Verdict(Claim("C", "says", "place"), (ranged,)), {}) == more
+    gain, test = paired([1.0 + GAPS], [np.zeros(4)]), declared.Test("suite.toml", ("BC",), ("TD3",), ("a",))
+    even = Comparison(test, "TD3", ("a",), gain, gain, CELLS, frozenset(), frozenset(), 0.95, ("a",))
+    assert to_close(Verdict(Claim("C", "says", "place"), (even,)), {}) == "not estimated: all seeds differ by the same on a log"
     twice = dataclasses.replace(ranged, again=ranged)
     assert to_close(Verdict(Claim("C", "says", "place"), (twice,)), {}) == "both stages leave it open"
