@@ -1,20 +1,18 @@
-"""Rank correlation."""
+"""Rank correlation (Spearman 1904)."""
 
 import numpy as np
 from jaxtyping import Float
 
 
 def spearman(a: np.ndarray, b: np.ndarray) -> float:
-    """The rank correlation of two (rows,) lists (Spearman 1904), ties at their mean rank; 0 where one of them is flat."""
-    from scipy.stats import rankdata  # slow to import, and few need it
-
+    """The rank correlation of two (rows,) lists, ties at their mean rank; 0 where one of them is flat."""
     flat = np.ptp(a) == 0 or np.ptp(b) == 0
-    return 0.0 if flat else float(np.corrcoef(rankdata(a), rankdata(b))[0, 1])
+    return 0.0 if flat else float(spearman_of_each(a[None], b[None])[0])
 
 
 def spearman_of_each(a: Float[np.ndarray, "n rows"], b: Float[np.ndarray, "n rows"]) -> Float[np.ndarray, "n"]:
     """`spearman` of many pairs of lists at once, of which a flat one makes NaN."""
-    from scipy.stats import rankdata
+    from scipy.stats import rankdata  # slow to import, and few need it
 
     x, y = (ranks - ranks.mean(1, keepdims=True) for ranks in (rankdata(each, axis=1) for each in (a, b)))
     spread = np.sqrt(np.square(x).sum(1) * np.square(y).sum(1))
