@@ -32,7 +32,7 @@ def table(kind: str, seed: int) -> Designs:
 
 
 def told(data: Designs) -> tuple[set[int], bool]:
-    """The columns whose effects are told from none, and whether the model is told to rank better than chance."""
+    """The columns whose effects are distinguishable from zero, and whether the model is told to rank better than chance."""
     found, quality = process.fit(data), cross_validated(data, designer("gp").predictor, "GP")
     shown = effects.averages(data, Fitted(found.posterior, found.averages, quality.calibration))
     return {each.column for each in shown if each.distinct(len(shown))}, quality.skilled
@@ -68,6 +68,6 @@ if __name__ == "__main__":
         skilled = sum(each for _, each in results)
         praised = sum(bool(columns - real) and each for columns, each in results)
         print(
-            f"{kind}: {asked.tables} tables, skilled {skilled}; an effect that is none is told from none in {false}, and on "
-            f"the page, where the model must be skilled, in {praised}; effects that are there are told in {hit}"
+            f"{kind}: {asked.tables} tables, skilled {skilled}; an effect that is none is significant in {false}, and on "
+            f"the page, where the model must be skilled, in {praised}; effects that are there are found in {hit}"
         )

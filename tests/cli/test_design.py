@@ -38,7 +38,8 @@ def test_from_a_table_to_proposals(table, capsys):
     assert out[1].startswith("Forward: 5 proposals, best predicted ")
     # So small and short a network knows nothing of designs that it has not seen, and that is said.
     assert out[2].startswith("Forward out of fold: R2 -")
-    assert any(line.startswith("! the model's order of unseen designs cannot be told from chance (rank corr") for line in told)
+    doubt = "! the model's order of unseen designs cannot be distinguished from chance (rank corr"
+    assert any(line.startswith(doubt) for line in told)
     with open(out[3], newline="") as file:
         rows = list(csv.DictReader(file))
     beside = ["predicted", "predicted_std", "predicted_low", "predicted_high", "distance", "nearest_row", "nearest_score"]
@@ -63,7 +64,7 @@ def test_from_a_table_to_proposals(table, capsys):
     written = book.get_sheet_by_name("proposals").to_python()
     assert written[0] == list(rows[0])
     np.testing.assert_allclose([row[3] for row in written[1:]], [float(row["predicted"]) for row in rows], rtol=1e-12)
-    assert "order of unseen designs cannot be told from chance" in page
+    assert "order of unseen designs cannot be distinguished from chance" in page
     for said in ("5 designs for cost", "usual distances", "colour"):
         assert said in page
 

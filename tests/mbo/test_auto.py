@@ -53,7 +53,7 @@ def test_of_noise_no_method_is_praised():
     at, reason = chosen([among, dataclasses.replace(among, method="net", rank_correlation=0.11)])
     assert at == 0
     assert reason == f"of net, which ranks unseen designs best of 2 methods, {among.doubt}; GP is taken"
-    assert among.doubt == "the model's order of rows that it has not seen cannot be told from chance"
+    assert among.doubt == "the model's order of rows that it has not seen cannot be distinguished from chance"
 
 
 @pytest.mark.slow

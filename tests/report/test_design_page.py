@@ -75,10 +75,10 @@ def test_a_page_says_what_to_try_and_what_is_not_known(skilled, tmp_path):
     for part in (
         "What the model does not know", "rank correlation of 1.00 (1 is", "Half of its predictions of unseen rows",
         "This is what the fitted model says, not what is true", "make room for one another", "idle",
-        "cannot be told from none", "Around proposal", "Dashed or hollow", "Nearest rows",
+        "cannot be distinguished from zero", "Around proposal", "Dashed or hollow", "Nearest rows",
     ):  # fmt: skip
         assert part in said, part
-    assert "cannot be told from chance" not in said
+    assert "cannot be distinguished from chance" not in said
     assert "<oil" not in text  # levels are escaped
     assert text.count("<figure>") == 2 + 7 + 6  # of the fixed rate there is an average and no cut
 
@@ -113,10 +113,10 @@ def test_of_noise_nothing_is_praised(tmp_path):
     made = designer("gp", rounds=2).propose(data, 6)
     assert not made.quality.skilled
     _, said = page(data, made, tmp_path)
-    assert "The model's order of unseen designs cannot be told from chance" in said
+    assert "The model's order of unseen designs cannot be distinguished from chance" in said
     assert "None of the proposals is preferred" in said
-    assert "What it shows of the effects of variables cannot be told from none either" in said
-    assert said.count("changes the average by") == said.count("; not told from no effect") == len(data.variables)
+    assert "What it shows of the effects of variables cannot be distinguished from zero either" in said
+    assert said.count("changes the average by") == said.count("; not distinguishable from no effect") == len(data.variables)
     assert "The best predicted score" not in said
     assert not re.search(r"Proposal \d|Around proposal|is the highest\b", said)
 
@@ -257,7 +257,7 @@ def test_where_a_model_has_no_skill_no_gain_is_stated(tmp_path):
     front = two_targets(False)
     text, said = front_page(front, tmp_path)
     lead = re.search(r'<p class="lead">(.*?)</p>', text)[1]
-    order = "the model's order of rows that it has not seen cannot be told from chance".replace("'", "&#x27;")
+    order = "the model's order of rows that it has not seen cannot be distinguished from chance".replace("'", "&#x27;")
     assert lead.startswith(f"Of Cost / EUR, {order}. In Cost / EUR the proposals may rest on nothing")
     assert "what they would gain is not known" in lead
     assert "14.2" not in said

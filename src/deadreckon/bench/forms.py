@@ -64,7 +64,7 @@ def _text(table: Table) -> str:
     lines = ["  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:]))]).rstrip() for row in rows]
     rule = "  ".join("-" * w for w in widths)
     starred = any("*" in cell for row in rows for cell in row)
-    told = f", or not told from it by Welch's t-test (p > {ALPHA:g})" if table.suite.seeds > 1 else ""
+    told = f", or not significantly different from it by Welch's t-test (p > {ALPHA:g})" if table.suite.seeds > 1 else ""
     return "\n".join([lines[0], rule, *lines[1:], *(["", f"* best{told}"] if starred else [])])
 
 

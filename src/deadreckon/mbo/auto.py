@@ -4,7 +4,7 @@ Up to `networks_from` rows the method is the Gaussian process, cross-validated: 
 than the table is worth. From there on the process, an ensemble and a model that ranks are all fitted on the same four fifths of
 the designs and asked about the rest. The one with the greatest rank correlation is taken, because proposals are chosen by their
 order; but the process where it is within one standard error of that (Breiman et al. 1984), since it tells noise from doubt.
-Where no method's order can be told from chance, the process is taken and a warning says so.
+Where no method's order can be distinguished from chance, the process is taken and a warning says so.
 """
 
 from dataclasses import replace

@@ -7,7 +7,7 @@ From predictions m with standard deviations s out of fold, and the scores y that
 a and b are the regression of y on m, each row weighted by 1 / s^2, with b kept between 0, where predictions say nothing, and 1.
 h^2 is the harmonic mean of all s^2, and so goes with the variance of y around it, weighted alike. A model that has taken noise
 for signal is surest beside the rows that it has seen, and what it proposes lies beside those that were lucky: of its own
-variances, which say where it is surer, only the share w is taken, a half, and none where its order cannot be told from chance.
+variances, which say where it is surer, only the share w is taken: a half, and none where its order may be chance.
 c makes intervals of 1.96 deviations hold 95 % of the scores, from errors as if the regression had not seen their rows (after
 split conformal prediction, with the correction for few rows; Lei et al. 2018). Of fewer than 19 rows it is the greatest error,
 which holds n of n + 1 new ones.
@@ -20,7 +20,7 @@ import numpy as np
 from deadreckon.stats.interval import NORMAL
 
 SHARE = 0.95  # of truths that an interval should hold
-OWN = 0.5  # w of a model whose order of designs is told from chance
+OWN = 0.5  # w of a model whose order of designs is distinguishable from chance
 
 
 @dataclass(frozen=True)

@@ -100,7 +100,7 @@ class Proposals(Shown):
 
     @property
     def by_chance(self) -> bool:
-        """Whether it was tested, and the model's order of unseen designs cannot be told from chance."""
+        """Whether it was tested, and the model's order of unseen designs cannot be distinguished from chance."""
         return self.quality is not None and not self.quality.skilled
 
     def calibrated(self, quality: Quality) -> "Proposals":

@@ -50,18 +50,18 @@ class Effect:
     allowed: np.ndarray | None = None
 
     def distinct(self, variables: int) -> bool | None:
-        """Whether the average change is told from none, at 5 % for all of so many variables together; None: not known."""
+        """Whether the average change is distinguishable from zero, at 5 % for so many variables together; None: not known."""
         return None if self.change_std is None else self.change > critical(variables) * self.change_std
 
     def depends(self, variables: int) -> bool:
-        """Whether what is not told from none on average is told from none in a single row: it depends on other variables."""
+        """Whether a change that is not significant on average is so in a single row: it depends on other variables."""
         if self.rows is None or self.rows_std is None or self.distinct(variables) is not False:
             return False
         return any(abs(change) > critical(2 * variables) * std for change, std in zip(self.rows, self.rows_std))
 
 
 def critical(tests: int) -> float:
-    """Standard deviations beyond which a difference is told from none, at 5 % for all tests together (Bonferroni)."""
+    """Standard deviations beyond which a difference is significant, at 5 % for all tests together (Bonferroni)."""
     return NormalDist().inv_cdf(1 - ALPHA / 2 / max(tests, 1))
 
 

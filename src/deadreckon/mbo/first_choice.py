@@ -32,7 +32,7 @@ def first_choice(made: Proposals, far: np.ndarray) -> int | None:
         far: (n,) distances to the data, in usual ones (`mbo.nn_distance`).
 
     Returns:
-        Its index; None where the method has no model of the score, or one whose order cannot be told from chance.
+        Its index; None where the method has no model of the score, or one whose order cannot be distinguished from chance.
     """
     if made.fitted is None or made.by_chance:
         return None

@@ -72,7 +72,7 @@ class Front:
 
     @property
     def unskilled(self) -> list[str]:
-        """Targets of which the models' orders cannot be told from chance, so that the gain is not known."""
+        """Targets of which the models' orders cannot be distinguished from chance, so that the gain is not known."""
         return [each.target for each, made in zip(self.data, self.made) if made.by_chance]
 
     @property

@@ -107,7 +107,7 @@ class Quality:
         """Why a model without skill is not believed, of its predictions of rows that it has not seen."""
         if self.rank_correlation > self.limit:
             return "its predictions of rows that it has not seen do not go with their scores, of which one may be a slip"
-        return "the model's order of rows that it has not seen cannot be told from chance"
+        return "the model's order of rows that it has not seen cannot be distinguished from chance"
 
     @property
     def warning(self) -> str | None:
@@ -117,7 +117,7 @@ class Quality:
         if self.rank_correlation > self.limit:
             return "predictions of unseen designs do not go with their scores, though their order does: is one score a slip?"
         return (
-            "the model's order of unseen designs cannot be told from chance (rank correlation "
+            "the model's order of unseen designs cannot be distinguished from chance (rank correlation "
             f"{self.rank_correlation:.2f}; with {len(self.observed):,} designs chance alone gives up to {self.limit:.2f}); "
             "its proposals may rest on nothing"
         )

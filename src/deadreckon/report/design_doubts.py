@@ -71,7 +71,7 @@ def _of_quality(data: Designs, made: Proposals) -> list[str]:
         )
     else:
         lines.append(
-            f"Its order of rows that it has not seen cannot be told from chance: their rank correlation is "
+            f"Its order of rows that it has not seen cannot be distinguished from chance: their rank correlation is "
             f"{_plain(quality.rank_correlation)} over {rows}, and chance alone gives up to {_plain(quality.limit)} in 39 of 40 "
             "tables of this size."
         )
@@ -170,7 +170,7 @@ def _of_ends(data: Designs, made: Proposals, idle: set[int]) -> list[str]:
 
 def _of_effects(data: Designs, made: Proposals, effects: list[Effect]) -> list[str]:
     if effects and made.by_chance:
-        return ["What it shows of the effects of variables cannot be told from none either, for the same reason."]
+        return ["What it shows of the effects of variables cannot be distinguished from zero either, for the same reason."]
     known = [each for each in effects if each.distinct(len(effects)) is not None]
     if made.fitted is not None and effects and not known:
         return [
@@ -181,11 +181,11 @@ def _of_effects(data: Designs, made: Proposals, effects: list[Effect]) -> list[s
     name = lambda each: data.variables[each.column].name  # noqa: E731
     lines = []
     if flat and len(flat) == len(known):
-        lines.append("The effect of no variable can be told from none in this data.")
+        lines.append("The effect of no variable can be distinguished from zero in this data.")
     elif flat:
         lines.append(
-            f"The {'effects' if len(flat) > 1 else 'effect'} of {_listed(list(map(name, flat)))} cannot be told from none in "
-            f"this data ({len(flat):,} of {len(known):,} variables), which is not the same as having none."
+            f"The {'effects' if len(flat) > 1 else 'effect'} of {_listed(list(map(name, flat)))} cannot be distinguished from "
+            f"zero in this data ({len(flat):,} of {len(known):,} variables), which is not the same as having none."
         )
     if turning:
         lines.append(

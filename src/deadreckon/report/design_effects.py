@@ -93,7 +93,7 @@ def _panels(
 
 
 def _caption(data: Designs, effect: Effect, variables: int, ranks: bool) -> Markup:
-    """The name, and the change in words; of a model that does not rank unseen designs no change is told from none."""
+    """The name, and the change in words; of a model that does not rank unseen designs no change is significant."""
     text = f"changes the average by {number(effect.change)}"
     if effect.change_std is not None:
         text += f" \N{PLUS-MINUS SIGN} {number(NORMAL * effect.change_std)}"
@@ -101,7 +101,8 @@ def _caption(data: Designs, effect: Effect, variables: int, ranks: bool) -> Mark
         low, high = (number(end) for end in effect.rows)
         text += f", single rows by {low} to {high}"
     if not ranks or effect.distinct(variables) is False:
-        text += "; depends on other variables" if ranks and effect.depends(variables) else "; not told from no effect"
+        depends = ranks and effect.depends(variables)
+        text += "; depends on other variables" if depends else "; not distinguishable from no effect"
     return join(breakable(data.variables[effect.column].name), tag("small", text))
 
 
