@@ -16,11 +16,11 @@ from deadreckon.bench.suite import Suite
 from deadreckon.report import charts
 from deadreckon.report.picture import sheet
 
-SUITES = ["bear-defaults", "bear-choice", "bear-threshold", "bear-forms"]
+SUITES = ["bear-defaults", "bear-choice", "bear-threshold", "bear-forms", "bear-relative"]
 THRESHOLD = 0.05  # of the MMD, where a method does not say another
 FLOOR = 0.157  # where the biased MMD of four draws ends in all runs of the thesis's form, whose multiplier is at its cap
 PICTURE = "bear-constraint.svg"
-KINDS = "the thesis's form", "biased MMD, a threshold near or above its floor", "unbiased MMD", "a VAE as the model"
+KINDS = "the thesis's form", "biased MMD, a threshold near or above its floor", "unbiased MMD", "a VAE as the model", "relative"
 
 
 def constraint(suite: Suite, store: Store) -> str:
@@ -61,9 +61,10 @@ def story(suites: Sequence[Suite], store: Store, files: dict[str, bytes]) -> str
                     continue
                 seen.add(cell)
                 more, rest = json.loads(results[cell]["more"]), (0.0, results[cell]["score"], math.nan, math.nan)
-                by_mmd.append((KINDS[kind], kind, more["mmd"] / threshold, *rest))
+                if threshold is not None:
+                    by_mmd.append((KINDS[kind], kind, more["mmd"] / threshold, *rest))
                 by_multiplier.append((KINDS[kind], kind, math.log10(max(more["multiplier"], 1e-30)), *rest))
-    if not by_mmd:
+    if not by_multiplier:
         return "No result yet.\n"
     lines = [("threshold", 1.0), ("floor of the thesis's form", FLOOR / THRESHOLD)]
     cap = [("cap", BEAR().multiplier_max / math.log(10.0))]
@@ -78,17 +79,20 @@ def story(suites: Sequence[Suite], store: Store, files: dict[str, bytes]) -> str
     with tempfile.TemporaryDirectory() as folder:
         files[PICTURE] = sheet(Path(folder) / PICTURE, panels, KINDS).read_bytes()
     return (
-        "A point is a run. On the threshold or left of it the constraint is met. A multiplier at its cap was held back.\n\n"
+        "A point is a run. On the threshold or left of it the constraint is met; a relative MMD, whose threshold is 0, is not "
+        "on the left. A multiplier at its cap was held back.\n\n"
         f"![Score of each run against its MMD, with threshold and floor, and against its multiplier]({PICTURE})\n"
     )
 
 
-def _kind(method: Method) -> tuple[int, float]:
-    """Which of `KINDS` a method is of, and its threshold."""
+def _kind(method: Method) -> tuple[int, float | None]:
+    """Which of `KINDS` a method is of, and its threshold; None where that is zero."""
     fields = method.fields
     threshold = float(fields.get("threshold", THRESHOLD))
     if fields.get("behavior") == "vae":
         return 3, threshold
+    if fields.get("mmd_estimate") == "relative":
+        return 4, None
     if fields.get("mmd_estimate", "biased") == "unbiased":
         return 2, threshold
     return int(threshold != THRESHOLD), threshold

@@ -156,6 +156,10 @@ MUTANTS = (
         ("nets/test_mmd.py",),
     ),
     Mutant(
+        "relative-not-less-own", "nets/mmd.py", "return mmd(x, *to_model) - own", "return mmd(x, *to_model)",
+        "the relative MMD has the floor of the biased one", ("nets/test_mmd.py",),
+    ),
+    Mutant(
         "fql-smaller-critic", "agents/fql.py", "q.mean(0) if self.target_q == \"mean\" else minimum(q)", "q.mean(0)",
         "FQL's targets always take the mean of its critics",
         ("agents/test_rivals.py::test_fqls_targets_take_the_mean_of_the_critics_or_the_smaller",),

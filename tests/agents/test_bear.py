@@ -300,6 +300,23 @@ def test_an_unbiased_constraint_is_the_root_of_the_mean_square_over_states():
         setup(mmd_estimate="unbiased", behavior_samples=1)
 
 
+def test_a_relative_constraint_is_less_the_distance_of_the_models_own_draws():
+    agent, state, batch = setup(mmd_estimate="relative")
+    d, model = (dist.gaussian_head(net(batch.observation)) for net in (state.actor, state.behavior))
+    pre = dist.sample(d, KEY, (4,))
+    got = agent.divergence(d, pre, state, batch, jax.random.key(3))
+    logged, copies = (dist.sample(model, key, (4,)) for key in (jax.random.key(3), keys(jax.random.key(3), "copies")[0]))
+    expected = [
+        reference_mmd("laplacian", pre[:, s], logged[:, s], 20.0) - reference_mmd("laplacian", copies[:, s], logged[:, s], 20.0)
+        for s in range(6)
+    ]
+    np.testing.assert_allclose(got, expected, atol=2e-3)
+    assert agent.constrained(got) == pytest.approx(float(np.mean(got)), abs=1e-6)
+    assert BEAR(mmd_estimate="relative").resolve(SPEC, 10).threshold == 0.0
+    assert BEAR(mmd_estimate="relative", threshold=-0.01).resolve(SPEC, 10).threshold == -0.01
+    assert BEAR(mmd_estimate="relative", constraint="kl").resolve(SPEC, 10).threshold == 0.05
+
+
 def test_the_multiplier_may_be_adapted_in_the_warm_start():
     for adapted in (False, True):
         agent, state, _ = setup(warm_start=10, dual_warm_start=adapted, threshold=0.05)

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from deadreckon.nets.mmd import FLOOR, kernel_values, mmd, squared_mmd
+from deadreckon.nets.mmd import FLOOR, estimated, kernel_values, mmd, squared_mmd
 
 SCALES = (1.0, 10.0, 50.0)
 
@@ -74,3 +74,19 @@ def test_gradient_is_finite_where_samples_agree_and_points_home_where_not(kind):
     grad = jax.jit(jax.grad(lambda x: mmd(x, same, kind).sum()))
     assert np.isfinite(grad(same)).all()
     assert (np.asarray(grad(same + 1.0)) > 0).all()  # descending it moves every sample back towards the others
+
+
+def test_the_relative_mmd_is_zero_for_draws_of_the_model_and_below_for_narrower_ones():
+    rng = np.random.default_rng(0)
+    x, y, copies = rng.normal(size=(3, 4, 20_000, 3)).astype("f4")
+    of = jax.jit(lambda x: estimated("relative", x, y, copies, "gaussian", 20.0, SCALES))
+    floor = float(np.mean(mmd(x, y, "gaussian", 20.0)))
+    assert floor > 0.2  # what the biased one cannot get below
+    own, narrower, moved = (float(np.mean(of(z))) for z in (x, 0.7 * x, x + 0.3))
+    assert abs(own) < 2e-3
+    assert narrower < -0.02 < 0.005 < moved
+    # One action may be as far from the mean as the root of (variance over number of draws): half a deviation with four.
+    near, far = (float(np.mean(of(0.0 * x + place))) for place in (0.4, 0.6))
+    assert near < -0.005 < 0.005 < far
+    expected = [reference_mmd("gaussian", each[:, 5], y[:, 5], 20.0) for each in (x, copies)]
+    np.testing.assert_allclose(of(x)[5], expected[0] - expected[1], atol=1e-4)

@@ -1,8 +1,7 @@
 """BEAR: Q-learning held to the support of the log (thesis 4.3, Algorithm 1; A.3, A.4; Kumar et al. 2019).
 
 The actor maximises the critics' conservative value subject to E_s MMD(behaviour, policy) <= threshold (eq. 4.1), solved by
-dual gradient descent. Where the thesis misprints (missing terminal mask, the meaning of the Gaussian's sigma, the simplex
-over states), the right form is used; `docs/agents/bear.md` lists every difference.
+dual gradient descent. Where the thesis misprints, the right form is used; `docs/agents/bear.md` lists every difference.
 """
 
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
@@ -17,7 +16,7 @@ from deadreckon.data.batch import BatchSpec
 from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, minimum, q_values
-from deadreckon.nets.mmd import Kernel, mmd, root, squared_mmd
+from deadreckon.nets.mmd import Estimate, Kernel, estimated, root
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import behavior as models
@@ -66,13 +65,13 @@ class BEAR(Agent):
     behavior: models.Kind = static("gaussian")  # model of the log: "gaussian" (tanh-Gaussian, A.4) or "vae" (official code)
     behavior_hidden: Sizes | None = static(None)  # width of its hidden layers; None: hidden, for a VAE 750,750
     constraint: Literal["mmd", "kl", "cross_entropy"] = static("mmd")  # distance to the log; KL forms need the gaussian model
-    threshold: float | None = None  # threshold epsilon; None: 0.05 (thesis), for cross_entropy -2
+    threshold: float | None = None  # threshold epsilon; None: 0.05 (thesis), for cross_entropy -2, for a relative MMD 0
     mmd_actions: Literal["before_tanh", "after_tanh"] = static("before_tanh")  # actions compared; before works better (A.4)
     mmd_reference: Literal["model", "logged"] = static("model")  # reference actions; those of the model work better (A.4)
     kernel: Kernel = static("laplacian")  # kernel of the MMD: "laplacian" works in all cases, "gaussian" on expert data (A.4)
     bandwidth: Positive = 20.0  # scale of the Laplacian kernel, or VARIANCE of the Gaussian one (20 in all settings, A.4)
     mixture: Annotated[tuple[float, ...], Range(gt=0)] = static((1.0, 10.0, 50.0))  # bandwidths of the mixture kernel (A.4)
-    mmd_estimate: Literal["biased", "unbiased"] = static("biased")  # mean of roots of biased squares, or root of unbiased mean
+    mmd_estimate: Estimate = static("biased")  # "biased", "unbiased" (squares), or "relative": less that of the model itself
     policy_samples: Count = static(4)  # actions sampled from the policy in the MMD (m)
     behavior_samples: Count = static(4)  # actions sampled from the behaviour model in the MMD (n); 4 or 5 is best (4.4)
     dual: bool = static(True)  # whether the multiplier is adapted; otherwise it keeps its initial value (tuned, Figure A.5)
@@ -96,6 +95,7 @@ class BEAR(Agent):
         """Fills in threshold, warm start and the behaviour model's width."""
         agent = super().resolve(spec, steps)
         name = "density_weighting" if self.constraint == "mmd" else f"constraint={self.constraint!r}"
+        relative = (self.constraint, self.mmd_estimate) == ("mmd", "relative")
         draws = min(self.policy_samples, self.behavior_samples if self.mmd_reference == "model" else 1)
         refused = {
             f"{name} needs densities: behavior='gaussian', got {self.behavior!r}":
@@ -107,12 +107,13 @@ class BEAR(Agent):
             f"multiplier_min ({self.multiplier_min:g}) must not exceed multiplier_max ({self.multiplier_max:g})":
                 self.multiplier_min > self.multiplier_max,
             f"threshold must be 0 or more, as no {self.constraint.upper()} is less, got {self.threshold}":
-                self.constraint != "cross_entropy" and (self.threshold or 0.0) < 0.0,
+                self.constraint != "cross_entropy" and not relative and (self.threshold or 0.0) < 0.0,
         }  # fmt: skip
         if wrong := [what for what, is_so in refused.items() if is_so]:
             raise UserError(f"{type(self).__name__}.{wrong[0]}")
+        threshold = -2.0 if self.constraint == "cross_entropy" else 0.0 if relative else 0.05
         return agent.replace(
-            threshold=self.threshold if self.threshold is not None else (-2.0 if self.constraint == "cross_entropy" else 0.05),
+            threshold=threshold if self.threshold is None else self.threshold,
             warm_start=self.warm_start if self.warm_start is not None else min(WARM_STEPS, int(WARM_SHARE * steps)),
             behavior_hidden=self.behavior_hidden or ((750, 750) if self.behavior == "vae" else self.hidden),
         )
@@ -155,18 +156,17 @@ class BEAR(Agent):
 
     def divergence(self, d: dist.Gaussian, pre, state, batch, key) -> Float[Array, "b"]:
         """How far the policy `d`, with draws `pre` before the tanh, is from the behaviour model, for every state."""
-        if self.constraint == "kl":
-            return dist.kl(d, dist.gaussian_head(state.behavior(batch.observation)))
-        if self.constraint == "cross_entropy":
-            return -dist.log_prob(dist.gaussian_head(state.behavior(batch.observation)), pre).mean(0)
+        if self.constraint != "mmd":
+            model = dist.gaussian_head(state.behavior(batch.observation))
+            return dist.kl(d, model) if self.constraint == "kl" else -dist.log_prob(model, pre).mean(0)
         logged = jnp.arctanh(batch.action)[None]
         if self.mmd_reference == "model":
             logged = models.draws(state.behavior, batch.observation, key, self.behavior_samples)
         # Before the tanh by default: after it, gradients all but vanish where actions saturate (A.4).
         squash = (lambda x: x) if self.mmd_actions == "before_tanh" else jnp.tanh
-        sets = squash(pre), squash(jax.lax.stop_gradient(logged))
-        kernel = self.kernel, self.bandwidth, self.mixture
-        return squared_mmd(*sets, *kernel, unbiased=True) if self.mmd_estimate == "unbiased" else mmd(*sets, *kernel)
+        copies = models.draws(state.behavior, batch.observation, keys(key, "copies")[0], self.policy_samples)
+        x, y, own = (squash(each) for each in (pre, jax.lax.stop_gradient(logged), copies))
+        return estimated(self.mmd_estimate, x, y, own, self.kernel, self.bandwidth, self.mixture)
 
     def constrained(self, divergence: Float[Array, "b"]) -> Float[Array, ""]:
         """What the threshold is for: the mean over states, of unbiased squares its root."""
@@ -202,7 +202,7 @@ class BEAR(Agent):
         return (value, opt) if self.dual_warm_start else self.after_warm_start((value, opt), rested, step)
 
     def after_warm_start(self, new, old, step):
-        """`new` once the warm start is over, until then `old`."""
+        """`new` once the warm start is over; `old` while the actor follows the constraint and cannot answer."""
         return jax.tree.map(lambda n, o: jnp.where(step < self.warm_start, o, n), new, old)
 
     def learn_values(self, state, batch, k_model, k_future) -> tuple[Any, Metrics]:
@@ -228,7 +228,6 @@ class BEAR(Agent):
         if self.base == "sac":  # entropy held at minus the number of action dimensions, as in SAC
             slope = batch.action.shape[-1] - log_prob  # the entropy, -log_prob, less its target
             stepped = apply_gradients(log_temperature, slope, opts["temperature"], self.temperature_lr)
-            # It rests with the multiplier: in the warm start the actor follows the constraint and cannot answer it.
             log_temperature, opts["temperature"] = self.after_warm_start(stepped, (log_temperature, opts["temperature"]), step)
         targets = polyak_update((state.target_actor, state.target_critics), (actor, state.critics), self.tau)
         metrics |= {"actor_loss": loss, "actor_value": value, self.constraint: divergence, "multiplier": jnp.exp(log_alpha)}

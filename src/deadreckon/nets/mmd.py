@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 Kernel = Literal["laplacian", "laplacian_l1", "gaussian", "mixture"]
+Estimate = Literal["biased", "unbiased", "relative"]
 FLOOR = 1e-6  # inside the root: the gradient stays finite where both sets agree (official code)
 
 
@@ -76,3 +77,31 @@ def squared_mmd(
         (n, m) = len(x), len(y)
         xx, yy = (n * xx - 1.0) / (n - 1), (m * yy - 1.0) / (m - 1)
     return xx - 2.0 * xy + yy
+
+
+def estimated(
+    estimate: Estimate,
+    x: Float[Array, "n b a"],
+    y: Float[Array, "m b a"],
+    copies: Float[Array, "n b a"],
+    kernel: Kernel,
+    bandwidth: Any,
+    mixture: tuple[float, ...],
+) -> Float[Array, "b"]:
+    """What a constraint bounds the mean over states of.
+
+    Args:
+        estimate: "biased": the root of the biased square (thesis 4.3); "unbiased": the unbiased SQUARE, of whose mean the root
+            is to be taken; "relative": the biased root less that of `copies`, which is zero in the mean where x is drawn as y
+            is. Of squares the last is MMD^2 - (E k(x, x') - E k(y, y')) / n in the mean: draws of a distribution that is
+            narrower than that of y may be further away from it, and it has no floor above zero.
+        x: samples of the policy.
+        y: samples of the model of the log.
+        copies: further samples of that model, as many as of the policy; used by "relative" alone.
+        kernel, bandwidth, mixture: see `kernel_values`.
+    """
+    to_model = y, kernel, bandwidth, mixture
+    if estimate == "unbiased":
+        return squared_mmd(x, *to_model, unbiased=True)
+    own = mmd(copies, *to_model) if estimate == "relative" else 0.0
+    return mmd(x, *to_model) - own
