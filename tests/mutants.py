@@ -156,6 +156,15 @@ MUTANTS = (
         ("nets/test_mmd.py",),
     ),
     Mutant(
+        "copies-as-the-model", "agents/bear.py", "k_copies, self.policy_samples)", "k_copies, self.behavior_samples)",
+        "copies are as many as draws of the model, and not of the policy", ("agents/test_bear.py",),
+    ),
+    Mutant(
+        "copies-before-tanh", "agents/bear.py", "self.mmd_estimate, x, y, own,", "self.mmd_estimate, x, y, copies,",
+        "copies are compared before the tanh",
+        ("agents/test_bear.py",),
+    ),
+    Mutant(
         "relative-not-less-own", "nets/mmd.py", "return mmd(x, *to_model) - own", "return mmd(x, *to_model)",
         "the relative MMD has the floor of the biased one", ("nets/test_mmd.py",),
     ),

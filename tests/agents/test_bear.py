@@ -22,6 +22,7 @@ from tests.nets.test_mlp import numpy_mlp
 from tests.nets.test_mmd import reference_mmd
 
 KEY = jax.random.key(11)
+KEYS = jax.random.key(0), jax.random.key(1)  # of the behaviour model's draws, and of its copies
 LOG = corridor()
 SPEC = LOG.spec
 
@@ -151,7 +152,7 @@ def test_kl_and_cross_entropy_constraints():
     def found(state):
         d, b = (dist.gaussian_head(net(batch.observation)) for net in (state.actor, state.behavior))
         pre = dist.sample(d, jax.random.key(1), (2,))
-        kl, cross_entropy = (each.divergence(d, pre, state, batch, jax.random.key(0)) for each in (agent, other))
+        kl, cross_entropy = (each.divergence(d, pre, state, batch, *KEYS) for each in (agent, other))
         return kl, dist.kl(d, b), cross_entropy, dist.log_prob(b, pre)
 
     kl, wanted, cross_entropy, log_prob = found(state)
@@ -279,7 +280,7 @@ def test_sac_base_adds_entropy():
 def test_mmd_after_the_tanh_and_against_the_logged_action():
     agent, state, batch = setup(mmd_actions="after_tanh", mmd_reference="logged", kernel="gaussian", policy_samples=3)
     pre = jnp.asarray(np.random.default_rng(1).normal(size=(3, 6, 1)), jnp.float32)
-    got = agent.divergence(None, pre, state, batch, jax.random.key(0))
+    got = agent.divergence(None, pre, state, batch, *KEYS)
     action = np.asarray(batch.action)
     expected = [reference_mmd("gaussian", np.tanh(pre[:, s]), action[None, s], 20.0) for s in range(6)]
     np.testing.assert_allclose(got, expected, rtol=5e-3)
@@ -300,18 +301,26 @@ def test_an_unbiased_constraint_is_the_root_of_the_mean_square_over_states():
         setup(mmd_estimate="unbiased", behavior_samples=1)
 
 
-def test_a_relative_constraint_is_less_the_distance_of_the_models_own_draws():
-    agent, state, batch = setup(mmd_estimate="relative")
+@pytest.mark.parametrize("reference", ["model", "logged"])
+def test_a_relative_constraint_is_less_the_distance_of_the_models_own_draws(reference):
+    more = {"policy_samples": 3, "behavior_samples": 5, "mmd_actions": "after_tanh", "mmd_reference": reference}
+    agent, state, batch = setup(mmd_estimate="relative", **more)
     d, model = (dist.gaussian_head(net(batch.observation)) for net in (state.actor, state.behavior))
-    pre = dist.sample(d, KEY, (4,))
-    got = agent.divergence(d, pre, state, batch, jax.random.key(3))
-    logged, copies = (dist.sample(model, key, (4,)) for key in (jax.random.key(3), keys(jax.random.key(3), "copies")[0]))
-    expected = [
-        reference_mmd("laplacian", pre[:, s], logged[:, s], 20.0) - reference_mmd("laplacian", copies[:, s], logged[:, s], 20.0)
-        for s in range(6)
-    ]
-    np.testing.assert_allclose(got, expected, atol=2e-3)
+    pre = dist.sample(d, KEY, (3,))
+    got = agent.divergence(d, pre, state, batch, *KEYS)
+    logged, copies = (dist.sample(model, key, (count,)) for key, count in zip(KEYS, (5, 3)))
+    if reference == "logged":
+        logged = jnp.arctanh(batch.action)[None]
+    apart = lambda x, s: reference_mmd("laplacian", np.tanh(x[:, s]), np.tanh(logged[:, s]), 20.0)  # noqa: E731
+    np.testing.assert_allclose(got, [apart(pre, s) - apart(copies, s) for s in range(6)], atol=2e-3)
     assert agent.constrained(got) == pytest.approx(float(np.mean(got)), abs=1e-6)
+
+
+def test_a_relative_constraint_has_the_slope_of_the_biased_one_and_a_threshold_of_zero():
+    (agent, state, batch), (biased, *_) = setup(mmd_estimate="relative"), setup()
+    slope = lambda of: jax.grad(of.actor_loss, has_aux=True)(state.actor, state, batch, jnp.int32(0), KEY)[0]  # noqa: E731
+    slopes = slope(agent), slope(biased)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-5, atol=1e-7), *slopes)
     assert BEAR(mmd_estimate="relative").resolve(SPEC, 10).threshold == 0.0
     assert BEAR(mmd_estimate="relative", threshold=-0.01).resolve(SPEC, 10).threshold == -0.01
     assert BEAR(mmd_estimate="relative", constraint="kl").resolve(SPEC, 10).threshold == 0.05

@@ -85,8 +85,8 @@ def test_the_relative_mmd_is_zero_for_draws_of_the_model_and_below_for_narrower_
     own, narrower, moved = (float(np.mean(of(z))) for z in (x, 0.7 * x, x + 0.3))
     assert abs(own) < 2e-3
     assert narrower < -0.02 < 0.005 < moved
-    # One action may be as far from the mean as the root of (variance over number of draws): half a deviation with four.
-    near, far = (float(np.mean(of(0.0 * x + place))) for place in (0.4, 0.6))
+    # One action may be about half a deviation from the mean in each dimension, with four draws and a wide kernel: here 0.43.
+    near, far = (float(np.mean(of(0.0 * x + place))) for place in (0.35, 0.6))
     assert near < -0.005 < 0.005 < far
     expected = [reference_mmd("gaussian", each[:, 5], y[:, 5], 20.0) for each in (x, copies)]
     np.testing.assert_allclose(of(x)[5], expected[0] - expected[1], atol=1e-4)

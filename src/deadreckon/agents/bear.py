@@ -154,7 +154,7 @@ class BEAR(Agent):
         weight = jax.nn.softmax(-log_density) * len(log_density)
         return jax.lax.stop_gradient(jnp.minimum(weight, self.density_clip))
 
-    def divergence(self, d: dist.Gaussian, pre, state, batch, key) -> Float[Array, "b"]:
+    def divergence(self, d: dist.Gaussian, pre, state, batch, key, k_copies) -> Float[Array, "b"]:
         """How far the policy `d`, with draws `pre` before the tanh, is from the behaviour model, for every state."""
         if self.constraint != "mmd":
             model = dist.gaussian_head(state.behavior(batch.observation))
@@ -164,7 +164,7 @@ class BEAR(Agent):
             logged = models.draws(state.behavior, batch.observation, key, self.behavior_samples)
         # Before the tanh by default: after it, gradients all but vanish where actions saturate (A.4).
         squash = (lambda x: x) if self.mmd_actions == "before_tanh" else jnp.tanh
-        copies = models.draws(state.behavior, batch.observation, keys(key, "copies")[0], self.policy_samples)
+        copies = models.draws(state.behavior, batch.observation, k_copies, self.policy_samples)
         x, y, own = (squash(each) for each in (pre, jax.lax.stop_gradient(logged), copies))
         return estimated(self.mmd_estimate, x, y, own, self.kernel, self.bandwidth, self.mixture)
 
@@ -175,10 +175,10 @@ class BEAR(Agent):
 
     def actor_loss(self, actor, state, batch, step, key):
         """The Lagrangian of eq. 4.1, -E[Q] + alpha E_s[MMD], and means of divergence, log-probability and value."""
-        k_policy, k_behavior = keys(key, "policy", "behavior")
+        k_policy, k_behavior, k_copies = keys(key, "policy", "behavior", "copies")
         d = dist.gaussian_head(actor(batch.observation))
         pre = dist.sample(d, k_policy, (self.policy_samples,))
-        divergence = self.constrained(self.divergence(d, pre, state, batch, k_behavior))
+        divergence = self.constrained(self.divergence(d, pre, state, batch, k_behavior, k_copies))
         drawn = pre[0] if self.actor_samples == 1 else pre[: self.actor_samples]
         q = q_values(state.critics, batch.observation, jnp.tanh(drawn))
         value = (minimum(q) if self.actor_value == "min" else q.mean(0)).mean()

@@ -70,10 +70,10 @@ class ISBEAR(bear.BEAR):
 
     def set_loss(self, set_policy, state, batch, step, key):
         """sqrt((1 - delta) / delta var_k E_a Q_k(s, a)) + alpha MMD (line 8); at first the MMD alone."""
-        k_policy, k_behavior = keys(key, "policy", "behavior")
+        k_policy, k_behavior, k_copies = keys(key, "policy", "behavior", "copies")
         d = dist.gaussian_head(set_policy(batch.observation))
         pre = dist.sample(d, k_policy, (self.policy_samples,))
-        divergence = self.constrained(self.divergence(d, pre, state, batch, k_behavior))
+        divergence = self.constrained(self.divergence(d, pre, state, batch, k_behavior, k_copies))
         q = q_values(state.critics, batch.observation, jnp.tanh(pre)).mean(1)
         spread = jnp.sqrt((1.0 - self.delta) / self.delta * q.var(0) + 1e-6).mean()
         return self.lagrangian(spread, divergence, state, step), (divergence, spread)

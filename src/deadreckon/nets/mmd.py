@@ -94,9 +94,9 @@ def estimated(
         estimate: "biased": the root of the biased square (thesis 4.3); "unbiased": the unbiased SQUARE, of whose mean the root
             is to be taken; "relative": the biased root less that of `copies`, which is zero in the mean where x is drawn as y
             is. Of squares the last is MMD^2 - (E k(x, x') - E k(y, y')) / n in the mean: draws of a distribution that is
-            narrower than that of y may be further away from it, and it has no floor above zero.
+            narrower than that of y may be further away from it.
         x: samples of the policy.
-        y: samples of the model of the log.
+        y: samples of the model of the log, or the logged action.
         copies: further samples of that model, as many as of the policy; used by "relative" alone.
         kernel, bandwidth, mixture: see `kernel_values`.
     """
