@@ -39,7 +39,7 @@ def constraint(suite: Suite, store: Store) -> str:
             f"{np.mean(x):,.{digits}f} ({min(x):,.{digits}f} to {max(x):,.{digits}f})" for x, digits in zip(columns, (1, 3, 0))
         )
         rows.append(f"| {method} | {len(found)} | {' | '.join(shown)} |")
-    text = ["Mean (lowest to highest) over seeds; MMD: mean over the last chunk of updates."] if len(rows) > 2 else ["No result yet."]
+    text = ["Mean (lowest to highest) over seeds, MMD over the last chunk."] if len(rows) > 2 else ["No result yet."]
     declared = [cell for own in cells.values() for cell in own]
     if missing := sum(cell not in results for cell in declared):
         without = [method for method, own in cells.items() if not any(cell in results for cell in own)]

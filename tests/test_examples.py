@@ -70,8 +70,11 @@ def test_own_table(example, capsys):
 @pytest.mark.slow
 def test_own_design(example, capsys):
     example("own_design").main(steps=50)
-    assert "COMs: the first of 8 is (" in capsys.readouterr().out
-    assert Path("runs/own-design.csv").read_text().startswith('"heat","layers","metal","predicted"')
+    said = capsys.readouterr().out
+    assert "COMs: the first of 8 is (" in said
+    assert "nan" not in said
+    for name in ("forward", "coms"):
+        assert Path(f"runs/own-design-{name}.csv").read_text().startswith('"heat","layers","metal","predicted"')
 
 
 @pytest.mark.slow

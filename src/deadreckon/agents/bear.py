@@ -71,7 +71,7 @@ class BEAR(Agent):
     kernel: Kernel = static("laplacian")  # kernel of the MMD: "laplacian" works in all cases, "gaussian" on expert data (A.4)
     bandwidth: Positive = 20.0  # scale of the Laplacian kernel, or VARIANCE of the Gaussian one (20 in all settings, A.4)
     mixture: Annotated[tuple[float, ...], Range(gt=0)] = static((1.0, 10.0, 50.0))  # bandwidths of the mixture kernel (A.4)
-    mmd_estimate: Estimate = static("biased")  # "biased", "unbiased" (squares), or "relative": less that of the model itself
+    mmd_estimate: Estimate = static("biased")  # estimate: biased, of unbiased squares, or relative to the model's own
     policy_samples: Count = static(4)  # actions sampled from the policy in the MMD (m)
     behavior_samples: Count = static(4)  # actions sampled from the behaviour model in the MMD (n); 4 or 5 is best (4.4)
     dual: bool = static(True)  # whether the multiplier is adapted; otherwise it keeps its initial value (tuned, Figure A.5)

@@ -13,10 +13,12 @@ from deadreckon.cli.parse import parse, with_policy_seed
 class Explain:
     """Fit a small tree to what a policy does, say how well it imitates the policy on fresh rows, and which columns matter.
 
-    The result is kept in the run's folder, and `deadreckon report` draws it.
+    Without LOG the result is kept in the run's folder, and `deadreckon report` draws it.
     """
 
-    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]  # run or cross-fit folder, or policy file
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    """run folder (its first seed that has not failed), folder of `ope` or `recommend` (the policy to deploy), cross-fit, or
+    policy file (.npz)"""
     log: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")] = None
     """log on whose rows the policy is explained; None: the one that it learned from"""
     policy_seed: int | None = None  # seed of the run whose policy is explained; None: the first that has not failed

@@ -13,10 +13,12 @@ from deadreckon.cli.parse import parse, with_policy_seed
 class Monitor:
     """Compare a new log with the one a policy learned from, and its realised value with the estimate.
 
-    Exit code 0: nothing was found; 1: something drifts, lies outside the log, or the value is below the estimate; 2: bad input.
+    Exit code 0: no alarm; 1: drift, values outside the log, or a value below the estimate; 2: bad input.
     """
 
-    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]  # run or cross-fit folder, or policy file
+    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
+    """run folder (its first seed that has not failed), folder of `ope` or `recommend` (the policy to deploy), cross-fit, or
+    policy file (.npz)"""
     log: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]  # new log, in the order of time
     html: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None  # HTML page to write; an old one is replaced
     reference: Annotated[str | None, tyro.conf.arg(metavar="LOG")] = None
