@@ -2,6 +2,7 @@
 
 import gc
 import html
+import itertools
 import json
 import os
 import re
@@ -60,16 +61,31 @@ MAPS = Path("/proc/self/maps")  # of this process, on Linux
 MANY = 24_000  # of them: about 5 GB. A process may have 65,530, and the compiler crashes beyond
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _programs_are_forgotten():
+OFTEN = 20  # tests of one file between two looks: those of a long one reach the limit before its end, fully optimised
+
+
+def _forget_programs() -> None:
     """Every compiled program maps some memory, so a worker that has compiled very many forgets them."""
-    yield
     if MAPS.exists() and MAPS.read_text().count("\n") > MANY:
         import jax
 
         jax.clear_caches()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _tests_done():
+    """Counts the tests of a file, after which garbage is collected."""
+    yield itertools.count(1)
+    _forget_programs()
     gc.collect()
     gc.freeze()  # what is left are programs and modules: the next collection need not look through them again
+
+
+@pytest.fixture(autouse=True)
+def _programs_are_forgotten(_tests_done):
+    yield
+    if next(_tests_done) % OFTEN == 0:
+        _forget_programs()
 
 
 @pytest.fixture(scope="session")

@@ -184,7 +184,8 @@ def test_floats_are_traced_and_all_else_is_static(trained):
             continue
         traced = hints[f.name] is float or hints[f.name] == float | None
         assert traced != bool(f.metadata.get("static")), f.name
-        assert not (traced and getattr(agent, f.name) is None), f"{f.name} must be resolved before lifting"
+        asked = f.default is not None  # beside a number as the default None leaves a term out, as somebody asked
+        assert not (traced and getattr(agent, f.name) is None and not asked), f"{f.name} must be resolved before lifting"
 
 
 def test_refuses_what_does_not_fit(trained):
