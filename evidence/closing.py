@@ -7,6 +7,8 @@ from deadreckon.bench.suite import read
 from deadreckon.bench.times import Forecast
 from deadreckon.stats.comparison import Difference, more_runs
 
+MOST = 1_000  # fresh seeds beyond which their number says nothing but that the difference is near to the margin
+
 
 def hours(expected: Iterable[Forecast | None]) -> str:
     """The sum in hours, with `>` where some are not known, or in part, and `about` where some are rough."""
@@ -48,6 +50,8 @@ def to_close(found: Verdict, cost: Mapping[str, Forecast | None]) -> str:
         return "no number of seeds"
     # One comparison contradicts a claim, and all have to hold.
     chosen, state = (min(against), "contradicted") if against else (max(known), "holds")
+    if chosen > MOST:
+        return f"more than {MOST:,} fresh seeds: the difference is too near to the margin"
     count = f"{float(f'{chosen:.2g}'):,.0f}"  # two digits: it rests on a difference that is not known better
     return f"about {count} fresh seeds, then {state}"
 

@@ -71,6 +71,7 @@ def test_seeds_are_those_that_a_second_stage_needs(said):
     assert said(-2.0, margin=-3.0) == "about 140 fresh seeds, then holds"
     assert said(1.0, 4.0) == "about 140 fresh seeds, then holds"  # all have to
     assert said(1.0, -4.0) == "about 14 fresh seeds, then contradicted"  # at a level for two
+    assert said(0.1) == "more than 1,000 fresh seeds: the difference is too near to the margin"
 
 
 def test_where_no_seeds_would_decide_it_is_said(said):
