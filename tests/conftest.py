@@ -61,7 +61,7 @@ MAPS = Path("/proc/self/maps")  # of this process, on Linux
 MANY = 24_000  # of them: about 5 GB. A process may have 65,530, and the compiler crashes beyond
 
 
-OFTEN = 20  # tests of one file between two looks: those of a long one reach the limit before its end, fully optimised
+OFTEN = 20  # tests of one file between two looks, where programs are fully optimised: a long one reaches the limit
 
 
 def _forget_programs() -> None:
@@ -84,7 +84,7 @@ def _tests_done():
 @pytest.fixture(autouse=True)
 def _programs_are_forgotten(_tests_done):
     yield
-    if next(_tests_done) % OFTEN == 0:
+    if next(_tests_done) % OFTEN == 0 and os.environ.get(QUICK) != "1":
         _forget_programs()
 
 

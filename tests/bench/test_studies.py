@@ -130,6 +130,7 @@ def test_a_queue_is_one_table_of_csv(suite, tmp_path, capsys):
     assert "\none\n" in capsys.readouterr().out  # a suite that does not say what it is about
 
 
+@pytest.mark.slow
 def test_pages_of_the_full_size_leave_those_of_the_other(suite, tmp_path):
     path = suite("right")
     words = ["bench", str(path), "--out", str(tmp_path / "out"), "--trust", "tests.bench.test_studies", "--workers", "1"]

@@ -137,6 +137,7 @@ def test_what_is_no_front(two):
         propose_front(two[:1], 2)
 
 
+@pytest.mark.slow
 def test_a_front_from_the_command_line(tmp_path, monkeypatch, capsys):
     import csv
 
