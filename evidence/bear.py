@@ -16,7 +16,7 @@ from deadreckon.bench.suite import Suite
 from deadreckon.report import charts
 from deadreckon.report.picture import sheet
 
-SUITES = [f"bear-{kind}" for kind in ("defaults", "choice", "threshold", "forms", "relative", "again-halfcheetah", "again")]
+SUITES = [f"bear-{kind}" for kind in ("defaults", "choice", "threshold", "forms", "relative", "again-halfcheetah")]
 THRESHOLD = 0.05  # of the MMD, where a method does not say another
 FLOOR = 0.157  # where the biased MMD of four draws ends in all runs of the thesis's form, whose multiplier is at its cap
 PICTURE = "bear-constraint.svg"
