@@ -154,6 +154,7 @@ def test_people_are_repeated_until_half_is_full(files):
     assert adroit._repeated(people, 2 * 6_729, "two").episodes == 50
 
 
+@pytest.mark.slow
 def test_a_killed_clone_is_gone_on_with(files, monkeypatch, tmp_path):
     monkeypatch.setattr(adroit, "UPDATES", 30)
     monkeypatch.setattr(adroit, "_CHUNK", 10)

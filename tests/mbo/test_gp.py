@@ -213,6 +213,7 @@ def test_of_few_rows_each_is_left_out_by_itself():
         designer("gp", kappa=float("nan")).propose(data, 3)
 
 
+@pytest.mark.slow
 def test_intervals_of_replicated_rows_hold_single_measurements_of_strong_noise():
     """The scatter between replicates is known, also where the process takes noise for signal and believes in none."""
     held = []
