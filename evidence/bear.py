@@ -86,13 +86,13 @@ def story(suites: Sequence[Suite], store: Store, files: dict[str, bytes]) -> str
 
 
 def _kind(method: Method) -> tuple[int, float | None]:
-    """Which of `KINDS` a method is of, and its threshold; None where that is zero."""
+    """Which of `KINDS` a method is of, and its threshold; None of a relative MMD, which is no multiple of one."""
     fields = method.fields
     threshold = float(fields.get("threshold", THRESHOLD))
-    if fields.get("behavior") == "vae":
-        return 3, threshold
     if fields.get("mmd_estimate") == "relative":
         return 4, None
+    if fields.get("behavior") == "vae":
+        return 3, threshold
     if fields.get("mmd_estimate", "biased") == "unbiased":
         return 2, threshold
     return int(threshold != THRESHOLD), threshold

@@ -25,13 +25,12 @@ def main(rows: int = 300, steps: int = 1_000, n: int = 8, out: str = "runs/own-d
     """Proposes and writes."""
     data = dr.Designs.from_frame(tried(rows), target="cost", minimise=True, bounds={"heat": (0, 120)})
     print(f"the best of {len(data)}: {data.shown(data.y).min():.1f}")
-    first = Path(out)
     for designer in (dr.mbo.Forward(members=5, hidden=(64, 64), steps=steps), dr.mbo.COMs(hidden=(64, 64), steps=steps)):
         made = designer.propose(data, n=n, seed=0)
         print(f"{designer.label}: the first of {n} is {next(zip(*data.decode(made.x).values()))}")
         spread = f", give or take {made.predicted_std[0]:.1f}" if np.isfinite(made.predicted_std[0]) else ""  # COMs gives none
         print(f"    predicted to cost {data.shown(made.predicted)[0]:.1f}{spread}")
-        file = first.with_stem(f"{first.stem}-{type(designer).__name__.lower()}")
+        file = Path(out).with_stem(f"{Path(out).stem}-{type(designer).__name__.lower()}")
         print(f"    written to {data.write(file, made.x, {'predicted': data.shown(made.predicted)})}")
 
 

@@ -83,6 +83,7 @@ def _tests_done():
 
 @pytest.fixture(autouse=True)
 def _programs_are_forgotten(_tests_done):
+    """Within a file too, which only matters to slow tests."""
     yield
     if next(_tests_done) % OFTEN == 0 and os.environ.get(QUICK) != "1":
         _forget_programs()

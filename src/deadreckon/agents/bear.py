@@ -155,7 +155,7 @@ class BEAR(Agent):
         return jax.lax.stop_gradient(jnp.minimum(weight, self.density_clip))
 
     def divergence(self, d: dist.Gaussian, pre, state, batch, key, k_copies) -> Float[Array, "b"]:
-        """How far the policy `d`, with draws `pre` before the tanh, is from the behaviour model, for every state."""
+        """How far the policy `d`, with draws `pre` before the tanh, is from the model's draws and copies, for every state."""
         if self.constraint != "mmd":
             model = dist.gaussian_head(state.behavior(batch.observation))
             return dist.kl(d, model) if self.constraint == "kl" else -dist.log_prob(model, pre).mean(0)
@@ -202,7 +202,7 @@ class BEAR(Agent):
         return (value, opt) if self.dual_warm_start else self.after_warm_start((value, opt), rested, step)
 
     def after_warm_start(self, new, old, step):
-        """`new` once the warm start is over; `old` while the actor follows the constraint and cannot answer."""
+        """`new` once the warm start is over; until then `old`, as the actor follows the constraint alone and cannot answer."""
         return jax.tree.map(lambda n, o: jnp.where(step < self.warm_start, o, n), new, old)
 
     def learn_values(self, state, batch, k_model, k_future) -> tuple[Any, Metrics]:
