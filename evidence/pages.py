@@ -36,7 +36,7 @@ from deadreckon.bench.claims import Comparison, Verdict, verdict
 from deadreckon.bench.claims_file import claims
 from deadreckon.bench.forms import rendered
 from deadreckon.bench.jobs import programs
-from deadreckon.bench.ledger import store_of
+from deadreckon.bench.ledger import Ledger, Snapshot, store_of
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Suite, queue, read
@@ -73,7 +73,17 @@ BLOCK = re.compile(rf"({OPENING})((?:(?!<!-- ).)*?)(<!-- end -->)", re.S)
 @cache
 def _suite(name: str) -> tuple[Suite, Store]:
     suite = read(HERE / name)
-    return suite, store_of([suite], HERE)
+    return suite, _store([suite])
+
+
+def _store(suites: Sequence[Suite]) -> Store:
+    """Where the results of suites lie, read once: all pages show the same moment."""
+    return _read_once(store_of(suites, HERE))
+
+
+@cache
+def _read_once(store: Store) -> Store:
+    return Snapshot(store.path, store.cells) if isinstance(store, Ledger) else store
 
 
 def _asked(suite: Suite) -> str:
@@ -104,7 +114,7 @@ def _joined(names: str) -> tuple[list[Suite], Store]:
         if both := methods & (own := {method.name for method in other.methods}):
             raise UserError(f"{other.name} has methods of the suites before it: {', '.join(sorted(both))}")
         methods |= own
-    return suites, store_of(suites, HERE)
+    return suites, _store(suites)
 
 
 def _size(suite: Suite, logs: Sequence[str]) -> tuple[int | None, ...]:
@@ -235,7 +245,7 @@ class _Waiting(NamedTuple):
 def _waiting() -> list[_Waiting]:
     """All suites at either size, in the order of the queue."""
     sized = [(suite, full) for full in (False, True) for suite in queue(HERE / "queue.toml", full)]
-    store = store_of([suite for suite, _ in sized], HERE)
+    store = _store([suite for suite, _ in sized])
     planned = [(suite, full, len(jobs), programs(store.undone(jobs))) for suite, full in sized for jobs in [plan(suite, 1)]]
     times = forecast([program for *_, missing in planned for program in missing], store)
     one = lambda program: program.jobs[0].cells[0]  # noqa: E731 - planned for a lane, so it is the only one
@@ -255,7 +265,7 @@ def claimed(name: str, files: dict[str, bytes]) -> str:
     details: list[str] = []
     cost = {cell: took for each in _waiting() if not each.full for cell, took in each.missing.items()}
     for claim in claims(HERE / "claims.toml"):
-        store = store_of([read(path) for test in claim.tests for path in test.suites], HERE) if claim.tests else Store(HERE)
+        store = _store([read(path) for test in claim.tests for path in test.suites]) if claim.tests else Store(HERE)
         own = verdict(claim, store)
         sized = any(read(path).full for test in claim.tests for path in test.suites)
         full = _reads(verdict(claim, store, full=True)) if sized else "the same"
@@ -271,7 +281,7 @@ def claimed(name: str, files: dict[str, bytes]) -> str:
 def story(name: str, files: dict[str, bytes]) -> str:
     """Floor, threshold, multiplier and score of BEAR's forms."""
     suites = [read(HERE / f"{each}.toml") for each in bear.SUITES]
-    return bear.story(suites, store_of(suites, HERE), files)
+    return bear.story(suites, _store(suites), files)
 
 
 def of_queue(make: Callable[[Sequence[Suite], Store], str]) -> Callable[[str, dict[str, bytes]], str]:
@@ -279,7 +289,7 @@ def of_queue(make: Callable[[Sequence[Suite], Store], str]) -> Callable[[str, di
 
     def block(name: str, files: dict[str, bytes]) -> str:
         suites = queue(HERE / "queue.toml")
-        return make(suites, store_of(suites, HERE))
+        return make(suites, _store(suites))
 
     return block
 

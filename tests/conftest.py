@@ -49,10 +49,17 @@ def _compilation_cache():
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 
+@pytest.fixture(scope="session")
+def _homes(tmp_path_factory):
+    """Folders that no test has had; not there yet, as most tests need none."""
+    homes = tmp_path_factory.mktemp("homes")
+    return (homes / str(number) for number in itertools.count())
+
+
 @pytest.fixture(autouse=True)
-def home(tmp_path, monkeypatch):
+def home(_homes, monkeypatch):
     """A home folder of the test's own, so that nothing reads or fills the user's."""
-    folder = tmp_path / "home"
+    folder = next(_homes)
     monkeypatch.setenv("DEADRECKON_HOME", str(folder))
     return folder
 

@@ -47,6 +47,7 @@ def whole_advantages(rows, now, after):
     return np.array([ended, [r[1, 0] + 0.9 * r[1, 1] + 0.81 * last, r[1, 1] + 0.9 * last, last]]) - now
 
 
+@pytest.mark.slow
 def test_values_are_means_over_draws_of_the_target_policy_by_the_target_critic(learner):
     agent, state = learner
     rows = windows()
@@ -89,6 +90,7 @@ def test_one_update_by_hand(learner, likelihood):
     assert any((a != b).any() for a, b in zip(jax.tree.leaves(after.actor), jax.tree.leaves(state.actor)))
 
 
+@pytest.mark.slow
 def test_the_temperature_minimises_the_dual_where_the_divergence_is_epsilon():
     agent = ABM(**FIELDS | {"epsilon": 0.3})
     rng = np.random.default_rng(0)

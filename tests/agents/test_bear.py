@@ -316,6 +316,7 @@ def test_a_relative_constraint_is_less_the_distance_of_the_models_own_draws(refe
     assert agent.constrained(got) == pytest.approx(float(np.mean(got)), abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_relative_constraint_has_the_slope_of_the_biased_one_and_a_threshold_of_zero():
     (agent, state, batch), (biased, *_) = setup(mmd_estimate="relative"), setup()
     slope = lambda of: jax.grad(of.actor_loss, has_aux=True)(state.actor, state, batch, jnp.int32(0), KEY)[0]  # noqa: E731

@@ -15,7 +15,7 @@ from pyarrow import parquet
 from deadreckon.bench.executor import run
 from deadreckon.bench.idle import is_measured, measuring
 from deadreckon.bench.jobs import Job, Program, programs
-from deadreckon.bench.ledger import Ledger, store_of
+from deadreckon.bench.ledger import Ledger, Snapshot, store_of
 from deadreckon.bench.local import Local
 from deadreckon.bench.plan import plan, plan_all
 from deadreckon.bench.rates import work
@@ -117,6 +117,15 @@ def test_a_file_that_is_added_is_read(folder):
     assert cells() == [row["cell"] for row in rows[1:]]
     other.write_text(text)
     assert cells() == [row["cell"] for row in rows]
+
+
+def test_a_snapshot_shows_what_there_was(folder):
+    store = filled(folder)
+    snapshot = Snapshot(store.path, store.cells)
+    before = snapshot.results()
+    next((folder / "ledger").rglob("*.json")).unlink()
+    assert len(store.results()) == len(before) - 1
+    assert snapshot.results() is before
 
 
 def test_a_log_without_a_simulator_has_no_score(folder):
@@ -283,6 +292,7 @@ def test_times_of_a_gpu_say_nothing_of_a_core_and_the_other_way_round(folder):
         assert known() == [took and (pytest.approx(took), True, True) for took in found]
 
 
+@pytest.mark.slow
 def test_a_run_ends_in_time_and_goes_on(folder, monkeypatch):
     monkeypatch.setenv("STUDY_SECONDS", "0.3")
     suite = read("study.toml")

@@ -68,6 +68,7 @@ def answer(port, value):
     return int(head.split()[1]), json.loads(body)
 
 
+@pytest.mark.slow
 def test_a_service_answers_and_ends(run, tmp_path):
     with served(run, tmp_path, "--max-body", "5000") as (port, _):
         assert answer(port, GOOD) == (200, {"action": {"action": run.predict(GOOD)}})

@@ -88,6 +88,7 @@ def test_a_killed_training_goes_on_and_another_log_is_refused(short, tmp_path):
         control.collect_control(TASK, name=NAME, steps=100, scratch=tmp_path / "a", seed=4, threads=1)
 
 
+@pytest.mark.slow
 def test_episodes_that_do_not_end_together_are_no_log(short, tmp_path):
     collected(tmp_path)
     path = tmp_path / "training" / "rows.bin"

@@ -62,6 +62,7 @@ def two():
     return targets_of(read, ["gain", "cost"], ["cost"])
 
 
+@pytest.mark.slow
 def test_rows_that_break_a_rule_are_on_no_front(two):
     a, b = two[0].x.T.astype(float)
     kept = np.flatnonzero(a + b <= 1.2)

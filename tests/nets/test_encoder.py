@@ -9,6 +9,7 @@ import pytest
 from deadreckon.errors import UserError
 from deadreckon.nets.encoder import Encoder, patches, shifted
 from deadreckon.policies import portable_pictures
+from tests.marks import slow
 
 RNG = np.random.default_rng(0)
 
@@ -39,7 +40,9 @@ def test_shifts_move_pictures_and_repeat_their_edge():
     assert len(places) > 15  # of 25
 
 
-@pytest.mark.parametrize(("kind", "shape"), [("patches", (48, 48, 3)), ("drq", (20, 31, 6)), ("impala", (19, 24, 3))])
+@pytest.mark.parametrize(("kind", "shape"), [
+    ("impala", (19, 24, 3)), *slow(("patches", (48, 48, 3)), ("drq", (20, 31, 6))),
+])  # fmt: skip
 def test_numpy_makes_the_same_features(kind, shape):
     noise = lambda leaf: 0.01 * np.asarray(jax.random.normal(jax.random.key(1), leaf.shape))  # noqa: E731
     encoder = jax.tree.map(lambda leaf: np.asarray(leaf) + noise(leaf), Encoder.create(kind, shape, 12, jax.random.key(3)))
@@ -56,7 +59,7 @@ def test_numpy_makes_the_same_features(kind, shape):
         portable_pictures.features(node, arrays, pictures[:, 1:])
 
 
-@pytest.mark.parametrize("kind", ["patches", "drq", "impala"])
+@pytest.mark.parametrize("kind", ["patches", *slow("drq", "impala")])
 def test_features_tell_pictures_apart_and_have_slopes(kind):
     encoder = Encoder.create(kind, (24, 24, 3), 16, jax.random.key(0))
     pictures = jnp.asarray(RNG.integers(0, 256, (3, 2, 24, 24, 3)), jnp.uint8)

@@ -489,6 +489,7 @@ def test_medium_replay_is_the_run_that_the_policies_came_from(hopper, tmp_path):
         np.testing.assert_array_equal(getattr(made, key), getattr(theirs, key))
 
 
+@pytest.mark.slow
 def test_medium_replay_does_not_go_on_with_another_collection(hopper, tmp_path):
     whole = gym.collect_replay(hopper, name="h", steps=64, scratch=tmp_path)
     for change in ({"seed": 1}, {"steps": 48}, {"steps": 80}, {"name": "i"}):

@@ -356,6 +356,7 @@ def test_the_protocol_with_a_function_of_ones_own(tmp_path, monkeypatch):
     pytest.param("ope.dope.REVISION", 1, marks=pytest.mark.slow),
     pytest.param("stats.interval.REVISION", 1, marks=pytest.mark.slow),
 ])  # fmt: skip
+@pytest.mark.slow
 def test_results_of_other_revisions_are_computed_again(tmp_path, monkeypatch, what, fits):
     """A folder of results gives those of today's code alone; fits are made again where the code behind them is another."""
     data, told = little(60), []

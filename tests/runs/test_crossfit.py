@@ -73,6 +73,7 @@ def test_the_mixture_is_of_all_folds_and_has_seen_everything(fitted, log):
     np.testing.assert_array_equal(again.policy(X), acts)
 
 
+@pytest.mark.slow
 def test_killed_and_gone_on_with_no_fold_is_done_again(fitted, log, tmp_path):
     class Killed(Exception):
         pass

@@ -24,6 +24,7 @@ def made(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_all_of_it_on_one_card(made, capsys):
     asked = ["--guarantee", "--return-range", "0", "1", "--confounding", "1.2", "--by-group", "site", "--tail", "0.9"]
     command = ["ope", "--data", str(made / "log.npz"), "--policies", str(made / "bc"), "--select", "--out", str(made / "ope")]

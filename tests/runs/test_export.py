@@ -146,6 +146,7 @@ def test_what_it_needs_is_said(place, numpys, capsys):
     assert "exists already" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_stablehlo_program_is_read_back_and_takes_any_number_of_rows(place, tmp_path):
     from jax import export as jax_export
 

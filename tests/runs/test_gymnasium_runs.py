@@ -95,6 +95,7 @@ def test_episodes_that_cannot_be_repeated_begin_anew_with_a_warning(tmp_path):
     assert breaks.sum() == 1  # where it went on, between two blocks: no row has a successor of another episode
 
 
+@pytest.mark.slow
 def test_returns_without_a_scale_are_shown_as_such(tmp_path, run, capsys):
     evaluations = run.evaluations.to_pydict()
     assert "score" not in evaluations

@@ -84,6 +84,7 @@ def test_a_log_comes_back_as_it_was(server, log, home):
     assert card["kind"] == "log"
 
 
+@pytest.mark.slow
 def test_a_run_comes_back_with_policies_and_metrics_and_nothing_else(server, run):
     again = dr.from_hub(dr.push_to_hub(run, "me/bc", private=False))
     x = np.ones((2, 3), np.float32)

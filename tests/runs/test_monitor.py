@@ -65,6 +65,7 @@ def test_nothing_is_found_where_nothing_has_changed(place):
     assert [each.what.name for each in found.columns] == ["age", "kind", "action"]
 
 
+@pytest.mark.slow
 def test_a_data_frame_is_read_as_the_log_was(place):
     for name in ("same.csv", "older.csv"):
         frame = pd.read_csv(place / name)

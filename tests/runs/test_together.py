@@ -65,6 +65,7 @@ def test_what_went_bad_is_told_of_its_own_run_alone(runs):
     assert all(np.isfinite(policy(X)).all() for policy in runs["bad"].policies)
 
 
+@pytest.mark.slow
 def test_a_report_shows_them_as_runs_with_their_own_settings(runs, tmp_path):
     first, second, third = read([run.path for run in runs.values()]).entries
     assert (first.seeds, second.seeds) == ([3, 4], [3, 4])

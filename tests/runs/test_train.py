@@ -54,6 +54,7 @@ def test_run_folder_holds_what_was_asked_and_what_came_out(run, log):
         assert file["trajectories"].shape == (2, 3, 300, 4)
 
 
+@pytest.mark.slow
 def test_the_last_evaluation_is_that_of_the_last_policies(run):
     again = evaluate(run, "maze2d-umaze", episodes=3)
     last = run.evaluations.to_pydict()

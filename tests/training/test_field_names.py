@@ -99,6 +99,7 @@ def test_the_agents_of_the_packages_policies_are_known():
         assert agent_class("sac")(**with_field_names(agent_class("sac"), written)).tau == written["target_rate"]
 
 
+@pytest.mark.slow
 def test_the_command_line_takes_other_names(tmp_path, capsys):
     log = str(tmp_path / "log.hdf5")
     write_hdf5(corridor(200), log)

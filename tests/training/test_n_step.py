@@ -12,6 +12,7 @@ from deadreckon.online.rows import replay_log
 from deadreckon.training.program import Plan, advance, draw, layout_of
 from deadreckon.training.sources import source_of
 from tests.agents.test_online_conformance import PENDULUM, SETTINGS, job
+from tests.marks import slow
 
 FIELDS = {"observation": (2,), "action": (1,), "reward": (), "next_observation": (2,), "terminal": (), "timeout": ()}
 COPIES, ROWS, ROOM, GAMMA = 3, 200, 256, 0.9
@@ -36,8 +37,7 @@ def rows():
     return {name: column.astype(np.float32) for name, column in columns.items()}
 
 
-@pytest.mark.parametrize("lanes", [1, 2])
-@pytest.mark.parametrize("n", [1, 4])
+@pytest.mark.parametrize(("n", "lanes"), [(4, 2), (1, 1), *slow((4, 1), (1, 2))])
 def test_rewards_go_on_as_far_as_the_episode_and_the_rows(rows, lanes, n):
     layout = layout_of({name: (shape, np.dtype(np.float32)) for name, shape in FIELDS.items()})
     plan = Plan(layout, 16, 0, 0, resident=True, grows=True, n_step=n, stride=COPIES, gamma=GAMMA)
@@ -76,6 +76,7 @@ def acted(tmp_path_factory):
     return experience, folder / "0.bin"
 
 
+@pytest.mark.slow
 def test_what_is_learned_from_while_acting_is_what_the_log_of_it_gives(acted):
     experience, path = acted
     count, root = experience.count, jax.random.key(2)

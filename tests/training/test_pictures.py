@@ -25,6 +25,7 @@ from deadreckon.training import sources
 from deadreckon.training.fit import Fit, complete
 from deadreckon.training.learner import lane_of
 from deadreckon.training.pictures import FEATURES, Seen, Sight, features_of, update, usual_shift
+from tests.marks import slow
 
 SEEING = [name for name in AGENTS if "supports_images" in vars(agent_class(name))]
 ROWS = 300
@@ -32,7 +33,7 @@ ROWS = 300
 
 def one_fast(names, fast):
     """The others have the same code around other losses."""
-    return [name if name == fast else pytest.param(name, marks=pytest.mark.slow) for name in names]
+    return [fast, *slow(*(name for name in names if name != fast))]
 
 
 def log_of_spots(rows: int = ROWS, seed: int = 0) -> Dataset:
@@ -159,6 +160,7 @@ def test_a_run_goes_on_where_it_was_killed(tmp_path):
 
 
 @pytest.mark.parametrize("name", one_fast(["bc", "td3_bc", "sac", "iql", "bear"], "iql"))
+@pytest.mark.slow
 def test_the_encoder_follows_the_slope_of_its_loss_alone(name):
     """One update by hand: Adam's first step has the sign of the slope, whatever the agent's other losses are."""
     agent = small(name)
@@ -184,6 +186,7 @@ def test_the_encoder_follows_the_slope_of_its_loss_alone(name):
         np.testing.assert_allclose((after - before)[sure], -agent.representation_lr * np.sign(slope)[sure], rtol=2e-2)
 
 
+@pytest.mark.slow
 def test_values_reach_the_encoder_of_actor_critics_and_imitation_does_not():
     """With critics that are flat in the observation the encoder rests, whatever the actor wants."""
     agent = small("td3_bc")

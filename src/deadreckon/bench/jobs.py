@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cache, cached_property
 from typing import Any, cast
 
 from deadreckon.errors import UserError
@@ -57,12 +58,12 @@ class Job:
     def _content(self, seed: int) -> list[Any]:
         return [self.kind, self.agent, self.settings, self.data, self.options, seed]
 
-    @property
+    @cached_property
     def cells(self) -> list[str]:
         """Of all seeds."""
         return [self.cell(seed) for seed in self.seeds]
 
-    @property
+    @cached_property
     def name(self) -> str:
         """Of the job's files: the method, where, and what tells its cells from others."""
         return f"{file_name(f'{self.method}-{self.on}')}-{digest(self.cells, 10)}"
@@ -166,10 +167,22 @@ def study_of(job: Job) -> Callable[..., dict[str, float]]:
     return cast(Callable[..., dict[str, float]], study)
 
 
+@cache
+def _estimator_class(name: str) -> type:
+    """That of an estimator of the package by its name.
+
+    Raises:
+        UserError: there is none of that name.
+    """
+    from deadreckon.ope.registry import estimator
+
+    return type(estimator(name))
+
+
 def estimator_of(job: Job) -> Any:
     """The estimator of a job, as its suite says."""
     from deadreckon.ope.registry import CPU_BUDGET, estimator
 
     changes = {name: tuples(value) for name, value in job.options["fields"].items()}
-    changes = with_field_names(type(estimator(job.agent)), changes)
+    changes = with_field_names(_estimator_class(job.agent), changes)
     return estimator(job.agent, **(CPU_BUDGET.get(job.agent, {}) if job.options["budget"] == "cpu" else {}) | changes)

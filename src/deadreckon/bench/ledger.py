@@ -10,7 +10,7 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
@@ -100,6 +100,19 @@ class Ledger(Store):
     def _files(self) -> tuple[str, ...]:
         kinds = _inside(str(self.cells.absolute()))
         return tuple(sorted(file for kind in kinds for on in _inside(kind) for file in _inside(on) if file.endswith(".json")))
+
+
+@dataclass(frozen=True)
+class Snapshot(Ledger):
+    """A ledger as it was when its results were first asked for, for what asks for them many times."""
+
+    @cached_property
+    def _whole(self) -> pa.Table:
+        return super().results()
+
+    def results(self) -> pa.Table:
+        """All rows that there were, the oldest first."""
+        return self._whole
 
 
 def store_of(suites: Sequence[Suite], path: Path) -> Store:

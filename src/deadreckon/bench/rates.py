@@ -119,16 +119,22 @@ class Rates:
 
 def work(agent: str, settings: Mapping[str, Any]) -> float:
     """Millions of operations of an update: the agent's by default, scaled by batch, widths and critics; the most if unknown."""
-    from deadreckon.agents import AGENTS, agent_class
-
     known = _table()["work"]
     if agent not in known:
         return max(known.values())
-    own = agent_class(agent)() if agent in AGENTS else None
-    usual = {name: getattr(own, name, None) for name in ("hidden", "batch_size", "critics")}
+    usual = _usual(agent)
     scale = _size(settings.get("hidden")) / _size(usual["hidden"])
     scale *= (settings.get("critics") or 1) / (usual["critics"] or 1)  # nearly all of the work where there are many
     return known[agent] * scale * (settings.get("batch_size") or 1) / (usual["batch_size"] or 1)
+
+
+@cache
+def _usual(agent: str) -> dict[str, Any]:
+    """The sizes that an agent of the package has by default."""
+    from deadreckon.agents import AGENTS, agent_class
+
+    own = agent_class(agent)() if agent in AGENTS else None
+    return {name: getattr(own, name, None) for name in ("hidden", "batch_size", "critics")}
 
 
 def has_work(agent: str) -> bool:

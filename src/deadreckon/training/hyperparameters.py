@@ -7,6 +7,7 @@ import dataclasses
 import math
 import typing
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any
 
 import equinox as eqx
@@ -82,7 +83,13 @@ def on_device(learner: Any) -> Any:
 
 def range_of(kind: type, field: str) -> Range | None:
     """What a field of a class takes; None where it is no number."""
-    return _parted(typing.get_type_hints(kind, include_extras=True)[field])[1]
+    return _hints(kind)[field][1]
+
+
+@cache
+def _hints(kind: type) -> dict[str, tuple[Any, Range | None, bool]]:
+    """What `_parted` says of every annotation of a class."""
+    return {name: _parted(hint) for name, hint in typing.get_type_hints(kind, include_extras=True).items()}
 
 
 def _parted(hint: Any) -> tuple[Any, Range | None, bool]:
@@ -102,10 +109,10 @@ def check_fields(learner: eqx.Module) -> None:
     Raises:
         UserError: names the field and what it takes.
     """
-    hints = typing.get_type_hints(type(learner), include_extras=True)
+    hints = _hints(type(learner))
     for field in dataclasses.fields(learner):
         value, name = getattr(learner, field.name), f"{type(learner).__name__}.{field.name}"
-        kind, range_, optional = _parted(hints[field.name])
+        kind, range_, optional = hints[field.name]
         if value is None and optional:
             continue
         if typing.get_origin(kind) is typing.Literal and value not in typing.get_args(kind):
