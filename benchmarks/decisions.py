@@ -155,7 +155,7 @@ def main() -> int:
     wrong = 0 if options.table else work(options, families, rules)
     every = sorted(options.out.glob("*/*.json"), key=lambda path: (list(FAMILIES).index(path.parent.name), int(path.stem)))
     trials = [read_json(path) for path in every if first <= int(path.stem) < first + FIRST["confirmatory"]]
-    if options.record is not None and trials:
+    if options.record is not None and trials and not options.table:
         pack(options.record, trials)
     if not options.table:
         return 1 if wrong else 0

@@ -226,7 +226,8 @@ def _effect(one: Comparison) -> str:
     told += ", as sign(x) log10(1 + |x|)" if test.log else ""
     level = "" if one.level == LEVEL else f" ({one.level:.1%} interval)"
     same = f", the same with every seed on {words([*one.constant])}" if one.constant else ""
-    found = f"{'' if test.among else 'gain '}{one.gain:.3g}{level}{margin}{same}, {one.alone}"
+    logs = f", from several collections of {words([*one.collections])}" if one.collections else ""
+    found = f"{'' if test.among else 'gain '}{one.gain:.3g}{level}{margin}{same}{logs}, {one.alone}"
     if one.undefined:
         found = f"{len(one.undefined):,} of {len(one.cells):,} scores are not finite"
     return f"`{test.suite.name}`, {told}: " + ("not there yet" if one.missing else found)

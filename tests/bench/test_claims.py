@@ -11,13 +11,14 @@ from deadreckon.bench.claims import verdict
 from deadreckon.bench.claims_file import claims
 from deadreckon.bench.ledger import store_of
 from deadreckon.bench.plan import plan
+from deadreckon.bench.store import JobResult, Store
 from deadreckon.bench.suite import read
 from deadreckon.errors import UserError
 from deadreckon.stats.comparison import paired
 from deadreckon.stats.interval import Interval
 from tests.results import keep
 
-SUITE = '''
+SUITE = """
 kind = "learn"
 ledger = "ledger"
 seeds = 4
@@ -32,9 +33,9 @@ TD3 = { agent = "td3" }
 
 [full]
 seeds = 6
-'''
+"""
 
-CLAIMS = '''
+CLAIMS = """
 [tuned]
 bear = ["hopper-medium-v2"]
 
@@ -61,7 +62,7 @@ id = "D"
 says = "Nobody knows."
 place = "4"
 note = "Nothing decides it."
-'''
+"""
 
 
 @pytest.fixture
@@ -130,6 +131,21 @@ def test_they_hold_and_are_contradicted_by_the_interval_of_the_gain(folder):
     assert (low.gain.value, len(low.cells)) == (pytest.approx(8.0), 4)
     # One size says nothing of the other.
     assert set(states(store, full=True).values()) == {"open"}
+
+
+def test_collections_of_a_log_that_differ_are_told(folder):
+    store = kept({("BEAR", "walker2d"): BEAR, ("TD3", "walker2d"): TD3})
+    suite = read("suite.toml")
+    [job] = [job for job in plan(suite) if (job.method, job.on) == ("BC", "walker2d-medium-v2")]
+    for log, told in (("second", ("walker2d-medium-v2",)), ("first", ())):
+        with_logs = Store(folder / log)
+        for row in store.of(plan(suite)).to_pylist():
+            row_job = next(each for each in plan(suite) if row["cell"] in each.cells)
+            with_logs.keep(replace(row_job, seeds=(row["seed"],)), JobResult([row | {"log": "first"}], []))
+        rows = [{"seed": i, "score": x, "raw": 0.0, "steps": 1, "seconds": 1.0, "failure": "", "versions": "{}", "log": log}
+                for i, x in enumerate(BC)]  # fmt: skip
+        with_logs.keep(job, JobResult(rows, []))
+        assert [each.collections for each in verdict(claims("claims.toml")[0], with_logs).comparisons] == [told, ()]
 
 
 def test_a_gain_that_chance_may_have_made_decides_nothing(folder):
@@ -212,12 +228,12 @@ def test_the_full_size_of_a_claim_is_that_of_the_suites_that_have_one(folder):
     assert [len(one.cells) for one in verdict(claims("claims.toml")[2], kept({}), full=True).comparisons] == [8, 6]
 
 
-BESIDE = '''[[claims]]
+BESIDE = """[[claims]]
 id = "E"
 says = "The first suite is easier."
 place = "8.5"
 tests = [{ suite = "suite.toml", method = ["BC", "TD3"], beside = "other.toml" }]
-'''
+"""
 
 
 @pytest.mark.parametrize("less", [False, True])
@@ -307,7 +323,7 @@ def test_logs_of_a_task_are_compared_with_each_other(folder, gap, state):
         ('place = "1"\n', "", "claim A: place is missing"),
         ("margin = -10.0", "margins = 3", "claim B: unknown key 'margins'"),
         ('on = ["walker2d-medium-v2"]', 'on = ["ant"]', "claim C: unknown log, task, problem or case of suite.toml 'ant'"),
-        ('than = 20.0', 'than = "BC"', "claim C: than must be a list of methods, or a number, got 'BC'"),
+        ("than = 20.0", 'than = "BC"', "claim C: than must be a list of methods, or a number, got 'BC'"),
         ('on = ["walker2d-medium-v2"]', 'on = "walker2d-medium-v2"', "claim C: on must be a list of names, got 'walker2d-"),
         ("than = 20.0", 'than = 20.0, beside = "suite.toml"', "one of than, beside and among, got than and beside"),
         ("than = 20.0, ", "", "claim C: a test has one of than, beside and among, got none"),

@@ -13,11 +13,13 @@ from deadreckon.bench.plan import plan
 from deadreckon.bench.suite import read
 from deadreckon.bench.work import perform
 from deadreckon.errors import UserError
+from deadreckon.files import digest
 from deadreckon.mbo import DESIGNERS, designer
 from deadreckon.online.experience import experience_of
 from deadreckon.ope import ESTIMATORS, FQE, BehaviorModel, DoublyRobust, estimator
 from deadreckon.ope.registry import fits_name
 from deadreckon.tasks.registry import names, task
+from deadreckon.training.hyperparameters import described
 from deadreckon.training.revisions import revisions
 
 METHODS = [
@@ -113,3 +115,32 @@ def test_fits_that_estimators_share_are_of_all_their_revisions(monkeypatch):
     assert before == fits_name()
     monkeypatch.setattr(FQE, "revision", 99)
     assert fits_name() != before
+
+
+def test_a_file_is_judged_in_the_task_of_the_log_that_it_holds(planned, monkeypatch):
+    """Under whatever name it lies: its cells have the revisions of the evaluation and of the task."""
+    job = planned("learn")["A"]
+    held = dataclasses.replace(job, on="mine.hdf5", data="maze2d-umaze-v1 0123456789abcdef")
+    assert revisions_of(held) == revisions_of(job)
+    assert "task" in revisions_of(held)
+    assert "task" not in revisions_of(dataclasses.replace(held, data="anybody 0123456789abcdef"))
+
+
+# Cells of estimators are known by the settings that are not the defaults: whoever changes a default, also of the FQE or the
+# behaviour model inside, raises the revision of its class, as old cells would be taken for new ones, and the digest here.
+# The second part is the text that names cells, which another version of Equinox might write otherwise.
+DEFAULTS = {
+    "fqe": ["e655e21e", "4807ee8a"], "fqe-linear": ["366e529b", "c2a12720"], "fqe-d": ["25ad691b", "6ac6fd28"],
+    "is": ["92cd8222", "0309affa"], "pdis": ["575e12dd", "9e524717"], "wis": ["a1f373a3", "6dd9ba22"],
+    "dr": ["217848b9", "0465a749"], "plain-dr": ["9bd1d46c", "2ffc3e6a"], "magic": ["97c9269c", "62fb041c"],
+    "dr-linear": ["cace75f9", "2054d177"], "drl": ["291a89cf", "9ce22f89"], "switch": ["f6d32c96", "ba1bdcb2"],
+    "dros": ["9ede0e53", "0fc49cc7"], "mrdr": ["54939a5c", "b4abfc81"], "smis": ["831769b8", "67bde3a7"],
+    "dice": ["9b1d733c", "e0054bc2"], "dual-dice": ["0016f6d3", "977a273e"], "gen-dice": ["3c4c592e", "85f7efb1"],
+    "vpm": ["6d7e121d", "33ed2f9d"], "mb-ff": ["725a569e", "f66a3461"], "mb-ar": ["9d9d6481", "be4cc20f"],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ESTIMATORS)
+def test_defaults_of_estimators_are_those_that_cells_rest_on(name):
+    made = estimator(name)
+    assert [digest(described(made), 4), digest(str(made), 4)] == DEFAULTS[name]

@@ -282,6 +282,29 @@ def test_what_another_command_has_done_since_is_not_begun(suite, tmp_path, capsy
     assert sorted(store.of(jobs)["score"].to_pylist()) == [1.0, 2.0, 2.0, 2.0]
 
 
+def test_what_was_found_in_time_is_kept_though_nobody_had_asked_for_it_yet(suite, tmp_path):
+    """Results of two workers come in together, and the time is over when the first has been heard."""
+    jobs, store, clock = plan(suite, 1), Store(tmp_path / "out"), [0.0]
+
+    class Two(InProcess):
+        room = property(lambda self: len(self._taken) < 2)
+
+        def wait(self, timeout=None):
+            clock[0] += 10.0
+            return super().wait(timeout)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("deadreckon.bench.executor.time", SimpleNamespace(monotonic=lambda: clock[0]))
+        run(
+            jobs,
+            store,
+            lambda event: None,
+            Two(store.path, work=lambda program, *_: [made(j, (2.0,)) for j in program.jobs]),
+            5.0,
+        )
+    assert store.of(jobs).num_rows == 2
+
+
 def test_an_estimator_without_sound_estimates_has_no_score(monkeypatch, tmp_path):
     """NaN, as a null would make the whole folder of results unreadable."""
     result = SimpleNamespace(estimates=np.array([np.nan]), warnings=["no estimate"])

@@ -52,6 +52,14 @@ def test_every_suite_of_the_package_can_be_planned(name):
     assert len({job.name for job in jobs}) == len(jobs)
 
 
+def test_an_agent_is_the_same_however_it_is_spelled(written):
+    spelled = SMALL.replace('"bc"', '"BC"').replace('"cql"', '"td3-bc"').replace("preset = true", "fields = { hidden = [8] }")
+    usual = spelled.replace("td3-bc", "td3_bc").replace('"BC"', '"bc"')
+    found = plan(read(written(spelled)))
+    assert [job.agent for job in found] == ["bc", "td3_bc"]
+    assert [job.cells for job in found] == [job.cells for job in plan(read(written(usual, "usual")))]
+
+
 def test_the_thesis_has_suites():
     assert {"bear", "d4rl-gym", "d4rl-maze2d", "d4rl-rest", "dope", "mbpo", "nemo", "quick"} <= set(names())
 

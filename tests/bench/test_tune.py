@@ -15,6 +15,7 @@ from deadreckon.bench.suite import Method, Suite
 from deadreckon.bench.tune import Trial, Tuned, candidates, named, suite, tune
 from deadreckon.bench.work import perform
 from deadreckon.cli.main import main
+from deadreckon.cli.tune import _option
 from deadreckon.data.formats.io import read
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
@@ -245,3 +246,9 @@ def test_suites_learn_from_all_of_a_log(tmp_path):
     assert divided_job.cells != job.cells
     [known] = plan(replace(asked, on=(UMAZE,), steps={UMAZE: 2}, divided=True))
     assert "divided" not in known.options
+
+
+def test_what_was_chosen_is_told_as_train_takes_it():
+    given = {"hidden": (64, 64), "value_penalty": False, "standardise": True, "alpha": 2.5}
+    options = "--agent.hidden 64 64 --agent.no-value-penalty --agent.standardise --agent.alpha 2.5"
+    assert " ".join(_option(*each) for each in given.items()) == options

@@ -142,6 +142,12 @@ CASES = {
         lambda f, g: ["train", "--agent", "bear", "--data", g, "--agent.test-samples", "0"], ["BEAR.test_samples", ">= 1"]),
     "layers of no width": (lambda f, g: [*BC, g, "--agent.hidden", "0"], ["BC.hidden", "0"]),
     "negative seed": (lambda f, g: [*BC, g, "--seed", "-1"], ["seed", "-1"]),
+    "an agent without a name": (lambda f, g: ["train", "--data", g, "--agent"], ["--agent needs a name behind it"]),
+    "a table for scores": (
+        lambda f, g: ["evaluate", "runs/bc", "--out", "scores.csv"], ["must end with .parquet, got scores.csv"]),
+    "negative seed of an experiment": (lambda f, g: ["theory", "gridworld", "--seed", "-1"], ["seed must be 0", "-1"]),
+    "negative seed of a search": (
+        lambda f, g: ["tune", "--agent", "bear", "--data", g, "--trials", "2", "--seed", "-1"], ["seed must be 0", "-1"]),
     "two agents": (lambda f, g: [*BC, g, "--agent", "td3"], ["--agent is given twice"]),
     "strict without a simulator": (
         lambda f, g: [*BC, demonstrations(f), "--strict"], ["out of bounds", "--strict"]),

@@ -169,6 +169,12 @@ def agent_class(name: str) -> "type[Agent]":
     return _imported(path)
 
 
+def canonical_name(name: str) -> str:
+    """The name under which `AGENTS` has an agent of the package, from any spelling of it, such as `td3-bc` or `TD3+BC`; any
+    other name as it is."""
+    return key if (key := agent_key(name)) in AGENTS else name
+
+
 def known_agent(name: str) -> bool:
     """Whether `agent_class` of a name that a file says imports no more than the user has: names of the package, those that
     installed packages register, and classes of modules that are imported already or trusted (`imports.trust`)."""

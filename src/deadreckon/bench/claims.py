@@ -127,6 +127,8 @@ class Comparison:
         constant: logs on which all seeds differ by the same: how they vary there is not known, and the interval too narrow
             unless the test has a range.
         again: the same with fresh seeds, where this one leaves it open with all cells and they are declared.
+        collections: logs of which its cells have learned from several collections: how these differ is in the gain, and, as it
+            is the same for every seed, not in the interval.
     """
 
     test: Test
@@ -140,6 +142,7 @@ class Comparison:
     level: float
     constant: tuple[str, ...] = ()
     again: "Comparison | None" = None
+    collections: tuple[str, ...] = ()
 
     @property
     def state(self) -> State:
@@ -257,6 +260,7 @@ def _compared(
 ) -> Comparison:  # fmt: skip
     """One of `count` comparisons of a claim at level 1 - alpha, from the plans of its suites and the results of their cells."""
     cells: dict[str, float] = {}
+    logs_of: dict[str, set[str]] = {}  # fingerprints of what was learned from, by name
 
     def scores(path: Path, methods: Sequence[str], logs: Sequence[str]) -> dict[str, np.ndarray]:
         """A number a seed by log, NaN where there is none; of several methods their mean."""
@@ -266,6 +270,8 @@ def _compared(
             own = [[cell for job in plans[path] if (job.method, job.on) == (m, log) for cell in job.cells] for m in methods]
             values = _scaled(test, np.array([[have(cell) for cell in row] for row in own]))
             cells.update(zip(chain(*own), values.reshape(-1), strict=True))
+            prints = (rows[cell]["log"] for cell in chain(*own) if cell in rows)
+            logs_of.setdefault(log, set()).update(filter(None, prints))
             found[log] = values.mean(0)
         return found
 
@@ -286,14 +292,15 @@ def _compared(
     missing = cells.keys() - rows.keys()
     undefined = {cell for cell, value in cells.items() if not math.isfinite(value)} - missing
     needed = frozenset(cells), frozenset(missing), frozenset(undefined)
+    several = tuple(log for log, prints in logs_of.items() if len(prints) > 1)
     if missing or undefined:
         nothing = Interval(math.nan, math.nan, math.nan)
-        return Comparison(test, rival, on, nothing, nothing, *needed, 1.0 - alpha)
+        return Comparison(test, rival, on, nothing, nothing, *needed, 1.0 - alpha, collections=several)
     if test.less:
         ours, theirs = theirs, ours
     gain, strict = (_gain(test, ours, theirs, level) for level in (1.0 - alpha, 1.0 - alpha / count))
     same = () if test.among or test.beside is not None else (log for log in ours if np.ptp(ours[log] - theirs[log]) == 0.0)
-    return Comparison(test, rival, on, gain, strict, *needed, 1.0 - alpha, tuple(same))
+    return Comparison(test, rival, on, gain, strict, *needed, 1.0 - alpha, tuple(same), collections=several)
 
 
 def _scaled(test: Test, values: np.ndarray) -> np.ndarray:

@@ -97,8 +97,9 @@ def run(
     end = None if seconds is None else time.monotonic() + seconds
     with closing(executor):
         waiting, lost, running = deque(programs(store.undone(jobs))), Counter[str](), 0
-        while (waiting or running) and (end is None or time.monotonic() < end):
-            while waiting and executor.room:
+        while waiting or running:
+            over = end is not None and time.monotonic() >= end  # what has been found until then is kept, and nothing begun
+            while waiting and executor.room and not over:
                 chosen = choice(waiting, None if end is None else end - time.monotonic())
                 if chosen is None:
                     break
@@ -110,7 +111,9 @@ def run(
                 running += 1
             if not running:
                 return
-            event = executor.wait(None if end is None else end - time.monotonic())
+            event = executor.wait(None if end is None else max(end - time.monotonic(), 0.0))
+            if event is None and over:
+                return
             if event is None:
                 continue
             if event.what in ("begun", "progress"):

@@ -33,9 +33,11 @@ def _learn(job: Job) -> dict[str, Any]:
     from deadreckon.agents import agent_class
     from deadreckon.tasks.registry import of_log
 
-    task = of_log(job.on)
+    # A file is judged in the task of the log that it holds, by whose name its data are known (`log_identity`).
+    name = job.on if of_log(job.on) is not None else job.data.rpartition(" ")[0]
+    task = of_log(name)
     found = {"method": revisions(agent_class(job.agent))} | ({} if task is None else of_evaluation(task))
-    if (task is not None and task.observation_dtype == "uint8") or job.on.partition("@")[0] in SHAPES:
+    if (task is not None and task.observation_dtype == "uint8") or any(n.partition("@")[0] in SHAPES for n in (job.on, name)):
         found["pictures"] = pictures.REVISION
     return found
 

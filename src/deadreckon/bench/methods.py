@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any, get_args
 
+from deadreckon.agents import canonical_name
 from deadreckon.errors import UserError, unknown
 
 LOG = ("first", "beside")  # what a task's log is for
@@ -91,8 +92,10 @@ def method(where: str, kind: str, name: str, table: Any) -> Method:
         raise UserError(f"{where}: log of method {name!r} must be one of {', '.join(LOG)}, got {table['log']!r}")
     if acting := table.get("acting"):
         _check_acting(where, f"acting of method {name!r}", acting)
-    # A cell is the same in whatever order its settings are written.
+    # A cell is the same in whatever order its settings are written, and however its agent is spelled.
     given: dict[str, Any] = {key: dict(sorted(v.items())) if isinstance(v, dict) else v for key, v in table.items()}
+    if kind in ("learn", "online"):
+        given["agent"] = canonical_name(given["agent"])
     return Method(name, **given)
 
 

@@ -17,7 +17,7 @@ from deadreckon.bench.store import Store
 from deadreckon.bench.tune import chosen, judging_of, suite, tried
 from deadreckon.bench.tuned import By, Trial, Tuned, named, standing_of
 from deadreckon.errors import UserError, extra, unknown
-from deadreckon.runs.settings import JudgeOptions
+from deadreckon.runs.settings import JudgeOptions, check_seed
 from deadreckon.training.field_names import with_field_names
 from deadreckon.training.hyperparameters import check_fields
 
@@ -59,6 +59,7 @@ class OptunaSampler:
             import optuna
         except ImportError as error:
             raise UserError(f"--sampler optuna proposes by Optuna: {extra('tune')}") from error
+        check_seed(seed)
         kind = agent_class(agent)
         self.space = with_field_names(kind, space(agent) if given is None else dict(given))
         defaults = vars(kind())

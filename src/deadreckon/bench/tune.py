@@ -14,7 +14,7 @@ from typing import Any, Unpack, get_args
 
 import numpy as np
 
-from deadreckon.agents import agent_class, space
+from deadreckon.agents import agent_class, canonical_name, space
 from deadreckon.bench.executor import Executor, OnEvent, run
 from deadreckon.bench.jobs import Job
 from deadreckon.bench.plan import plan
@@ -29,7 +29,7 @@ from deadreckon.ope.coverage import MODEL
 from deadreckon.ope.metrics import compare
 from deadreckon.runs.holdout import trial_parts
 from deadreckon.runs.offline import judge
-from deadreckon.runs.settings import JudgeOptions, JudgeSettings, RunSettings
+from deadreckon.runs.settings import JudgeOptions, JudgeSettings, RunSettings, check_seed
 from deadreckon.tasks.registry import of_log
 from deadreckon.training.field_names import with_field_names
 from deadreckon.training.hyperparameters import check_fields
@@ -57,8 +57,9 @@ def candidates(
         seed: of the draw.
 
     Raises:
-        UserError: an unknown agent or field, an agent without a known space, or a space without values.
+        UserError: an unknown agent or field, an agent without a known space, a space without values, or no seed.
     """
+    check_seed(seed)
     kind = agent_class(agent)
     values = with_field_names(kind, space(agent) if given is None else given)
     defaults = vars(kind())
@@ -116,6 +117,7 @@ def suite(
         if task.split != "training":
             told = f"{task.name} is kept for evaluation (thesis Table D.3), so its simulator must not choose settings"
             raise UserError(f"{told}; tune on a training task, or --by ope")
+    agent = canonical_name(agent)
     methods = tuple(Method(named(each), agent, {**(fixed or {}), **each}) for each in settings)
     return Suite(
         f"tune-{agent}", "learn", tuple(logs), methods, seeds=seeds, steps=dict.fromkeys(logs, steps),

@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import json
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,7 +111,8 @@ def _fill(options: Bench) -> None:
 
     if options.track:
         raise UserError("--track does not go with --gpu; `deadreckon train --resume --track NAME` shows a finished run")
-    for name, default in (("full", False), ("idle", False), ("executor", "local"), ("address", None)):
+    other = {"full": False, "idle": False, "executor": "local", "address": None, "cpus": 1, "gpus": 0.0}
+    for name, default in other.items():
         if getattr(options, name) != default:
             raise UserError(f"--{name} does not go with --gpu, which runs local processes and chooses each cell's size itself")
     if options.time is None:
@@ -127,6 +129,7 @@ def _run(options: Bench) -> None:
     from deadreckon.bench.tables import tables
     from deadreckon.runs.durations import seconds_of
 
+    began = time.monotonic()
     suites = queue(options.suite, options.full)
     work = _work(suites, options.track)
     seconds = None if options.time is None else seconds_of(options.time)
@@ -137,14 +140,21 @@ def _run(options: Bench) -> None:
     waiting = announce(Path(options.suite).stem, jobs, store, executor, options.dry_run)
     if options.dry_run:
         return executor.close()
+    lines, found = Lines(len(waiting)), set[str]()
+
+    def told(event) -> None:
+        lines(event)
+        if event.what == "done":
+            found.update(job.suite for job in event.program.jobs)
+
     with resumable(store.path, store.place):
-        run(jobs, store, Lines(len(waiting)), executor, seconds)
+        run(jobs, store, told, executor, None if seconds is None else seconds - (time.monotonic() - began))
     for suite in suites:
         own = [job for job in jobs if job.suite == suite.name]
         if len(suites) == 1:
             print("\n" + rendered(tables(suite, own, store)))
-        elif not store.of(own).num_rows:
-            continue  # of a queue that has not come to it
+        elif (seconds is not None and suite.name not in found) or not store.of(own).num_rows:
+            continue  # of a queue that has not come to it, or had no time for more
         if page := _page(suite, own, store, options.full):
             print(page)
     if left := store.undone(jobs):

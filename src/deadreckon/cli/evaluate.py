@@ -27,6 +27,8 @@ class Evaluate:
 def evaluate(args: Sequence[str]) -> None:
     """Evaluates and prints."""
     options = parse(Evaluate, args, "evaluate")
+    if options.out is not None and not options.out.endswith(".parquet"):
+        raise UserError(f"--out writes a Parquet file, so its name must end with .parquet, got {options.out}")
     if not options.policies:
         raise UserError("missing a run folder or a policy file")
 

@@ -64,11 +64,13 @@ def chosen(what: str, args: Sequence[str]) -> tuple[str | None, list[str]]:
     """Takes `--WHAT NAME` out, where the name decides which other options there are.
 
     Raises:
-        UserError: it is given twice.
+        UserError: it is given twice, or without a name.
     """
     rest, name, flag = list(args), None, f"--{what}"
+    if rest[-1:] == [flag]:
+        raise UserError(f"{flag} needs a name behind it")
     for i, a in enumerate(rest):
-        if a == flag and i + 1 < len(rest):
+        if a == flag:
             name, rest = rest[i + 1], rest[:i] + rest[i + 2 :]
             break
         if a.startswith(f"{flag}="):

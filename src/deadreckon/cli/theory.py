@@ -26,6 +26,7 @@ def theory(args: Sequence[str]) -> None:
     options = parse(Theory, args, "theory")
     from deadreckon.cli.show import table
     from deadreckon.report.theory import EXPERIMENTS
+    from deadreckon.runs.settings import check_seed
 
     if options.name is None:
         print(table([["name", "what"], *([name, line] for name, (_, line) in EXPERIMENTS.items())]))
@@ -33,6 +34,7 @@ def theory(args: Sequence[str]) -> None:
         return
     if options.name not in EXPERIMENTS:
         raise unknown("theory", options.name, EXPERIMENTS)
+    check_seed(options.seed)
     out = Path(options.out or f"runs/theory/{options.name}")
     with alone(out, what=str(out)):
         files, said = EXPERIMENTS[options.name][0](out, options.seed)

@@ -116,8 +116,15 @@ def _in_rounds(options: Tune, given: dict[str, Any] | None, fixed: dict[str, Any
 
 def _told(result: Any, fixed: dict[str, Any]) -> None:
     best = result.best.fields | fixed
-    words = [f"--agent.{name.replace('_', '-')} {value}" for name, value in best.items()]
-    print(f"\n{result}\n\nchosen: {' '.join(words)}")
+    print(f"\n{result}\n\nchosen: {' '.join(_option(name, value) for name, value in best.items() if value is not None)}")
+
+
+def _option(name: str, value: Any) -> str:
+    """A field of an agent as `train` takes it; one that is left to the agent (None) has no option."""
+    option = name.replace("_", "-")
+    if isinstance(value, bool):
+        return f"--agent.{option}" if value else f"--agent.no-{option}"
+    return f"--agent.{option} {' '.join(map(str, value)) if isinstance(value, tuple | list) else value}"
 
 
 def _pair(text: str) -> tuple[str, str]:
