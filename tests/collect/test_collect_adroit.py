@@ -82,13 +82,17 @@ def test_the_human_log_is_that_of_the_authors(files):
             generate("door-human-v1", **options)
 
 
-def test_a_downloaded_copy_serves_where_the_authors_file_is_not(home, real_data):
+def test_a_downloaded_copy_serves_where_the_authors_file_is_not(home, real_data, monkeypatch):
+    monkeypatch.setenv("DEADRECKON_DAPG_URL", "http://127.0.0.1:9")  # where nobody listens
     log = dr.read(real_data / "adroit" / "door-v0_demos.pickle").select([4, 5])
     (home / "data").mkdir(parents=True)
     write_hdf5(log, home / "data" / "door-human-v1@minari.hdf5")
+    with pytest.raises(UserError, match="door-v0_demos.pickle: .*may be put by hand"):  # its rewards may be other ones
+        adroit.human(DOOR, RetryPolicy(tries=1, timeout=5.0, sleep=lambda seconds: None))
+    write_hdf5(log, home / "data" / "door-human-v1@d4rl.hdf5")
     found = adroit.human(DOOR)
     assert len(found) == len(log)
-    assert found.provenance.extra["from"] == log.name
+    assert found.provenance.extra["from"] == "door-human-v1@d4rl"
     write_hdf5(dr.Dataset.from_arrays(observations=np.zeros((3, 5)), actions=np.zeros((3, 28)), rewards=np.zeros(3)),
                home / "data" / "door-human-v1@d4rl.hdf5")  # fmt: skip
     with pytest.raises(UserError, match=r"has observations \(5,\), door has \(39,\)"):
@@ -140,6 +144,7 @@ def test_the_cloned_log_is_half_people_half_a_clone(files, monkeypatch):
     np.testing.assert_array_equal(log.final_known, [False, True, True, True])
     assert not np.array_equal(log.observations[350], people.observations[350])
     assert log.provenance.extra["rows"] == [350, 350]
+    assert log.provenance.extra["from"] == "door-human"
     assert not log.extras
 
 

@@ -8,9 +8,11 @@ import jax
 import numpy as np
 import pytest
 
+import deadreckon as dr
 from deadreckon import tasks
 from deadreckon.collect import rollouts
 from deadreckon.collect.gym import collect_gym
+from deadreckon.collect.in_task import _content, collect_in_task
 from deadreckon.collect.rollouts import Segment, collect_rollouts, played
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.provenance import Provenance
@@ -294,6 +296,35 @@ def test_another_collection_is_not_gone_on_with(tmp_path):
     with pytest.raises(UserError, match="another collection"):
         collect_rollouts(HOPPER, [Segment(None, 30)], name="rolled", seed=0, provenance=other, scratch=tmp_path)
     assert len(log(tmp_path, [Segment(None, 30)])) == 30
+
+
+def test_another_policy_does_not_go_on_with_a_killed_log(tmp_path):
+    """Of one kind and one name they are told apart by what they hold, and code of one's own is not told apart at all."""
+    asked = {"steps": 300, "out": tmp_path / "log.hdf5"}
+    for first in (POLICY, Coded()):
+        with pytest.raises(Killed):
+            collect_in_task(HOPPER, first, **asked, progress=lambda done, total: _kill_at(done, 100))
+        with pytest.raises(UserError, match="holds the beginning of a(nother)? collection.*delete it to begin anew"):
+            collect_in_task(HOPPER, policy(HOPPER, seed=1), **asked)
+        with pytest.raises(UserError, match="holds the beginning of a collection, maybe by another policy; delete it"):
+            collect_in_task(HOPPER, Coded(), **asked)
+        if first is POLICY:
+            made = dr.read(collect_in_task(HOPPER, policy(HOPPER), **asked))  # the same, made anew
+            assert made.provenance.extra["policy_content"] == _content(POLICY)
+            asked["out"] = tmp_path / "other.hdf5"
+
+
+class Coded:
+    has_log_prob = False
+
+    def start(self, n):
+        return ()
+
+    def act(self, step, carry, key, *, greedy):
+        return self(step.observation), carry
+
+    def __call__(self, observations):
+        return np.zeros((len(observations), 3), np.float32)
 
 
 def test_a_scratch_folder_that_cannot_be_written_is_one_line(tmp_path):

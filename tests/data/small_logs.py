@@ -45,9 +45,12 @@ def variants() -> dict[str, Dataset]:
         timeouts=plain.timeouts, final_observations=plain.final_observations,
         final_known=np.array([True, False, True, False]), action_space=plain.action_space, name="partly",
     )  # fmt: skip
+    following = rng.normal(size=(13, 3))
+    following[7] = plain.observations[7]  # not known, as tables say it
     successors = Dataset.from_arrays(
         observations=plain.observations, actions=plain.actions, rewards=plain.rewards, terminals=plain.terminals,
-        timeouts=plain.timeouts, next_observations=rng.normal(size=(13, 3)), name="successors",
+        timeouts=plain.timeouts, next_observations=following, final_known=np.array([True, False, True, True]),
+        name="successors",
     )  # fmt: skip
     return {
         "plain": plain,

@@ -159,6 +159,8 @@ def _with(column, place, value):
         ({"final_observations": np.zeros((1, 2)), "final_known": [1, 1]}, "final_known has 2 values, 1 episodes"),
         ({"next_observations": np.zeros((4, 3))}, r"next_observations have shape \(4, 3\), observations \(4, 2\)"),
         ({"actions": np.array([0, 1, 5, 0]), "action_space": Discrete(3)}, r"actions has 5 in row 2, 0 .. 2 is needed"),
+        ({"actions": np.array([0, 2**32 + 1, 0, 0]), "action_space": Discrete(3)}, "4294967297 in row 1, 0 .. 2 is"),
+        ({"actions": np.array([0, 5_000_000, 0, 0])}, "up to 5000000, at most 1,000,000 discrete actions"),
         ({"actions": np.array([0, 1.5, 0, 0]), "action_space": Discrete(3)}, "actions has 1.5 in row 1, an integer"),
         ({"action_space": Box((-1, -1), (1, 1))}, "actions have 1 dimensions, the bounds have 2"),
         ({"actions": np.full((4, 1), 2.0), "action_space": Box((-1,), (1,)), "strict": True}, "4 of 4 rows .* first row 0"),

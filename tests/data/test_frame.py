@@ -76,6 +76,30 @@ def test_each_row_is_an_episode_of_a_bandit():
     np.testing.assert_allclose(np.exp(log.extras["behavior_log_probs"]), [0.5, 0.25], rtol=1e-6)
 
 
+def test_densities_of_continuous_actions_may_be_above_1():
+    log = Dataset.from_frame(
+        {"x": [1, 2], "dose": [0.1, 0.7], "r": [0, 1], "p": [2.5, 0.25]}, action="dose", reward="r", propensity="p"
+    )
+    np.testing.assert_allclose(np.exp(log.extras["behavior_log_probs"]), [2.5, 0.25], rtol=1e-6)
+
+
+def test_next_observations_cut_a_stream_that_only_a_time_orders():
+    table = {"ts": [3, 4, 0, 1], "x": [5, 6, 1, 2], "next_x": [6, 7, 2, 3], "a": [0, 1, 0, 1], "r": [0] * 4}
+    log = Dataset.from_frame(table, time="ts", action="a", reward="r")
+    assert (log.observations[:, 0].tolist(), log.lengths.tolist()) == ([1, 2, 5, 6], [2, 2])
+    assert log.final_observations[:, 0].tolist() == [3, 7]
+
+
+def test_times_of_large_integers_are_not_rounded():
+    start = 1_767_225_600_000_000_000  # nanoseconds since 1970, of which float64 holds every 256th
+    table = {"t": [start + 2, start + 3, start + 1, start], "x": [2, 3, 1, 0], "a": [0, 1, 0, 1], "r": [0] * 4}
+    log = Dataset.from_frame(table, time="t", action="a", reward="r")
+    assert log.observations[:, 0].tolist() == [0, 1, 2, 3]
+    assert not [line for line in log.warnings if "of the row before" in line]
+    by_episode = Dataset.from_frame({**table, "e": [1, 1, 2, 2]}, episode="e", time="t", action="a", reward="r")
+    assert by_episode.observations[:, 0].tolist() == [0, 1, 2, 3]  # also episodes among one another
+
+
 def test_one_stream_cut_by_its_flags():
     table = {"x": [1, 2, 3, 4], "a": [0, 1, 0, 1], "r": [0, 0, 0, 0], "end": [0, 1, 0, 0]}
     log = Dataset.from_frame(table, action="a", reward="r", terminal="end")
@@ -209,8 +233,12 @@ def test_what_is_noticed():
             r"column x holds timestamp.* give it as time, or leave it out",
         ),
         ({"x": [[1], [2], [3], [4], [5]]}, {}, r"column x holds list"),
-        ({"x": [0.0, 0.5, 0.5, 0.5, 1.0]}, {"propensity": "x"}, "column x has 0 in row 0, a probability in .0, 1. is"),
-        ({"x": [1.5, 0.5, 0.5, 0.5, 1.0]}, {"propensity": "x"}, "column x has 1.5 in row 0, a probability in .0, 1. is"),
+        ({"x": [0.0, 0.5, 0.5, 0.5, 1.0]}, {"propensity": "x"}, "column x has 0 in row 0, a density above 0 is needed"),
+        (
+            {"x": [1.5, 0.5, 0.5, 0.5, 1.0]},
+            {"propensity": "x", "action": "kind"},
+            "column x has 1.5 in row 0, a probability in .0, 1. is",
+        ),
     ],
 )
 def test_bad_tables_are_told_in_one_line(changed, options, words):

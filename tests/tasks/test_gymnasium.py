@@ -198,6 +198,8 @@ def test_actions_reach_the_environment_in_its_own_form(action, expected):
 def test_pictures_keep_their_shape():
     task = dr.task(lambda: Custom(spaces.Box(0, 255, (40, 32, 3), np.uint8), BOX), horizon=5)
     assert task.observation_shape == task.simulate([0]).reset()[0].shape == (40, 32, 3)
+    simulator = task.simulate([0])  # and their numbers: no agent takes pictures of floats
+    assert task.observation_dtype == simulator.reset().dtype == simulator.step(np.zeros((1, 2)))[0].dtype == np.uint8
     assert dr.task(lambda: Custom(spaces.Box(0, 255, (7, 7, 3), np.uint8), BOX), horizon=5).observation_shape == (147,)
 
 

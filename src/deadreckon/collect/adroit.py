@@ -1,7 +1,7 @@
 """How the Adroit logs are made (thesis 7.3): human demonstrations, the policies that DAPG trained from them, and our clones.
 
 Two things come from Rajeswaran et al.'s repository, once, into the package's folder: demonstrations and policies. A file
-that lies there already is taken as it is, and so is a copy of the human log that was downloaded from D4RL or Minari.
+that lies there already is taken as it is, and without one a copy of the human log that was downloaded from D4RL.
 """
 
 import os
@@ -19,7 +19,7 @@ from deadreckon.collect.rollouts import Segment, acted_in, collect_rollouts
 from deadreckon.data.batch import TransitionSource
 from deadreckon.data.catalogue import cached_path, load
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.entries import ORIGINAL, TWIN, VERSION
+from deadreckon.data.entries import ORIGINAL, VERSION
 from deadreckon.data.formats.pickles import read_pickle
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.transfer import RetryPolicy, download_file
@@ -64,16 +64,16 @@ def _source(name: str, address: str, check: Callable[[Path], Any], retry: RetryP
 def human(task: Adroit, retry: RetryPolicy | None = None) -> Dataset:
     """The demonstrations of a task, with actions clipped to ±1, which is how the environment takes them and D4RL wrote them.
 
-    Where D4RL's file or its Minari twin has been downloaded, that is taken; else the authors' pickle, whose last row of each
-    demonstration has no known successor.
+    They are those of the authors' pickle, whose last row of each demonstration has no known successor; where that has not
+    been downloaded and D4RL's file has, of that. The Minari twin is never taken: it may have the rewards of newer environments.
 
     Raises:
         UserError: as `demonstrations_file`.
     """
     name = f"{task.name}-human-v1"
-    copies = [f"{name}@{source}" for source in (ORIGINAL, TWIN) if cached_path(f"{name}@{source}").exists()]
-    own = home() / "data" / "adroit" / f"{task.name}-v0_demos.pickle"
-    log = load(copies[0]) if copies and not own.exists() else read_pickle(demonstrations_file(task, retry))
+    copy, own = f"{name}@{ORIGINAL}", home() / "data" / "adroit" / f"{task.name}-v0_demos.pickle"
+    copied = cached_path(copy).exists() and not own.exists()
+    log = load(copy) if copied else read_pickle(demonstrations_file(task, retry))
     if log.observations.shape[1:] != task.observation_shape:
         raise UserError(f"{log.name} has observations {log.observations.shape[1:]}, {task.name} has {task.observation_shape}")
     return Dataset.from_arrays(
@@ -126,7 +126,7 @@ def collect_adroit(
         raise UserError(f"{name}: steps must be 2 or more, got {steps}")
     shown = steps // 2
     extra = {"task": task.name, "policies": ["people", "bc"], "updates": UPDATES, "rows": [shown, steps - shown],
-             "actions": "as demonstrated, then drawn; clipped to 1"}  # fmt: skip
+             "from": people.provenance.extra["from"], "actions": "as demonstrated, then drawn; clipped to 1"}  # fmt: skip
     provenance = acted_in(BODY, name, seed, extra)
     clone = cloned_policy(people, seed, scratch / "clone")
     told = (lambda rows, total: progress(shown + rows, steps)) if progress else None

@@ -1,9 +1,13 @@
 """A log of what a policy, or chance, does in any task."""
 
+import hashlib
 import shutil
 from importlib import metadata
 from pathlib import Path
 from typing import Any
+
+import jax
+import numpy as np
 
 from deadreckon._version import __version__
 from deadreckon.collect.rollouts import Segment, collect_rollouts
@@ -13,6 +17,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import alone
 from deadreckon.interrupts import resumable
 from deadreckon.names import file_part
+from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.resolve import policies_of
 from deadreckon.progress import Progress
 from deadreckon.tasks.registry import task as find_task
@@ -35,7 +40,8 @@ def collect_in_task(
     """Lets a policy act in a task and writes the log as an HDF5 file with D4RL's column names.
 
     Actions are drawn, not greedy, and their log-probabilities are logged where the policy has any. After a kill the same
-    command goes on where it was: what is done so far lies in a hidden folder beside the file.
+    command goes on where it was: what is done so far lies in a hidden folder beside the file. A policy of code of its own,
+    which cannot be told from another, begins anew once that folder is deleted.
 
     Args:
         task: a task, its name, or a Gymnasium environment; see `tasks.registry.task`.
@@ -52,7 +58,8 @@ def collect_in_task(
         The file's path. It is written whole or not at all.
 
     Raises:
-        UserError: an unknown task, no single policy, settings out of range, or a file `out` that is there already.
+        UserError: an unknown task, no single policy, settings out of range, a file `out` that is there already, or the
+            beginning of another collection beside it.
     """
     from deadreckon.data.formats.hdf5 import write_hdf5
 
@@ -72,10 +79,14 @@ def collect_in_task(
         raise UserError(f"{path} is there already; --force (force=True) replaces it")
     versions = {each: metadata.version(each) for each in ("mujoco", "numpy", "jax")} | {"deadreckon": __version__}
     extra = {"task": task.name, "policy": by, "actions": "drawn", "device": acting_platform()}
-    extra |= task.described
+    content = None if chance else _content(found[0])
+    extra |= task.described | ({} if content is None else {"policy_content": content})
     provenance = Provenance("collected", None, seed, {**versions, **task.versions}, extra=extra)
     scratch = path.parent / f".{path.name}.part"
-    with alone(path), resumable(scratch):
+    known = chance or content is not None
+    with alone(path), resumable(*[scratch] if known else []):
+        if scratch.exists() and not known:
+            raise UserError(f"{scratch} holds the beginning of a collection, maybe by another policy; delete it to begin anew")
         log = collect_rollouts(
             task, [Segment(found[0], steps)], name=name, seed=seed, provenance=provenance, threads=threads, scratch=scratch,
             progress=progress,
@@ -83,3 +94,14 @@ def collect_in_task(
         write_hdf5(log, path, compress=True)
         shutil.rmtree(scratch, ignore_errors=True)
     return path
+
+
+def _content(policy: Any) -> str | None:
+    """Hex digest of a policy's kind, settings and numbers; None where it is other code, which nobody can tell from another."""
+    if not isinstance(policy, EnvPolicy):
+        return None
+    leaves, structure = jax.tree.flatten(policy)
+    found = hashlib.blake2b(str(structure).encode(), digest_size=16)
+    for leaf in map(np.asarray, leaves):
+        found.update(f"{leaf.shape}{leaf.dtype}".encode() + leaf.tobytes())
+    return found.hexdigest()

@@ -198,10 +198,12 @@ def flags(name: str, table: pa.Table, column: str) -> np.ndarray:
     return values != 0
 
 
-def log_probabilities(name: str, table: pa.Table, column: str) -> np.ndarray:
-    """(rows,) logarithms of a column of probabilities in (0, 1]."""
+def log_probabilities(name: str, table: pa.Table, column: str, actions: np.ndarray) -> np.ndarray:
+    """(rows,) logarithms of a column of probabilities in (0, 1], or of densities above 0 where `actions` are continuous."""
     values = numbers(name, table, column)
-    _refuse(name, column, values, (values <= 0) | (values > 1), "a probability in (0, 1]")
+    if actions.dtype.kind in "iub":
+        _refuse(name, column, values, (values <= 0) | (values > 1), "a probability in (0, 1]")
+    _refuse(name, column, values, values <= 0, "a density above 0")
     return np.log(values).astype(np.float32)
 
 

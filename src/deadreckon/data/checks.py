@@ -7,7 +7,7 @@ import numpy as np
 
 from deadreckon.data.columns import COLUMNS, LOG_PROBS
 from deadreckon.data.scratch import BLOCK
-from deadreckon.data.spec import Box, Discrete
+from deadreckon.data.spec import MOST_ACTIONS, Box, Discrete
 from deadreckon.errors import UserError, naming
 
 SLACK = 1e-6  # that a logarithm of a probability may lie above 0 by rounding
@@ -170,13 +170,16 @@ def _action_column(log: str, column: np.ndarray, space: Box | Discrete | None) -
         if broken.any():
             row = int(np.argwhere(broken)[0][0])
             raise UserError(f"{log}: column actions has {column[row]} in row {row}, an integer is needed")
-        column = _flat(log, "actions", column, np.int32)
+        column = _flat(log, "actions", column, None)
         n = space.n if space else int(column.max()) + 1
         wrong = (column < 0) | (column >= n)
         if wrong.any():
             row = int(np.flatnonzero(wrong)[0])
-            raise UserError(f"{log}: column actions has {column[row]} in row {row}, 0 .. {n - 1} is needed")
-        return column, space or Discrete(max(n, 2))
+            raise UserError(f"{log}: column actions has {int(column[row])} in row {row}, 0 .. {n - 1} is needed")
+        if n > MOST_ACTIONS:
+            text = f"column actions holds numbers up to {n - 1}, at most {MOST_ACTIONS:,} discrete actions are taken"
+            raise UserError(f"{log}: {text}; number those that occur 0, 1, 2, ...")
+        return column.astype(np.int32, copy=False), space or Discrete(max(n, 2))
     column = _float32(log, "actions", column.reshape(len(column), -1))
     if space is None:
         low, high = column.min(0).astype(float), column.max(0).astype(float)
@@ -188,9 +191,7 @@ def _action_column(log: str, column: np.ndarray, space: Box | Discrete | None) -
     return column, space
 
 
-def bounds_warnings(
-    log: str, actions: np.ndarray, space: Box | Discrete, strict: bool, extra: Mapping[str, Any]
-) -> list[str]:
+def bounds_warnings(log: str, actions: np.ndarray, space: Box | Discrete, strict: bool, extra: Mapping[str, Any]) -> list[str]:
     """What to say of actions out of bounds, which are an error where `strict`; `extra` of the provenance names columns."""
     if isinstance(space, Discrete):
         return []

@@ -15,6 +15,8 @@ MASKS = ("legal", "next_legal", "final_legal")  # become part of the observation
 RESERVED = frozenset({*COLUMNS, *MASKS, "action_space", "name", "provenance", "strict", "cls"})
 _ENDS = {"timeouts", "next_observations", "final_observations"}  # any of these tells where episodes end
 LOG_PROBS = "behavior_log_probs"  # the further column of the logging policy's log-probabilities
+METADATA = "metadata/"  # before D4RL's names of what is no column
+_D4RL = {"infos/action_log_probs": LOG_PROBS}  # its names of further columns, and ours
 
 
 def extra_name(key: str, taken: Mapping[str, Any]) -> str:
@@ -29,6 +31,21 @@ def extra_name(key: str, taken: Mapping[str, Any]) -> str:
     if found in taken:
         raise UserError(f"two columns would be called {found}, {key} and another; rename one")
     return found
+
+
+def d4rl_name(key: str, taken: Mapping[str, Any]) -> str:
+    """The name of a further column of D4RL's; raises as `extra_name`."""
+    return _D4RL[key] if key in _D4RL and _D4RL[key] not in taken else extra_name(key, taken)
+
+
+def d4rl_metadata(key: str, value: Any) -> dict[str, Any]:
+    """What D4RL says beside its columns under `METADATA`, if it is a text or a number; `value` has a shape and a dtype."""
+    if value.shape not in ((), (1,)) or value.dtype.kind not in "fiubSUO":
+        return {}
+    said = np.asarray(value[()]).reshape(()).item()
+    if isinstance(said, bytes):
+        said = said.decode("utf-8", "replace")
+    return {key.removeprefix(METADATA): said} if isinstance(said, str | bool | int | float) else {}
 
 
 def given_columns(source: Path | str, columns: Mapping[str, Any]) -> dict[str, Any]:

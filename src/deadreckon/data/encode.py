@@ -12,6 +12,7 @@ from deadreckon.data.arrow import (
     as_dates,
     category_codes,
     codes_of,
+    compute,
     decoded,
     first_text,
     flags,
@@ -294,7 +295,7 @@ class Encoder:
         return ranks[codes]
 
     def moments(self, column: str) -> np.ndarray:
-        """(rows,) numbers in the order of time: float64 or, of dates, int64."""
+        """(rows,) numbers in the order of time: float64 or, of dates and whole numbers, int64, which rounds none."""
         values = self.complete(column)
         dates = as_dates(values)
         if dates is not None:
@@ -302,6 +303,8 @@ class Encoder:
         if odd := first_text(values):
             text = "orders rows, and holds neither numbers nor dates in a form that is read"
             raise UserError(f"{self.name}: column {column} {text}{odd}; write dates as 2024-04-03 or 2024-04-03 14:30")
+        if pa.types.is_integer(values.type) and compute.max(values).as_py() < 2**63:
+            return values.to_numpy(zero_copy_only=False).astype(np.int64)
         return numbers(self.name, self.table, column)
 
     def complete(self, column: str) -> Any:

@@ -77,8 +77,8 @@ def frame_columns(
             - terminal: column of truth values: the task ended here.
             - timeout: column of truth values: only the recording ended here. The last row of an episode that is not a
               terminal is always one.
-            - propensity: column of the logging policy's probability of the logged action (of its density, for floats), in
-              (0, 1]; its logarithm is kept as the extra `behavior_log_probs`.
+            - propensity: column of the logging policy's probability of the logged action, in (0, 1], or of its density above 0
+              where actions are continuous; its logarithm is kept as the extra `behavior_log_probs`.
             - keep: columns, or prefixes, that are no observations unless `observations` names them, but stay beside the log
               as extras. Texts and times become integer codes, up to 1,000 levels of each in `provenance.extra`.
             - group: column, such as a user or a site, that is kept and by whose values episodes are held out together.
@@ -168,7 +168,7 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
         columns["next_observations"], unknown = encoder.next_observations(following, observed)
         columns["next_observations"][unknown] = columns["observations"][unknown]
     if propensity is not None:
-        columns[LOG_PROBS] = log_probabilities(name, table, propensity.name)
+        columns[LOG_PROBS] = log_probabilities(name, table, propensity.name, columns["actions"])
     for column in schema.columns:
         if not column.keep and column.role not in ("keep", "group", "cost", "weight"):
             continue
@@ -180,8 +180,7 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
     moments = None if time is None else scratch.keep(encoder.moments(time.name))
     codes = None if episode is None else scratch.keep(encoder.episodes(episode.name, ordered=time is not None))
 
-    ordered = episode is not None or time is not None
-    if not (ordered or terminal or timeout or following):
+    if not (episode or time or terminal or timeout or following):
         columns["terminals"][:] = True
         encoder.warnings.append(ALONE)
     order, ends = _order(table.num_rows, codes, moments)
@@ -201,7 +200,7 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
     if early:
         warnings.append(f"{early} terminal rows are not the last of their episode, which is cut there")
     if following:
-        _ends_known(name, columns, unknown, ends, cut=timeout is not None or ordered)
+        _ends_known(name, columns, unknown, ends, cut=timeout is not None or episode is not None)
     else:
         columns["timeouts"] |= ends & ~columns["terminals"]
     resolved = schema.resolved(encoder.resolved.values())
@@ -263,7 +262,7 @@ def _order(rows: int, codes: np.ndarray | None, moments: np.ndarray | None) -> t
     codes = np.zeros(rows, np.int64) if codes is None else codes
     moments = np.zeros(rows) if moments is None else moments
     # Episodes follow one another by their first moment, so that a split by time is one; equal ones by their names.
-    first = np.full(codes.max() + 1, np.inf)
+    first = np.full(codes.max() + 1, moments.max())  # of their type: as floats, large integers would be rounded
     np.minimum.at(first, codes, moments)
     # Most large tables are sorted already, and to sort them again takes much memory.
     order = slice(None) if _sorted(first, codes, moments) else np.lexsort((moments, codes, first[codes]))

@@ -35,7 +35,7 @@ class GymnasiumCopies:
         size = () if self._discrete else (task.action_space.size,)
         self._shape = copies, *size
         self._taken = np.zeros((copies, task.horizon, *size), np.int32 if self._discrete else np.float32)
-        self._seen = np.zeros((copies, *task.observation_shape), np.float32)
+        self._seen = np.zeros((copies, *task.observation_shape), task.observation_dtype)
         self._age = np.zeros(copies, int)
         self._alive = np.zeros(copies, bool)
         self._end = weakref.finalize(self, _close, self._envs)

@@ -28,6 +28,7 @@ class Spaces:
         observed: space of the observations that are taken: the environment's, without texts.
         acted: space of the environment's actions.
         shape: of one observation of the task.
+        dtype: of observations of the task, uint8 of pictures and float32 of all others.
         actions: of the task.
         choices: what the environment takes for each discrete action; empty where actions are continuous.
         left_out: names of texts in observations, which are not taken.
@@ -36,6 +37,7 @@ class Spaces:
     observed: spaces.Space
     acted: spaces.Space
     shape: tuple[int, ...]
+    dtype: str
     actions: Box | Discrete
     choices: tuple[Any, ...]
     left_out: tuple[str, ...]
@@ -52,14 +54,14 @@ class Spaces:
         if (count := spaces.flatdim(observed)) > MOST_NUMBERS:
             raise UserError(f"{name}: an observation has {count:,} numbers, at most {MOST_NUMBERS:,} are taken")
         picture = isinstance(observed, spaces.Box) and observed.dtype == np.uint8 and min((*observed.shape, 0)[:2]) >= PICTURE
-        shape = tuple(observed.shape or ()) if picture else (count,)
+        shape, dtype = (tuple(observed.shape or ()), "uint8") if picture else ((count,), "float32")
         actions, choices = _actions(env.action_space, name)
-        return cls(observed, env.action_space, shape, actions, choices, tuple(left_out))
+        return cls(observed, env.action_space, shape, dtype, actions, choices, tuple(left_out))
 
     def observe(self, observation: Any) -> np.ndarray:
-        """float32 of `shape`: as `gymnasium.spaces.flatten` gives it, so that discrete ones are one-hot."""
+        """`dtype` of `shape`: as `gymnasium.spaces.flatten` gives it, so that discrete ones are one-hot."""
         if isinstance(self.observed, spaces.Box):
-            return np.asarray(observation, np.float32).reshape(self.shape)
+            return np.asarray(observation, self.dtype).reshape(self.shape)
         return np.asarray(spaces.flatten(self.observed, _kept(self.observed, observation)), np.float32)
 
     def act(self, action: np.ndarray) -> Any:

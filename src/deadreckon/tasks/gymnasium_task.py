@@ -220,9 +220,9 @@ def _task(env: Any, make: Callable[[], Any], name: str, horizon: int | None, kee
     if not keep:
         env.close()
     return GymnasiumTask(
-        name=name, domain="gymnasium", horizon=min(limits), observation_shape=spaces.shape, action_space=spaces.actions,
-        gym_id="" if spec is None else spec.id, reference=None, summary=f"{type(env.unwrapped).__name__} of {module}",
-        make=make, spaces=spaces, packages=_versions(module),
+        name=name, domain="gymnasium", horizon=min(limits), observation_shape=spaces.shape, observation_dtype=spaces.dtype,
+        action_space=spaces.actions, gym_id="" if spec is None else spec.id, reference=None,
+        summary=f"{type(env.unwrapped).__name__} of {module}", make=make, spaces=spaces, packages=_versions(module),
     )  # fmt: skip
 
 

@@ -19,9 +19,6 @@ from deadreckon.tasks.flow_world import read, write
 if TYPE_CHECKING:
     from deadreckon.tasks.flow import Flow
 
-if TYPE_CHECKING:
-    from deadreckon.tasks.flow import Flow
-
 FEW = 8  # copies that are not worth a second process
 
 

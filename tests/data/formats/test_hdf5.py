@@ -96,6 +96,19 @@ def test_d4rl_layout(log, tmp_path, following, timeouts):
         assert found.dropped == (2 if timeouts else 1)
 
 
+def test_d4rls_dict_is_read_as_its_file_is(log, tmp_path):
+    """As `env.get_dataset()` gives it."""
+    path, columns = d4rl_file(tmp_path / "maze.hdf5", log), {}
+    with h5py.File(path) as file:
+        file.visititems(lambda key, item: columns.update({key: item[()]}) if isinstance(item, h5py.Dataset) else None)
+    found, expected = Dataset.from_dict(columns, name="maze"), read_hdf5(path)
+    assert found.fingerprint == expected.fingerprint
+    assert found.provenance.extra == expected.provenance.extra
+    write_hdf5(found, tmp_path / "again.hdf5")
+    both = Dataset.from_dict({**columns, "behavior_log_probs": -2 * np.ones(len(log))})
+    assert (both.extras["behavior_log_probs"][0], both.extras["action_log_probs"][0]) == (-2, -1)
+
+
 @pytest.mark.parametrize("options", [{"chunks": True}, {"compression": "gzip"}])
 def test_compressed_columns_are_not_memory_mapped(log, tmp_path, options):
     path = d4rl_file(tmp_path / "log.hdf5", log, **options)

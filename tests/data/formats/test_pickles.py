@@ -98,6 +98,28 @@ def test_trajectories_with_next_observations_and_terminals(tmp_path):
     assert log.final_observations.ravel().tolist() == [3, 3]
 
 
+def test_flags_of_ends_are_never_lost(tmp_path):
+    """As a list, or under another name in a dict an episode, a flag was dropped and its episodes ended in timeouts."""
+    path = tmp_path / "walk.pkl"
+    columns = {"observations": np.arange(4.0)[:, None], "actions": np.zeros((4, 1)), "rewards": np.ones(4)}
+    lists = {"terminals": [False, True, False, True], "goal": [1.0, 2.0, 3.0, 4.0], "tags": ["a", "b", "c", "d"], "note": None}
+    path.write_bytes(pickle.dumps({**columns, **lists}))
+    log = read(path)
+    assert log.terminals.tolist() == lists["terminals"]
+    assert {key: column.tolist() for key, column in log.extras.items()} == {"goal": lists["goal"]}
+    path.write_bytes(pickle.dumps({**columns, "terminals": [[False], [True, False], [False], [True]]}))
+    with pytest.raises(UserError, match=f"^{path}: column terminals is no array of numbers in which every row has the same"):
+        read(path)
+    ended = np.array([False, False, False, True])
+    for name in ("dones", "terminated", "truncated"):
+        path.write_bytes(pickle.dumps([columns, {**columns, name: ended}]))
+        with pytest.raises(UserError, match=f"episode 1 has {name}, which is not read; call it terminals .* or timeouts"):
+            read(path)
+    path.write_bytes(pickle.dumps([columns, {**columns, "terminals": ended}]))
+    with pytest.raises(UserError, match="episode 1 has terminals, which is not read; all need the same"):
+        read(path)
+
+
 def test_the_real_demonstrations(real_data):
     log = read(real_data / "adroit" / "door-v0_demos.pickle")
     assert (log.name, log.episodes, len(log), log.dropped) == ("door-human", 25, 6729, 25)

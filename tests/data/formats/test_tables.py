@@ -244,10 +244,52 @@ def test_decisions_that_stand_alone_need_no_options(tmp_path):
     found = read(path)
     assert found.episodes == 2
     assert found.terminals.all()
+    assert found.warnings[0].startswith("each row is read as an episode of one step")
     np.testing.assert_allclose(found.extras["behavior_log_probs"], np.log([0.25, 0.5]), rtol=1e-6)
     assert read(path, horizon=1).timeouts.all()  # whoever gives a horizon has a stream
     path.write_text("observation_0,action,reward,time\n1,0,0.5,1\n3,1,1,2\n")
     assert read(path).episodes == 1
+
+
+@pytest.mark.parametrize(("episode", "time"), [("episode_id", "step"), ("episode", "time")])
+def test_names_that_tell_count_beside_ours(tmp_path, episode, time):
+    """Read by our names alone, each of these rows would be a decision that stands alone, or out of order."""
+    lines = [
+        f"{e},{2 - s},{s},{e},{s / 4},1,{int(s == e == 0)},{int(s == 0 and e == 1)},0.5,7" for e in (0, 1) for s in range(3)
+    ]
+    names = f"{episode},{time},observation_1,observation_0,action_0,reward,terminated,truncated,propensity,goal"
+    (tmp_path / "log.csv").write_text("\n".join([names, *lines]) + "\n")
+    log = read(tmp_path / "log.csv")
+    assert log.lengths.tolist() == [3, 3]
+    assert (np.flatnonzero(log.terminals).tolist(), np.flatnonzero(log.timeouts).tolist()) == ([2], [5])
+    np.testing.assert_array_equal(log.observations, [[0, 2], [0, 1], [0, 0], [1, 2], [1, 1], [1, 0]])
+    np.testing.assert_array_equal(log.actions, [[0.5], [0.25], [0], [0.5], [0.25], [0]])
+    assert log.extras["goal"].tolist() == [7] * 6
+    np.testing.assert_allclose(log.extras["behavior_log_probs"], np.log(0.5), rtol=1e-6)
+    assert f"column {time} is read as the time within an episode (--time)" in log.warnings
+    with pytest.raises(UserError, match=f"a horizon and a column {episode if episode != 'episode' else 'time'}, whose name"):
+        read(tmp_path / "log.csv", horizon=2)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".parquet"])
+def test_extras_of_our_own_files_are_extras_however_they_are_called(tmp_path, ending):
+    path = tmp_path / f"log{ending}"
+    given = make_log(time=np.arange(13.0)[::-1], terminated=np.ones(13), pscore=np.arange(13.0), done=np.zeros(13))
+    pa.parquet.write_table(to_table(given), path) if ending == ".parquet" else write_csv(given, path)
+    again = read(path)
+    np.testing.assert_array_equal(again.observations, given.observations)
+    np.testing.assert_array_equal(again.terminals, given.terminals)
+    assert {key: column.tolist() for key, column in again.extras.items()} == {k: c.tolist() for k, c in given.extras.items()}
+
+
+def test_an_empty_next_observation_is_unknown_in_a_last_row_alone(tmp_path):
+    path, names = tmp_path / "log.csv", "episode,observation_0,next_observation_0,action,reward"
+    path.write_text(f"{names}\n1,1,5,0,1\n1,2,,0,1\n2,5,7,0,1\n")
+    log = read(path)
+    assert (log.final_known.tolist(), log.dropped, log.successors[0].tolist()) == ([False, True], 1, [5])
+    path.write_text(f"{names}\n1,1,,0,1\n1,2,3,0,1\n")
+    with pytest.raises(UserError, match="column next_observation_0 is empty in row 0"):
+        read(path)
 
 
 def test_columns_that_look_like_something_else_than_an_observation(tmp_path):

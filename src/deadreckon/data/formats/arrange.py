@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from deadreckon.data.checks import SLACK
-from deadreckon.data.columns import LOG_PROBS, extra_name
+from deadreckon.data.columns import LOG_PROBS, METADATA, d4rl_metadata, d4rl_name, extra_name
 from deadreckon.data.formats.flatten import join_arrays
 from deadreckon.data.formats.layout_ends import MEANINGS, ends, in_episodes
 from deadreckon.data.formats.layout_rows import Parts
@@ -18,8 +18,8 @@ from deadreckon.errors import UserError, naming
 
 _MAIN = ("observation", "observations", "obs")  # the observation among the columns of a dict of them
 # Flags of ends: one that has no part to play would be an extra that nobody looks at.
-_ENDS = {"terminals", "timeouts", "terminated", "truncated", "terminateds", "truncateds", "terminations", "truncations", "done",
-         "dones", "masks"}  # fmt: skip
+ENDS = {"terminals", "timeouts", "terminated", "truncated", "terminateds", "truncateds", "terminations", "truncations", "done",
+        "dones", "masks"}  # fmt: skip
 _FLAGS = ("terminated", "truncated", "done", "alive", "discount")
 _CORE = ("observations", "next_observations")
 
@@ -58,7 +58,9 @@ def arranged(path: Path | str, columns: Mapping[str, Any], done: str | None = No
     layout = layout_of(parts.arrays.keys() | parts.other.keys())
     if layout is None or layout.ours:
         lines, extra = ([], {}) if layout is None else ([told(layout)], {"layout": layout.library})
-        return Arranged(_plain(columns, done), lines, extra)
+        with naming(path, ""):
+            given, metadata = _plain(columns, done)
+        return Arranged(given, lines, {**extra, "metadata": metadata} if metadata else extra)
     with naming(path, ""):
         given = {plain_name(key): value for key, value in flat(columns).items()}
         for name in (name for name, role in layout.names.items() if role == "episode"):
@@ -85,7 +87,7 @@ def _parts(columns: Mapping[str, Any]) -> Parts:
     for key, value in flat(columns).items():
         key = plain_name(key)
         if isinstance(value, list):
-            value = _as_array(value)
+            value = as_array(value)
         elif hasattr(value, "detach"):  # a tensor of torch
             value = np.asarray(value.detach().cpu())
         if isinstance(value, np.ndarray) and value.ndim and value.dtype.kind in "fiub":
@@ -95,21 +97,29 @@ def _parts(columns: Mapping[str, Any]) -> Parts:
     return parts
 
 
-def _as_array(values: list) -> Any:
-    """An array of a list, or the list itself where its entries have different shapes."""
+def as_array(values: Any) -> Any:
+    """An array of a list or a value, or the list itself where its entries have different shapes."""
     try:
         return np.asarray(values)
     except ValueError:
         return values
 
 
-def _plain(columns: Mapping[str, Any], done: str | None) -> dict[str, Any]:
-    """Columns that have our names; `done` alone becomes what it is said to be."""
-    given = {str(key): column for key, column in columns.items()}
+def _plain(columns: Mapping[str, Any], done: str | None) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Columns that have our names, and what D4RL says beside them; `done` alone becomes what it is said to be."""
+    named = {str(key): column for key, column in columns.items()}
+    given = {key: column for key, column in named.items() if "/" not in key}
+    metadata: dict[str, Any] = {}
+    for key in (key for key in named if key not in given):
+        if key.startswith(METADATA):
+            said = as_array(named[key])
+            metadata |= d4rl_metadata(key, said) if isinstance(said, np.ndarray) else {}
+        else:
+            given[d4rl_name(key, given)] = named[key]
     name = next((key for key in ("dones", "done") if key in given), None)
     if done is not None and name is not None and not {"terminals", "timeouts"} & given.keys():
         given[done] = given.pop(name)
-    return given
+    return given, metadata
 
 
 def _read(layout: Layout, parts: Parts, done: str | None) -> Arranged:
@@ -148,7 +158,7 @@ def _read(layout: Layout, parts: Parts, done: str | None) -> Arranged:
     if "legal" in roles:
         columns |= {key: roles[key].reshape(rows, -1) != 0 for key in ("legal", "next_legal") if key in roles}
         lines.append(f"{names['legal']} says which actions are legal and becomes the end of the observations")
-    for key in sorted(_ENDS & further.keys()):
+    for key in sorted(ENDS & further.keys()):
         have = ", ".join(names[role] for role in _FLAGS if role in names) or "none"
         raise UserError(f"column {key} says how episodes end, beside {have} of {layout.library}'s layout; leave one out")
     left_out = []

@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 from h5py import h5o
 
-from deadreckon.data.columns import COLUMNS, NEEDED, extra_name
+from deadreckon.data.columns import COLUMNS, METADATA, NEEDED, d4rl_metadata, d4rl_name, extra_name
 from deadreckon.data.formats.layouts import layout_of
 from deadreckon.errors import UserError, naming, reading
 from deadreckon.files import digest
@@ -21,8 +21,6 @@ HEADER = "deadreckon"  # attribute that holds the header as JSON
 BLOCK = 262_144  # rows copied at a time
 _NUMBERS = "fiub"
 _WIDEST = 1 << 26  # bytes that are copied at a time at most
-# D4RL's name for the behaviour policy's log-probability of the logged action, and ours.
-_RENAMED = {"infos/action_log_probs": "behavior_log_probs"}
 
 
 def contents(file: str, mmap: bool, scratch: str | None, shared: Shared) -> dict[str, Any]:
@@ -69,14 +67,13 @@ def _log(path: Path, leaves: dict[str, h5py.Dataset], ours: bool, into: "_Column
     metadata: dict[str, Any] = {}
     left_out: list[str] = []
     for key, dataset in leaves.items():
-        if key.startswith("metadata/"):
-            metadata |= _scalar(key.removeprefix("metadata/"), dataset)
+        if key.startswith(METADATA):
+            metadata |= d4rl_metadata(key, dataset)
         elif key not in COLUMNS and dataset.shape[:1] == (rows,) and dataset.dtype.kind not in _NUMBERS:
             left_out.append(key)
         elif key not in COLUMNS and dataset.shape[:1] == (rows,):
-            extra = None if ours else _RENAMED.get(key)
             with naming(path, ""):
-                extra = extra or extra_name(key, columns)
+                extra = (extra_name if ours else d4rl_name)(key, columns)
             columns[extra] = into.column(key, dataset)
     return {"columns": columns, "metadata": metadata, "left_out": left_out, "obstacle": into.obstacle}
 
@@ -227,12 +224,3 @@ def _objects(path: Path, file: h5py.File) -> list[tuple[str, h5py.Group]]:
 
 def _address(group: h5py.Group) -> Any:
     return h5o.get_info(group.id).addr
-
-
-def _scalar(key: str, dataset: h5py.Dataset) -> dict[str, Any]:
-    if dataset.shape not in ((), (1,)) or dataset.dtype.kind not in f"{_NUMBERS}SUO":
-        return {}
-    value = np.asarray(dataset[()]).reshape(()).item()
-    if isinstance(value, bytes):
-        value = value.decode("utf-8", "replace")
-    return {key: value} if isinstance(value, str | bool | int | float) else {}

@@ -6,14 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from deadreckon.data.columns import COLUMNS, NEEDED
+from deadreckon.data.columns import COLUMNS, LOG_PROBS, MASKS, NEEDED
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.formats.arrange import arranged
+from deadreckon.data.formats.arrange import ENDS, arranged, as_array
 from deadreckon.data.formats.build import build, stem
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.unpickle import ObjectDouble, PlainUnpickler, unpickle
 
+_COUNT = {*COLUMNS, *MASKS, *ENDS, LOG_PROBS}  # names of columns of which none may be lost
 _BUFFERS = ("ReplayBuffer", "DictReplayBuffer")  # of Stable-Baselines3
 
 
@@ -55,7 +56,7 @@ def read_pickle(path: Path | str, *, strict: bool = False, name: str | None = No
     value = unpickle(path, "log")
     if isinstance(value, Mapping):
         found = arranged(path, value)
-        columns = {key: column for key, column in found.columns.items() if isinstance(column, np.ndarray)}
+        columns = _columns(path, found.columns)
         return build(
             path, columns, source="pickle", name=name, action_space=found.space, extra=found.extra, strict=strict,
             horizon=horizon, warnings=found.told,
@@ -76,10 +77,25 @@ def read_pickle(path: Path | str, *, strict: bool = False, name: str | None = No
     return build(path, columns, source=source, name=name, action_space=space, strict=strict, horizon=horizon)
 
 
+def _columns(path: Path | str, given: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """The columns of a dict: its arrays, and of its lists those that count or have a number for each action."""
+    found = {key: as_array(value) if isinstance(value, list) else value for key, value in given.items() if value is not None}
+    for key in sorted(_COUNT & found.keys()):
+        if not isinstance(found[key], np.ndarray):
+            raise UserError(f"{path}: column {key} is no array of numbers in which every row has the same shape")
+    arrays = {key: value for key, value in found.items() if isinstance(value, np.ndarray)}
+    rows = arrays["actions"].shape[:1] if "actions" in arrays else None
+    lists = {key for key in arrays.keys() - _COUNT if isinstance(given[key], list)}
+    return {key: a for key, a in arrays.items() if key not in lists or (a.dtype.kind in "fiub" and a.shape[:1] == rows)}
+
+
 def _joined(path: Path | str, episodes: list[Mapping[str, Any]]) -> dict[str, np.ndarray]:
     """Columns of all episodes, one after another, with a timeout at the end of each that has no terminal there."""
     keys = [key for key in COLUMNS if not key.startswith("final_") and key in episodes[0]]
     for number, episode in enumerate(episodes):
+        for key in sorted(ENDS & episode.keys() - set(keys)):
+            call = "all need the same" if key in COLUMNS else "call it terminals (the task ended) or timeouts (a time limit)"
+            raise UserError(f"{path}: episode {number} has {key}, which is not read; {call}")
         for key in dict.fromkeys((*NEEDED, *keys)):
             if not isinstance(episode.get(key), np.ndarray) or not episode[key].ndim:
                 raise UserError(f"{path}: episode {number} has no array {key}")

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.arrow import log_probabilities, numbers
+from deadreckon.data.arrow import compute, log_probabilities, numbers
 from deadreckon.data.asked import Asked
 from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.build import columns_of
 from deadreckon.data.formats.header import Header, damaged
-from deadreckon.data.frame import FrameColumns, table_columns
-from deadreckon.data.roles import numbered
+from deadreckon.data.frame import ALONE, FrameColumns, table_columns
+from deadreckon.data.roles import like, not_observed, numbered, row_numbers
 from deadreckon.data.scratch import Scratch
 from deadreckon.errors import UserError, unknown
 
@@ -24,10 +24,12 @@ _SINGULAR = {"observations": "observation", "actions": "action", "rewards": "rew
              "timeouts": "timeout", "next_observations": "next_observation",
              "final_observations": "final_observation"}  # fmt: skip
 _PLURAL = {value: key for key, value in _SINGULAR.items()}
-_OURS = ("observation", "action", "reward")  # a table with all of these names is read as one that `to_table` made
-# Any of these tells that rows follow each other, or that somebody meant to say so.
-_ORDERED = {"terminals", "timeouts", "next_observations", "final_observations", "dones", "done", "terminations", "time"}
+_OURS = ("observation", "action", "reward")  # a table with all of these names is read by them
+_DONE = ("done", "dones")  # alone they are refused, as they do not say how an episode ended
+# Any of these tells that rows follow each other, or that somebody meant to say so; so does a time.
+_ORDERED = {"terminals", "timeouts", "next_observations", "final_observations", *_DONE}
 _MAPPING = ("schema", *Asked._fields)
+Groups = dict[str, list[str]]  # {column of the log: its columns in the table}
 Shapes = dict[str, tuple[tuple[int, ...], np.dtype]]  # {column: (shape of a row, dtype)}
 
 
@@ -37,8 +39,10 @@ def to_table(log: Dataset) -> pa.Table:
     columns = columns_of(log)
     known = columns.pop("final_known")
     final = columns.pop("final_observations")
+    unknown = np.zeros(len(log), bool)
+    unknown[log.ends[~known]] = True
     for key, column in columns.items():
-        _spread(table, _SINGULAR.get(key, key), column, log.name)
+        _spread(table, _SINGULAR.get(key, key), column, log.name, unknown if key == "next_observations" else None)
     if log.successors is None:
         rows = log.ends[known]
         elsewhere = np.ones(len(log), bool)
@@ -50,7 +54,7 @@ def to_table(log: Dataset) -> pa.Table:
     return pa.table(table)
 
 
-def _spread(table: dict[str, Any], name: str, column: np.ndarray, log: str) -> None:
+def _spread(table: dict[str, Any], name: str, column: np.ndarray, log: str, empty: np.ndarray | None) -> None:
     parts = {name: np.asarray(column)} if column.ndim == 1 else {
         f"{name}_{index}": np.ascontiguousarray(values)
         for index, values in enumerate(np.asarray(column).reshape(len(column), -1).T)
@@ -58,7 +62,7 @@ def _spread(table: dict[str, Any], name: str, column: np.ndarray, log: str) -> N
     for key, values in parts.items():
         if key in table or key.startswith("final_observation"):
             raise UserError(f"{log}: column {name} would be the table's column {key}, which is another; write .npz or .hdf5")
-        table[key] = values
+        table[key] = values if empty is None else pa.array(values, mask=empty)
 
 
 def shapes_of(log: Dataset) -> dict[str, Any]:
@@ -88,7 +92,7 @@ def from_anybody(
         path: named in errors.
         table: (rows,) of each column.
         mapping: a schema, or which column is what, as for `frame_columns`, or None; where nothing is given, columns have our
-            names or others that tell.
+            names, or others that tell, or both.
         horizon: steps after which episodes of columns with our names are cut off, or None.
         scratch: where columns are kept; None: in memory.
         order: of the texts of dates that were read; None: there were none, or of one form only.
@@ -101,21 +105,54 @@ def from_anybody(
         if key not in _MAPPING:
             raise unknown("option", key, _MAPPING)
     if not given and all(key in table.column_names or numbered(table.column_names, key) for key in _OURS):
-        return FrameColumns(_named_ours(path, table, horizon, scratch), {}, [])
+        groups = _groups(path, table.column_names, {})
+        telling = [] if _written(groups) else [key for key in _with_roles(groups) if not like("cost", key) and key not in _DONE]
+        if not telling:
+            return _named_ours(path, table, horizon, scratch)
+        for there, what in (("final_observation" in groups, "final_observation_*"), (horizon is not None, "a horizon")):
+            if there:
+                raise UserError(
+                    f"{path}: {what} and a column {telling[0]}, whose name gives it a role, cannot both be; leave one out, or "
+                    "call ends and episodes terminal, timeout and episode"
+                )
+        table = table.select([column for parts in groups.values() for column in parts])  # of vectors, in their order
+        given = _beside(groups)
     if horizon is not None:
         raise UserError(f"{path}: where columns are named, --timeout names the one that marks time limits; no horizon")
     return table_columns(table, given.pop("schema", None), str(path), scratch, order=order, **given)
 
 
-def _named_ours(path: Path | str, table: pa.Table, horizon: int | None, scratch: Scratch | None) -> dict[str, np.ndarray]:
+def _written(groups: Groups) -> bool:
+    """Whether columns stand as `to_table` writes them, so that what follows ours is an extra, however it is called."""
+    return list(groups)[:6] == ["episode", "observation", "action", "reward", "terminal", "timeout"]
+
+
+def _with_roles(groups: Groups) -> list[str]:
+    """Columns beside ours whose names give them a role; a time has one where there are episodes, whose rows it orders."""
+    found = [key for key in groups if not_observed(key) and key not in _PLURAL and key not in ("episode", "propensity")]
+    likely, episodes = {"propensity", LOG_PROBS} & groups.keys(), any(like("episode", key) for key in groups)
+    return [key for key in found if not (likely and like("propensity", key)) and (episodes or not like("time", key))]
+
+
+def _beside(groups: Groups) -> dict[str, Any]:
+    """What is asked of a table that has our names and others with roles, which these get by themselves: the rest is kept."""
+    rest = groups.keys() - _PLURAL.keys() - {"episode"} - set(_with_roles(groups)) - set(row_numbers([*groups]))
+    asked = {"propensity": "propensity"} if "propensity" in groups and LOG_PROBS not in groups else {}
+    kept = [column for key, parts in groups.items() if key in rest and key not in asked for column in parts]
+    return {"action": "action", "reward": "reward", "keep": kept, **asked}
+
+
+def _named_ours(path: Path | str, table: pa.Table, horizon: int | None, scratch: Scratch | None) -> FrameColumns:
     """The columns of a table that somebody gave our names, by `from_arrays` names."""
-    columns = from_table(path, table, scratch=scratch)
-    if horizon is None and not ("episode" in table.column_names or _ORDERED & columns.keys()):
+    columns, warnings = from_table(path, table, scratch=scratch), []
+    ordered = _ORDERED & columns.keys() or any(like(role, key) for role in ("episode", "time") for key in table.column_names)
+    if horizon is None and not ordered:
         columns["terminals"] = np.ones(table.num_rows, bool)  # nothing tells of episodes: decisions that stand alone
+        warnings.append(ALONE)
     if "propensity" in columns and LOG_PROBS not in columns:
-        columns[LOG_PROBS] = log_probabilities(str(path), table, "propensity")
+        columns[LOG_PROBS] = log_probabilities(str(path), table, "propensity", columns["actions"])
         del columns["propensity"]
-    return columns
+    return FrameColumns(columns, {}, warnings)
 
 
 def from_table(
@@ -136,7 +173,9 @@ def from_table(
         raise UserError(f"{path}: the log has no rows")
     shapes, scratch = shapes or {}, scratch or Scratch()
     columns: dict[str, np.ndarray] = {}
-    for name, parts in _groups(path, table.column_names, shapes).items():
+    groups = _groups(path, table.column_names, shapes)
+    table, unknown = _filled(table, groups)
+    for name, parts in groups.items():
         key = _PLURAL.get(name, name)
         if name in ("episode", "final_observation"):
             continue
@@ -166,17 +205,42 @@ def from_table(
         given = np.asarray(columns.get("timeouts", np.zeros(rows, bool)))
         if given.dtype.kind in "biuf" and given.shape == (rows,):  # others are refused with all columns
             columns["timeouts"] = np.where(change & (terminals == 0) & (given == 0), given.dtype.type(1), given)
-    finals = _groups(path, table.column_names, shapes).get("final_observation")
+    if unknown.any():
+        inside = unknown.copy()
+        inside[last := _last_rows(columns, rows)] = False
+        if inside.any() or "timeouts" not in columns:  # without flags the next observations themselves tell of ends
+            row = int(np.argmax(inside if inside.any() else unknown))
+            raise UserError(f"{path}: column {groups['next_observation'][0]} is empty in row {row}")
+        columns["final_known"] = ~unknown[last]
+    finals = groups.get("final_observation")
     if finals and "next_observations" not in columns:
         columns |= _finals(path, table, finals, columns)
     return columns
 
 
-def _finals(path: Path | str, table: pa.Table, parts: list[str], columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    ends = np.asarray(columns.get("terminals", np.zeros(table.num_rows, bool))) != 0
-    ends |= np.asarray(columns.get("timeouts", np.zeros(table.num_rows, bool))) != 0
+def _filled(table: pa.Table, groups: Groups) -> tuple[pa.Table, np.ndarray]:
+    """The table with each row's own observation for next observations that are not known, and (rows,) bool where that is."""
+    following, own = groups.get("next_observation", []), groups.get("observation", [])
+    unknown = np.full(table.num_rows, bool(following) and len(following) == len(own))
+    for column in following:
+        unknown &= table.column(column).is_null().to_numpy()
+    if unknown.any():
+        for column, observed in zip(following, own, strict=True):
+            values = compute.if_else(pa.array(unknown), table.column(observed), table.column(column))
+            table = table.set_column(table.column_names.index(column), column, values)
+    return table, unknown
+
+
+def _last_rows(columns: dict[str, np.ndarray], rows: int) -> np.ndarray:
+    """The last row of each episode."""
+    ends = np.asarray(columns.get("terminals", np.zeros(rows, bool))) != 0
+    ends |= np.asarray(columns.get("timeouts", np.zeros(rows, bool))) != 0
     ends[-1:] = True
-    rows = np.flatnonzero(ends)
+    return np.flatnonzero(ends)
+
+
+def _finals(path: Path | str, table: pa.Table, parts: list[str], columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    rows = _last_rows(columns, table.num_rows)
     known = ~table.column(parts[0]).is_null().to_numpy()[rows]
     last = table.select(parts).take(rows).filter(pa.array(known))
     shape = columns["observations"].shape[1:]
@@ -188,8 +252,8 @@ def _finals(path: Path | str, table: pa.Table, parts: list[str], columns: dict[s
     return {"final_observations": final, "final_known": known}
 
 
-def _groups(path: Path | str, names: list[str], shapes: Shapes) -> dict[str, list[str]]:
-    """{column of the log: its columns in the table}: name_0, name_1, ... belong together if all are there and `name` is not."""
+def _groups(path: Path | str, names: list[str], shapes: Shapes) -> Groups:
+    """The columns of a log: name_0, name_1, ... belong together if all are there and `name` is not."""
     scalars = {key for key, (shape, _) in shapes.items() if not shape}
     groups: dict[str, list[str]] = {}
     for column in names:
