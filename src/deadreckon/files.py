@@ -169,8 +169,14 @@ def digest(value: Any, size: int, *, sort_keys: bool = False) -> str:
     return hashlib.blake2b(json.dumps(value, sort_keys=sort_keys).encode(), digest_size=size).hexdigest()
 
 
-def write_at(path: Path, offset: int, data: bytes | memoryview) -> None:
+def write_at(path: Path, offset: int, data: bytes | memoryview, *, cut: bool = True) -> None:
     """Writes `data` at `offset` of a growing file, cuts off what was behind it, and sees it onto the disk.
+
+    Args:
+        path: of the file.
+        offset: in bytes.
+        data: what to write.
+        cut: whether what was behind `offset` is cut off; else `data` replaces as many bytes there, and the others stay.
 
     Raises:
         UserError: the file is shorter than `offset`, or cannot be written.
@@ -181,7 +187,8 @@ def write_at(path: Path, offset: int, data: bytes | memoryview) -> None:
             there = file.seek(0, os.SEEK_END)
             if there < offset:  # it would be filled up with zeros
                 raise UserError(f"{path} has lost its end: {there} bytes are left of {offset}")
-            file.truncate(offset)
+            if cut:
+                file.truncate(offset)
             file.seek(offset)
             file.write(data)
             file.flush()

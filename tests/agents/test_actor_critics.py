@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from deadreckon.agents import AWR, BRAC, MBPO, SAC, SACN, TD3, TD3BC
+from deadreckon.agents import AWR, BRAC, MBPO, SAC, SACN, TD3, TD3BC, KLControl
 from deadreckon.data.batch import Batch
 from deadreckon.data.spec import Discrete
 from deadreckon.randomness import keys
@@ -184,6 +184,16 @@ def test_first_weights_of_a_clone_are_those_of_the_agent(asked, least, most):
     state = agent.prepare(agent.init(SPEC, KEY), None, KEY, begun)
     for net in (state.behavior, state.actor):
         assert least <= np.abs(biases(net)).max() <= most
+
+
+@pytest.mark.parametrize("kind", [BRAC, KLControl])
+@pytest.mark.parametrize("standardise", [False, True])
+def test_a_clone_learns_from_what_its_agent_sees(kind, standardise):
+    agent = kind(hidden=(8,), behavior_steps=3, standardise=standardise).resolve(SPEC, 10)
+    asked = []
+    begun = lambda clone, steps, key: (asked.append(clone.needs(SPEC)), clone.init(SPEC, key))[1]  # noqa: E731
+    agent.prepare(agent.init(SPEC, KEY), None, KEY, begun)
+    assert [needs.standardise for needs in asked] == [standardise]
 
 
 def test_first_weights_of_discrete_actions_are_those_asked_for():

@@ -171,6 +171,8 @@ def test_warm_start_and_defaults_come_from_the_run():
         BEAR(actor_samples=9).resolve(SPEC, 10)
     with pytest.raises(UserError, match=r"ISBEAR.actor_samples \(19\)"):
         ISBEAR(actor_samples=19).resolve(SPEC, 10)
+    with pytest.raises(UserError, match="ISBEAR: ratio_min must be below ratio_max, got 3 and 2"):
+        ISBEAR(ratio_min=3.0).resolve(SPEC, 10)
     with pytest.raises(UserError, match=r"BEAR.multiplier_min \(2\) must not exceed multiplier_max \(1\)"):
         BEAR(multiplier_min=2.0, multiplier_max=1.0).resolve(SPEC, 10)
     with pytest.raises(UserError, match="BEAR.threshold must be 0 or more, as no MMD is less, got -1"):

@@ -7,11 +7,12 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 import deadreckon as dr
-from deadreckon.agents.dapg import DAPG, LOG_STD_MIN, Cloning
+from deadreckon.agents.dapg import DAPG, LOG_STD_MIN, Cloning, moments
 from deadreckon.agents.natural import Actor, fisher_product, log_prob, natural_step
 from deadreckon.cli.main import main
 from deadreckon.collect.maze2d import demonstrations
-from deadreckon.data.batch import Batch
+from deadreckon.data.batch import Batch, TransitionSource
+from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.data.spec import Box, Spec
 from deadreckon.errors import UserError
@@ -133,10 +134,10 @@ def test_a_clone_speaks_in_actions_and_deviates_as_it_errs():
     shown = {"observation": rng.normal(2.0, 3.0, (50, 3)).astype(np.float32),
              "action": rng.uniform(-0.5, 0.5, (50, 2)).astype(np.float32)}  # fmt: skip
     center, spread = np.array([0.1, -0.2], np.float32), np.array([0.3, 0.5], np.float32)
-    cloning = Cloning(1e-3, center, spread, (4,))
+    cloning = Cloning(1e-3, moments(shown["observation"]), center, spread, (4,))
     clone = jax.jit(lambda key: cloning.init(SPEC, key))(jax.random.key(0))
-    seen = rng.standard_normal((7, 3)).astype(np.float32)
-    batch = Batch(observation=seen, action=shown["action"][:7])
+    batch = Batch(observation=shown["observation"][:7], action=shown["action"][:7])
+    seen = (batch.observation - shown["observation"].mean(0)) / shown["observation"].std(0)
     _, metrics = jax.jit(lambda clone: cloning.update(clone, batch, step=0, key=jax.random.key(1)))(clone)
     means = jax.jit(lambda clone: cloning.means(clone))(clone)
     of = jax.jit(lambda net, seen: net(seen))
@@ -150,6 +151,25 @@ def test_a_clone_speaks_in_actions_and_deviates_as_it_errs():
     np.testing.assert_allclose(np.exp(acting.log_std), np.sqrt((np.asarray(off) ** 2).mean(0)), rtol=1e-3)
     as_shown = jax.jit(lambda state: AGENT.replace(init_std="demonstrated").begun(state, means, shown).actor)(state)
     np.testing.assert_allclose(np.exp(as_shown.log_std), shown["action"].std(0), rtol=1e-3)
+
+
+def test_the_first_policy_errs_as_the_clone_did():
+    """Also where an observation varies by little, of which batches that are standardised for other agents make less."""
+    rng = np.random.default_rng(2)
+    shown = Dataset.from_arrays(
+        observations=rng.normal(2.0, (3.0, 2e-3, 1e-4), (50, 3)), actions=rng.uniform(-0.5, 0.5, (50, 2)), rewards=np.zeros(50),
+        timeouts=np.arange(50) == 49, final_observations=np.zeros((1, 3)), action_space=SPEC.action, name="shown",
+    )  # fmt: skip
+    observation, action = jnp.asarray(shown.observations), jnp.asarray(shown.actions)
+    cloning = Cloning(1e-3, moments(observation), action.mean(0), action.std(0), (4,))
+    batch = Batch(**TransitionSource(shown, cloning.needs(shown.spec)).take(np.arange(50)))
+    clone = jax.jit(lambda key: cloning.init(SPEC, key))(jax.random.key(0))
+    _, metrics = jax.jit(lambda clone: cloning.update(clone, batch, step=0, key=jax.random.key(1)))(clone)
+    state = Compiled(AGENT).observing(begun(AGENT, SPEC), observation)
+    given = {"observation": observation, "action": action}
+    first = jax.jit(lambda state: AGENT.policy(AGENT.begun(state, cloning.means(clone), given)))
+    off = (first(state).actions(observation, jax.random.key(0), greedy=True) - action) / action.std(0)
+    assert float(metrics["behavior_error"]) == pytest.approx(float(jnp.square(off).mean()), rel=1e-4)
 
 
 @pytest.mark.slow

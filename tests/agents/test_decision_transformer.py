@@ -164,3 +164,6 @@ def test_does_what_brought_the_return_that_is_asked_for():
 def test_takes_one_width_for_all_heads():
     with pytest.raises(UserError, match=r"hidden takes one width, a multiple of heads \(3\), got \(128,\)"):
         DecisionTransformer(heads=3).resolve(SPEC, 10)
+    for fields, words in (({"heads": 0}, "heads takes a whole number >= 1, got 0"), ({"hidden": 128}, "hidden takes a tuple")):
+        with pytest.raises(UserError, match=f"DecisionTransformer.{words}"):
+            DecisionTransformer(**fields).resolve(SPEC, 10)

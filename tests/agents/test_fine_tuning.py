@@ -74,6 +74,7 @@ def test_critics_of_cal_ql_may_be_deeper_than_its_actor():
 @pytest.mark.parametrize(("agent", "words"), [
     (CalQL(form="rho"), "CalQL.form takes 'H', got 'rho'"),
     (CalQL(discount=1.0), "CalQL.discount takes a number below 1, got 1.0"),
+    (RLPD(subset="2"), "RLPD.subset takes a whole number >= 1, got '2'"),
     (RLPD(critics=3, subset=4), r"RLPD.subset takes a number up to critics \(3\), got 4"),
 ])  # fmt: skip
 def test_refuses(agent, words):

@@ -206,6 +206,7 @@ def test_the_temperature_of_mobile_and_mopo_is_one_at_most(kind, log_prob, expec
 
 @pytest.mark.parametrize(("fields", "words"), [
     ({"real_batch_size": 16}, "MOPO.real_batch_size must be fewer than a batch has, 16, got 16"),
+    ({"real_batch_size": "6"}, "MOPO.real_batch_size takes a whole number >= 0, got '6'"),
     ({"elites": 4}, "MOPO.elites are members at most, got 4 of 3"),
     ({"model_weight_decay": (0.1,)}, "MOPO.model_weight_decay needs 2 numbers, one a layer of the model, got 1"),
 ])  # fmt: skip
@@ -214,6 +215,9 @@ def test_refusals(fields, words):
         MOPO(**TINY | fields).resolve(LOG.spec, 1)
     with pytest.raises(UserError, match="COMBO.real_batch_size, the logged rows in a batch, must be 1 or more, got 0"):
         COMBO(**TINY | {"real_batch_size": 0}).resolve(LOG.spec, 1)
+    for wrong in (COMBO(**TINY | {"real_batch_size": None}), MOBILE(**TINY | {"elites": None})):
+        with pytest.raises(UserError, match="takes a whole number >= ., got None"):
+            wrong.resolve(LOG.spec, 1)
     with pytest.raises(UserError, match="MOBILE.min_target is 0, .*: give min_target=None"):
         MOBILE(**TINY).resolve(corridor().spec, 1)
     assert MOBILE(**TINY | {"min_target": None}).resolve(corridor().spec, 1).min_target is None

@@ -163,6 +163,11 @@ def test_refusals(changes, words):
         job(**changes)
 
 
+def test_rollouts_may_grow_from_the_first_epoch_on():
+    agent = MBPO(rollout_length=(1, 15, 0, 100)).resolve(Spec.empty((11,), task("hopper").action_space, "hopper"), 1)
+    assert [agent.rollout_length_at(epoch) for epoch in (0, 50, 100)] == [1, 8, 15]
+
+
 def test_it_does_not_learn_from_a_log():
     rng = np.random.default_rng(0)
     log = dr.Dataset.from_arrays(

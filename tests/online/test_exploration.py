@@ -121,6 +121,20 @@ class Counter(Agent):
         return Says(state["updates"])
 
 
+class Shouting(NormalizedPolicy):
+    """Goes beyond all bounds, as a Gaussian's draws do."""
+
+    def act(self, step, carry, key, *, greedy):
+        return jnp.tile(jnp.asarray([3.0, -2.0]), (len(step.observation), 1)), carry
+
+
+class Shouter(Counter):
+    """Counts, and shouts."""
+
+    def policy(self, state):
+        return Shouting()
+
+
 SETTINGS = Online(copies=4, explore=80, updates_per_step=0.5, block=16)  # 8 updates a block
 UPDATES = SETTINGS.updates(80 + 10 * 16)
 
@@ -210,6 +224,17 @@ def test_rows_are_what_the_simulator_did(run):
         assert terminal.any()
         assert timeout.any()
     assert not np.intersect1d(files[0][:, 0], files[1][:, 0]).size  # lanes start apart
+
+
+def test_simulators_get_actions_within_the_bounds_and_rows_are_as_they_were_drawn(monkeypatch, tmp_path):
+    taken, step = [], Clocks.step
+    monkeypatch.setattr(Clocks, "step", lambda self, actions: (taken.append(actions), step(self, actions))[1])
+    for _ in fit(tmp_path, updates=8, lanes=[Shouter()]).chunks():
+        pass
+    drawn = rows_of(tmp_path / "seed0.bin")[:, 2:4]
+    assert len(drawn) == 80 + 16  # random actions, then its own
+    np.testing.assert_allclose(drawn[80:], np.tile([7.0, 0.25], (16, 1)))
+    np.testing.assert_array_equal(np.concatenate(taken), np.clip(drawn, LOW, HIGH))
 
 
 def test_a_row_goes_on_where_the_copys_last_one_stopped_unless_it_ended(run):

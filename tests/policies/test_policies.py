@@ -16,12 +16,12 @@ from scipy import integrate
 from deadreckon.data.normalizer import EDGE, Normalizer
 from deadreckon.data.spec import Box, Discrete, Spec
 from deadreckon.errors import UserError
-from deadreckon.nets.mlp import MLP
+from deadreckon.nets.mlp import MLP, Init
 from deadreckon.nets.vae import VAE
 from deadreckon.policies import BlackBoxPolicy, EnvPolicy, Policy, Step, portable, store
 from deadreckon.policies.candidates import GreedyQ, OneStep, PerturbedPolicy, ThresholdedPolicy, VAEDecoder
 from deadreckon.policies.deployed import Mixture
-from deadreckon.policies.kinds import Categorical, ClippedGaussian, Deterministic, TanhGaussian, TanhMeanGaussian
+from deadreckon.policies.kinds import Categorical, ClippedGaussian, Deterministic, Gaussian, TanhGaussian, TanhMeanGaussian
 from deadreckon.policies.planner import Planner
 from deadreckon.policies.policy import KINDS, NormalizedPolicy
 from deadreckon.runs.player import predictor
@@ -39,6 +39,7 @@ def make(kind):
         "gaussian": TanhGaussian(actor),
         "clipped": ClippedGaussian.of(MLP.create(3, (8,), 2, KEY), jnp.zeros(2)),
         "tanh mean": TanhMeanGaussian.create(SPEC, (8,), KEY, 0.5),
+        "unbounded": Gaussian.of(MLP.create(3, (8,), 2, KEY, init=Init(last=3.0)), jnp.zeros(2)),
         "vae": VAEDecoder(VAE.create(3, 2, (8,), KEY)),
         "perturbed": perturbed,
         "normalised": Deterministic(MLP.create(3, (8, 8), 2, KEY, normalise=True)),
@@ -51,7 +52,7 @@ def make(kind):
 
 
 GREEDY = ["greedy", "greedy of perturbed", "greedy of a VAE"]
-DRAWING = ["gaussian", "clipped", "tanh mean", "vae", "perturbed", "one step", *GREEDY]
+DRAWING = ["gaussian", "clipped", "tanh mean", "unbounded", "vae", "perturbed", "one step", *GREEDY]
 
 
 @pytest.mark.parametrize("kind", ["deterministic", "normalised", *DRAWING])

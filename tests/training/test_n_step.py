@@ -100,14 +100,13 @@ def test_what_is_learned_from_while_acting_is_what_the_log_of_it_gives(acted):
 def test_an_episode_that_could_not_be_taken_up_again_ends_in_its_last_row(acted, monkeypatch):
     experience, path = acted
     state, restore = experience.state(), experience.simulator.restore
-    monkeypatch.setattr(experience.simulator, "restore", lambda state: (restore(state), np.array([1]))[1])
-    last = experience.count - SETTINGS.copies
-    before = np.asarray(experience.replay.buffer)[0, : experience.count]
-    with pytest.warns(UserWarning, match="1 episodes begin anew"):
-        experience.restore(state)
-    after = np.asarray(experience.replay.buffer)[0, : experience.count]
-    changed = np.argwhere(before != after).tolist()
-    assert changed == ([[last + 1, before.shape[1] - 1]] if not before[last + 1, -2:].any() else [])
-    kept = np.fromfile(path, np.float32).reshape(-1, before.shape[1])
-    np.testing.assert_array_equal(kept[last + 1, -2:], after[last + 1, -2:])
-    assert after[last + 1, -2:].any()
+    monkeypatch.setattr(experience.simulator, "restore", lambda state: (restore(state), np.array([0, 1]))[1])
+    before = np.fromfile(path, np.float32).reshape(experience.count, -1)
+    go_on = ~before[:, -2:].any(1).reshape(-1, SETTINGS.copies)
+    last = SETTINGS.copies * np.flatnonzero(go_on.all(1))[-1]  # where no copy's episode has ended by itself
+    with pytest.warns(UserWarning, match="2 episodes begin anew"):
+        experience.restore(state | {"count": np.asarray(last + SETTINGS.copies)})
+    after = np.fromfile(path, np.float32).reshape(before.shape)
+    assert np.argwhere(before != after).tolist() == [[last, before.shape[1] - 1], [last + 1, before.shape[1] - 1]]
+    assert (after[last : last + 2, -1] == 1.0).all()
+    np.testing.assert_array_equal(experience.replay.buffer[0, : experience.count, -2:], after[: experience.count, -2:])

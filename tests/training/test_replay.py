@@ -72,6 +72,18 @@ def test_taken_up_from_the_files_it_is_the_same_and_goes_on(paths):
     assert paths[0].read_bytes() == np.concatenate([rows(6)[0], rows(3, 1)[0]]).tobytes()
 
 
+def test_a_number_that_is_set_leaves_all_others(paths):
+    one = replay(paths)
+    one.append(rows(6))
+    one.flush()
+    one.set(1, 2, 1, 9.0)
+    one.restore(6)
+    wanted = rows(6)
+    wanted[1, 2, 1] = 9.0
+    np.testing.assert_array_equal(one.buffer[:, :6], halves(wanted))
+    assert [path.read_bytes() for path in paths] == [lane.tobytes() for lane in wanted]
+
+
 @pytest.mark.parametrize("torn", [0, 1, 5 * WIDTH * 4, 5 * WIDTH * 4 + 7])
 def test_rows_beyond_the_checkpoint_are_cut_off(paths, torn):
     one = replay(paths)

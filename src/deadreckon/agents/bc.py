@@ -38,7 +38,7 @@ class BC(Agent):
     """model of the policy: tanh-Gaussian, VAE (thesis A.4), clipped Gaussian, or normal around tanh of a network"""
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
-    standardise: bool = later(False)  # whether observations are standardised to mean 0 and standard deviation 1
+    standardise: bool = later(False)  # whether flat observations are standardised to mean 0 and standard deviation 1
     first_weights: FirstWeights = later("uniform")
     """initial weights of a Gaussian or normal model, or of logits: "uniform", "glorot", "orthogonal" or "rlkit" (as SAC's)"""
 
@@ -87,12 +87,12 @@ def cloned(
     """A model of the log's policy, as `behavior_lr` and `behavior_steps` of an agent say.
 
     Args:
-        agent: whose networks are as wide and begin alike, and whose batches are as large.
+        agent: whose networks are as wide and begin alike, and whose batches are as large and in the same coordinates.
         fit: trains a learner on the agent's log, as `prepare` gets it.
         key: of the training.
         likelihood: of its actions.
     """
     model = "normal" if likelihood == "normal" else "gaussian"
-    same = dict(hidden=agent.hidden, batch_size=agent.batch_size, first_weights=agent.first_weights)
+    same = {name: getattr(agent, name) for name in ("hidden", "batch_size", "standardise", "first_weights")}
     clone = BC(lr=float(agent.behavior_lr), model=model, **same)
     return fit(clone, agent.behavior_steps, key).model

@@ -89,7 +89,7 @@ class BEAR(Agent):
     test_samples: Count = static(10)  # actions sampled for greedy_q (p, 4.3); the D4RL version takes 100
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
-    standardise: bool = later(False)  # whether observations are standardised to mean 0 and standard deviation 1
+    standardise: bool = later(False)  # whether flat observations are standardised to mean 0 and standard deviation 1
 
     def resolve(self, spec, steps):
         """Fills in threshold, warm start and the behaviour model's width."""

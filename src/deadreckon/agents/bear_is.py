@@ -47,10 +47,13 @@ class ISBEAR(bear.BEAR):
     policy_samples: Count = static(10)  # actions of the set policy (m); n << m, line 7
 
     def resolve(self, spec, steps):
-        """As BEAR's; the algorithm has no entropy."""
+        """As BEAR's; the algorithm has no entropy, and importance ratios need a range."""
         if self.base != "td3":
             raise UserError(f"ISBEAR.base takes 'td3' only, got {self.base!r}")
-        return super().resolve(spec, steps)
+        agent = super().resolve(spec, steps)
+        if not self.ratio_min < self.ratio_max:
+            raise UserError(f"ISBEAR: ratio_min must be below ratio_max, got {self.ratio_min:g} and {self.ratio_max:g}")
+        return agent
 
     def init(self, spec, key):
         """Fresh networks; the set policy starts as the actor."""

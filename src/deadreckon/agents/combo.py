@@ -33,9 +33,10 @@ class COMBO(OfflineMBRL):
 
     def resolve(self, spec, steps):
         """Refuses a batch without logged rows, from which critics could be held down without end."""
+        agent = super().resolve(spec, steps)
         if self.real_batch_size < 1:
             raise UserError(f"COMBO.real_batch_size, the logged rows in a batch, must be 1 or more, got {self.real_batch_size}")
-        return super().resolve(spec, steps)
+        return agent
 
     def critic_loss(self, critics, state, batch, target, key):
         """Squared errors, and the penalty."""

@@ -20,6 +20,7 @@ from deadreckon.agents.agent import backup, create_critics, imitation_loss
 from deadreckon.agents.sac import SAC
 from deadreckon.agents.scaled_rewards import ScaledRewards
 from deadreckon.data.batch import Batch
+from deadreckon.errors import UserError
 from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import MLP, all_q_values, q_values
 from deadreckon.nets.optim import apply_gradients, init_opt
@@ -65,8 +66,16 @@ class CQL(ScaledRewards, SAC):
     threshold: NonNegative = 10.0  # value that the penalty is held to, with lagrange
     cql_weight_lr: NonNegative = 3e-4  # learning rate of the multiplier, with lagrange
     warm_start: CountOrZero = static(0)  # updates in which the actor imitates the log at first (public code: 40,000)
-    standardise: bool = static(False)  # whether observations are standardised to mean 0 and standard deviation 1
+    standardise: bool = static(False)  # whether flat observations are standardised to mean 0 and standard deviation 1
     critic_hidden: Sizes | None = later(None)  # width of each hidden layer of the critics; None: as the actor's
+
+    def resolve(self, spec, steps):
+        """Refuses to draw actions for targets where the values of all are known."""
+        agent = super().resolve(spec, steps)
+        if spec.discrete and self.max_target_backup:
+            why = "draws actions to take the best of, and targets of discrete ones are means over all"
+            raise UserError(f"{type(self).__name__}.max_target_backup {why}; leave it out")
+        return agent
 
     def going_on(self):
         """See `Agent`; the actor does not imitate again at first."""
@@ -84,7 +93,7 @@ class CQL(ScaledRewards, SAC):
 
     def target(self, state, batch, key):
         """SAC's, or r + discount max_i (min_j Q'_j(s', a_i) + bonus), a_i of the policy."""
-        if not self.max_target_backup or isinstance(state.actor, Categorical):
+        if not self.max_target_backup:
             return super().target(state, batch, key)
         noise = jax.random.normal(key, (self.samples, *batch.action.shape))
         return backup(batch, self.discount, self.value(state, batch.next_observation, noise).max(0))

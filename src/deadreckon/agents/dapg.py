@@ -50,7 +50,7 @@ class State(NamedTuple):
 class DAPG(Agent):
     """Natural policy gradients from cloned demonstrations, whose likelihood counts for a while."""
 
-    revision: ClassVar[int] = 2  # 2: cloning draws from a stream of its own
+    revision: ClassVar[int] = 3  # 3: clones see what policies see, and simulators actions within the bounds
     online: ClassVar[bool] = True
     offline: ClassVar[bool] = False
     digests: ClassVar[tuple[str, ...]] = ("observation", "return_to_go")
@@ -74,7 +74,8 @@ class DAPG(Agent):
     """standard deviation after cloning: that of its residuals, or of the demonstrated actions"""
     hidden: Sizes = static((32, 32))  # width of each hidden layer of the policy (tanh)
     critic_hidden: Sizes = static((128, 128))  # width of each hidden layer of the critic (ReLU)
-    batch_size: Count = static(MINIBATCH)  # batch size of the critic (transitions per update)
+    batch_size: Count = static(MINIBATCH)
+    """batch size of the critic; with updates per step as they are, twice 64 is twice as many passes over a block"""
 
     @classmethod
     def acting(cls, task: str) -> dict[str, Any]:
@@ -96,13 +97,13 @@ class DAPG(Agent):
 
     def observing(self, state: State, observation: Float[Array, "n o"]) -> State:
         """The state that standardises observations by these from now on."""
-        return state._replace(observations=Moments.none(observation.shape[-1]).seeing(observation))
+        return state._replace(observations=moments(observation))
 
     def begun(self, state: State, net: MLP, shown: dict[str, Array]) -> State:
         """The state in which the policy is a clone of what was demonstrated.
 
         Args:
-            state: that standardises observations by the demonstrated ones.
+            state: that standardises observations by the demonstrated ones, as the clone does.
             net: the clone's means.
             shown: observations (n, o) and actions (n, a).
         """
@@ -182,18 +183,20 @@ class Cloning(eqx.Module):
 
     Attributes:
         lr: learning rate.
+        seen: what the demonstrated observations are like, by which the policy standardises them too.
         center, spread: (a,) mean and deviation of the demonstrated actions.
         hidden: width of each hidden layer.
     """
 
     lr: float
+    seen: Moments
     center: Array
     spread: Array
     hidden: Sizes = static((32, 32))
 
     def needs(self, spec):
-        """Standardised observations, and actions."""
-        return BatchSpec(("observation", "action"), CLONED, standardise=True)
+        """Observations and actions."""
+        return BatchSpec(("observation", "action"), CLONED)
 
     def init(self, spec, key):
         """A fresh network."""
@@ -203,7 +206,8 @@ class Cloning(eqx.Module):
     def update(self, state, batch, *, step, key):
         """One step on the mean squared error."""
         wanted = (batch.action - self.center) / self.spread
-        error = lambda net: jnp.square(net(batch.observation) - wanted).mean()  # noqa: E731
+        seen = standardised(batch.observation, self.seen)
+        error = lambda net: jnp.square(net(seen) - wanted).mean()  # noqa: E731
         value, grads = jax.value_and_grad(error)(state.net)
         return Clone(*apply_gradients(state.net, grads, state.opt, self.lr)), {"behavior_error": value}
 
@@ -212,6 +216,11 @@ class Cloning(eqx.Module):
         *weights, last = state.net.weights
         *biases, bias = state.net.biases
         return MLP((*weights, last * self.spread), (*biases, bias * self.spread + self.center), state.net.activation)
+
+
+def moments(observation: Float[Array, "n o"]) -> Moments:
+    """What some observations are like."""
+    return Moments.none(observation.shape[-1]).seeing(observation)
 
 
 def standardised(observation: Float[Array, "n o"], seen: Moments) -> Float[Array, "n o"]:

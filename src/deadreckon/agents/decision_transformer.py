@@ -59,10 +59,11 @@ class DecisionTransformer(Agent):
 
     def resolve(self, spec, steps):
         """One width, in equal parts for all heads."""
+        agent = super().resolve(spec, steps)
         if len(self.hidden) != 1 or self.hidden[0] % self.heads:
             takes = f"one width, a multiple of heads ({self.heads})"
             raise UserError(f"DecisionTransformer.hidden takes {takes}, got {self.hidden}")
-        return super().resolve(spec, steps)
+        return agent
 
     def needs(self, spec):
         """Windows with returns that are not discounted."""

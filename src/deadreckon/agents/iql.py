@@ -58,7 +58,7 @@ class IQL(ScaledRewards):
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
     layer_norm: bool = static(False)  # whether the value network uses layer normalisation (XQL's public code)
-    standardise: bool = static(False)  # whether observations are standardised to mean 0 and standard deviation 1
+    standardise: bool = static(False)  # whether flat observations are standardised to mean 0 and standard deviation 1
 
     def resolve(self, spec, steps):
         """Fills in how long the actor's learning rate falls."""

@@ -4,11 +4,11 @@ The updates are SAC's. What they learn from is made by `online.branched_rollouts
 far, and rollouts of a few steps branch off from real states.
 """
 
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 from deadreckon.agents.model_based import ModelBasedSAC
 from deadreckon.errors import UserError
-from deadreckon.training.hyperparameters import Count, Sizes, UnitInterval, static
+from deadreckon.training.hyperparameters import Count, Range, UnitInterval, static
 
 
 class MBPO(ModelBasedSAC):
@@ -20,7 +20,7 @@ class MBPO(ModelBasedSAC):
         "real": "real_ratio",
     }  # fmt: skip
 
-    rollout_length: Sizes | None = static(None)
+    rollout_length: Annotated[tuple[int, ...], Range(ge=0)] | None = static(None)
     """steps of a rollout, as first, last, from epoch, to epoch; None: those of the task"""
     rollouts_per_step: Count = static(400)  # model rollouts per environment step
     retain_steps: Count | None = static(None)

@@ -38,6 +38,7 @@ class MOBILE(OfflineMBRL):
 
     def resolve(self, spec, steps):
         """Refuses a single network, which has nobody to disagree with, and a floor that would be every target."""
+        agent = super().resolve(spec, steps)
         if self.elites < 2:
             raise UserError(f"MOBILE.elites must be 2 or more, got {self.elites}")
         if spec.rows and self.min_target is not None and spec.reward.max <= 0.0 <= self.min_target:
@@ -45,7 +46,7 @@ class MOBILE(OfflineMBRL):
                 f"MOBILE.min_target is {self.min_target:g}, the smallest target of the critics, but no reward of {spec.name} "
                 "is above 0, so that all targets would be the same: give min_target=None"
             )
-        return super().resolve(spec, steps)
+        return agent
 
     def mixed(self, state, batch, key):
         """Lowers the rewards of made-up rows, which lowers their targets by as much."""

@@ -57,10 +57,10 @@ class OfflineMBRL(ModelBasedAgent, SAC):
 
     def resolve(self, spec, steps):
         """Checks what belongs together."""
+        agent = super().resolve(spec, steps)
         if self.real_batch_size >= self.batch_size:
             name = f"{type(self).__name__}.real_batch_size"
             raise UserError(f"{name} must be fewer than a batch has, {self.batch_size}, got {self.real_batch_size}")
-        agent = super().resolve(spec, steps)
         return agent if self.actor_decay_steps is not None else agent.replace(actor_decay_steps=float(steps))
 
     def actor_rate(self, step: Array) -> Any:

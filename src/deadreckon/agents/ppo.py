@@ -57,7 +57,8 @@ class PPO(Agent):
     entropy_weight: NonNegative = 0.0  # weight of the entropy bonus
     max_grad_norm: Positive = 0.5  # norm above which gradients are clipped
     hidden: Sizes = static((64, 64))  # width of each hidden layer (tanh)
-    batch_size: Count = static(MINIBATCH)  # batch size (transitions per update)
+    batch_size: Count = static(MINIBATCH)
+    """batch size (transitions per update); with updates per step as they are, twice 64 is twice as many passes over a block"""
 
     @classmethod
     def acting(cls, task: str) -> dict[str, Any]:

@@ -44,10 +44,10 @@ class RLPD(ScaledRewards, SAC):
 
     def resolve(self, spec, steps):
         """Fills in the target entropy, minus half the action dimensions."""
+        agent = super().resolve(spec, steps)
         if self.subset > self.critics:
             raise UserError(f"RLPD.subset takes a number up to critics ({self.critics}), got {self.subset}")
-        entropy = self.target_entropy if self.target_entropy is not None else -0.5 * spec.action_size
-        return super().resolve(spec, steps).replace(target_entropy=entropy)
+        return agent if self.target_entropy is not None else agent.replace(target_entropy=-0.5 * spec.action_size)
 
     def first_critics(self, spec, key):
         """Fresh Q-networks."""

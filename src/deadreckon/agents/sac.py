@@ -54,7 +54,7 @@ class SAC(Agent):
     critics: Count = static(2)  # number of Q-networks, of which the minimum is used
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
-    standardise: bool = later(False)  # whether observations are standardised to mean 0 and standard deviation 1
+    standardise: bool = later(False)  # whether flat observations are standardised to mean 0 and standard deviation 1
     first_weights: FirstWeights = later("uniform")
     """initial weights: uniform in +-1/sqrt(inputs), "glorot", "orthogonal" or "rlkit" (hidden biases 0.1, small last layers)"""
 

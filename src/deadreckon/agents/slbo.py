@@ -28,7 +28,7 @@ class SLBO(OnlineModelBasedAgent, PPO):
     model_weight_decay: Weights = static((1e-5, 1e-5, 1e-5))  # weight decay of each layer of the model (L2 penalty, halved)
     hidden: Sizes = static((32, 32))  # width of each hidden layer (tanh)
     entropy_weight: NonNegative = 0.005  # weight of the entropy bonus
-    rollouts: Count = static(4)  # model rollouts side by side, per block of updates
+    rollouts: Count = static(4)  # model rollouts side by side, per block of updates (whose number stays as it is)
     rollout_length: Count = static(1000)  # steps of a model rollout; where an episode ends the next one begins
 
     @classmethod

@@ -48,7 +48,7 @@ class TD3(Agent):
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     batch_size: Count = static(256)  # batch size (transitions per update)
     layer_norm: bool = static(False)  # whether the critics use layer normalisation
-    standardise: bool = static(False)  # whether observations are standardised to mean 0 and standard deviation 1
+    standardise: bool = static(False)  # whether flat observations are standardised to mean 0 and standard deviation 1
 
     def needs(self, spec):
         """Transitions."""

@@ -17,7 +17,7 @@ class TD3BC(TD3):
     supports_images: ClassVar[bool] = True
 
     alpha: NonNegative = 2.5  # weight of the value relative to imitation (eq. 5)
-    standardise: bool = static(True)  # whether observations are standardised to mean 0 and standard deviation 1 (eq. 6)
+    standardise: bool = static(True)  # whether flat observations are standardised to mean 0 and standard deviation 1 (eq. 6)
 
     def actor_loss(self, actor, state, batch):
         """-lambda Q_1(s, pi(s)) + |pi(s) - a|^2 with lambda = alpha / mean |Q_1|, no gradient through lambda (eq. 3, 5)."""

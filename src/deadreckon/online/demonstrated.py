@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from deadreckon.agents.dapg import DAPG, Cloning
+from deadreckon.agents.dapg import DAPG, Cloning, moments
 from deadreckon.data.batch import TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import STD_FLOOR
@@ -36,7 +36,7 @@ class Demonstrated(OnPolicy):
         self.shared = ({"observation": jnp.asarray(log.observations, jnp.float32), "action": jnp.asarray(unit)},)
 
     def _learnable(self, rows: np.ndarray) -> np.ndarray:
-        # A Gaussian's density is that of what it drew, which the environment clips afterwards.
+        # A Gaussian's density is that of what it drew, which is clipped before the environment gets it.
         out = rows.copy()
         out[..., self._action] = self.view.scaled(rows[..., self._action])
         return out
@@ -50,9 +50,9 @@ class Demonstrated(OnPolicy):
 
     def _cloned(self, log: Dataset, learner: Any) -> tuple[Any, Any]:
         """What cloned each lane's demonstrations, and its states."""
-        action = self.shared[0]["action"]
+        seen, action = moments(self.shared[0]["observation"]), self.shared[0]["action"]
         center, spread = action.mean(0), jnp.maximum(action.std(0), STD_FLOOR)
-        lanes = [Cloning(float(lr), center, spread, self.agent.hidden) for lr in learner.bc_lr]
+        lanes = [Cloning(float(lr), seen, center, spread, self.agent.hidden) for lr in learner.bc_lr]
         # Seeds of their own: with the run's, cloning would draw what the run draws.
         seeds = [int(jax.random.bits(key_for(jax.random.key(seed), "cloning"), dtype=jnp.uint32)) for seed in self.seeds]
         result = fit(lanes, TransitionSource(log, lanes[0].needs(log.spec)), seeds, self.agent.bc_steps)

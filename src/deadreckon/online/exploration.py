@@ -60,7 +60,7 @@ class Exploration:
     """The rows that agents make in a task; what `Fit` calls experience.
 
     A row in the file is observation, action, reward, next observation, terminal, timeout, float32. Row `r` comes from copy
-    `r % copies`.
+    `r % copies`. Actions are as the policy drew them; the simulator gets them clipped to the bounds.
 
     Args:
         task: where.
@@ -218,7 +218,8 @@ class Exploration:
         unit = np.asarray(unit)
         actions = np.asarray(self.view.from_unit(unit), np.float32)
         actions = actions.reshape(-1, *self.columns["action"])
-        seen, reward, terminal, timeout = self.simulator.step(actions)
+        taken = actions if self.spec.discrete else np.clip(actions, self.view.low, self.view.high)
+        seen, reward, terminal, timeout = self.simulator.step(taken)
         flat = (self.seen.reshape(seen.shape), actions.reshape(len(seen), -1), reward[:, None], seen,
                 terminal[:, None], timeout[:, None])  # fmt: skip
         rows = np.concatenate([np.asarray(part, np.float32) for part in flat], 1)

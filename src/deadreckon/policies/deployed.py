@@ -60,9 +60,11 @@ class EnvPolicy(eqx.Module):
         return self.inner.start(n)
 
     def act(self, step: Step, carry: Any, key: PRNGKeyArray, *, greedy: bool) -> tuple[Array, Any]:
-        """Actions in the environment's bounds."""
+        """Actions in the environment's bounds, where these are known."""
         seen = step._replace(observation=self.view.observe(step.observation))
         action, carry = self.inner.act(seen, carry, key, greedy=greedy)
+        if isinstance(self.inner, Gaussian) and self.low is not None:
+            action = jnp.clip(action, -1.0, 1.0)
         return self.view.from_unit(action), carry
 
     def log_prob(self, observation: Any, action: Any) -> Array:

@@ -95,7 +95,10 @@ class TanhGaussian(Sampler):
 
 
 class Gaussian(NormalizedPolicy):
-    """a = mean + std * noise without bounds, as published policies have it; the environment clips. Greedy is the mean."""
+    """a = mean + std * noise without bounds, as published policies have it; `EnvPolicy` clips to bounds that it knows.
+
+    Greedy is the mean.
+    """
 
     net: MLP
     has_log_prob = True

@@ -164,9 +164,12 @@ class NumpyPolicy:
             action = self._chosen(self.tree["inner"], batch, rng, greedy)
             return action if x.ndim > 1 else action[0]
         action = self._pre(self.tree["inner"], batch, rng, greedy)
-        if kind != "Gaussian":
-            action = np.clip(action, -1.0, 1.0) if kind in ("ClippedGaussian", "TanhMeanGaussian") else np.tanh(action)
-        if self.tree["low"] is not None:
+        bounded = self.tree["low"] is not None
+        if kind in ("ClippedGaussian", "TanhMeanGaussian") or (kind == "Gaussian" and bounded):
+            action = np.clip(action, -1.0, 1.0)
+        elif kind != "Gaussian":
+            action = np.tanh(action)
+        if bounded:
             low, high = get(self.tree["low"]), get(self.tree["high"])
             action = low + 0.5 * (action + 1.0) * (high - low)
         return action.astype(np.float32) if x.ndim > 1 else action[0].astype(np.float32)

@@ -128,8 +128,8 @@ class Replay:
             self.buffer = _write(self.buffer, columns[:, at : at + span], at, column)
 
     def set(self, lane: int, row: int, column: int, value: float) -> None:
-        """Changes one number of a row in the file, which `restore` then reads."""
-        write_at(self.paths[lane], (row * self.width + column) * 4, np.float32(value).data)
+        """Changes one number of a row in the file, whose other rows stay, and which `restore` then reads."""
+        write_at(self.paths[lane], (row * self.width + column) * 4, np.float32(value).data, cut=False)
 
     def flush(self) -> None:
         """Appends to the files what was added since the last time, and sees it onto the disk.
