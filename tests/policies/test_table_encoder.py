@@ -15,7 +15,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats import cells
 from deadreckon.policies import table_encoder
 from deadreckon.policies.table_encoder import TableEncoder
-from deadreckon.policies.table_rows import RowsError, flags_of
+from deadreckon.policies.table_rows import RowsError, flags_of, numbers_of
 from deadreckon.runs.reading import noted
 
 ROWS = 60
@@ -124,6 +124,16 @@ def test_rows_that_are_refused(encoder, case):
     rows[1] |= WRONG[case][0]
     with pytest.raises(RowsError, match=WRONG[case][1]):
         encoder.encode(rows)
+
+
+@pytest.mark.parametrize("unit", ["ns", "us", "D"])
+@pytest.mark.parametrize("kind", ["datetime64", "timedelta64"])
+def test_dates_and_durations_are_no_numbers_in_any_unit(unit, kind):
+    values = np.array(["NaT", 0, 1], f"{kind}[{unit}]")
+    for reader, needed in ((numbers_of, "a number is needed"), (flags_of, "a flag is true or false")):
+        with pytest.raises(RowsError, match=f"column a has '.*' in row 1, {needed}"):
+            reader("a", values, "rows")
+        assert np.isnan(reader("a", values[:1], "rows")).all()
 
 
 def test_columns_that_are_not_there(encoder):

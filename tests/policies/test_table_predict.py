@@ -13,6 +13,7 @@ from deadreckon.policies import EnvPolicy, portable, store
 from deadreckon.policies.candidates import GreedyActions, ThresholdedPolicy
 from deadreckon.policies.kinds import Categorical
 from deadreckon.policies.table_predict import Predictor
+from deadreckon.policies.table_rows import RowsError
 from deadreckon.runs.reading import noted
 
 
@@ -41,6 +42,81 @@ def test_a_mixture_keeps_its_member_for_an_episode():
     assert 70 < policy.predict({"x": [0.0] * 200}).sum() < 130
     told = policy.predict(frame, probabilities=True, greedy=False).probabilities
     np.testing.assert_array_equal([told[0], told[1]], np.full((2, 200), 0.5))
+
+
+def test_a_mixture_that_is_asked_row_by_row_draws_its_member_each_time():
+    frame = pd.DataFrame({"x": [0.0] * 20, "action": [0, 1] * 10, "reward": 0.0})
+    known, mixture = noted(Dataset.from_frame(frame)), Constant(None, [Constant(0), Constant(1)])
+    asked = [
+        [policy.predict({"x": 0.0}) for _ in range(40)] for policy in (Predictor(mixture, known), Predictor(mixture, known))
+    ]
+    assert asked[0] == asked[1]
+    assert 10 < sum(asked[0]) < 30
+    assert len({Predictor(mixture, known).predict({"x": 0.0}, seed=seed) for _ in range(9) for seed in (3,)}) == 1
+
+
+def test_a_mixture_without_memory_needs_no_order_of_rows_and_no_actions():
+    """Today's rows, in any order, with a column of doses that is to be filled in."""
+    frame = pd.DataFrame({"day": np.arange(8) // 4, "at": np.arange(8), "x": 0.0, "dose": [0, 1] * 4, "reward": 0.0})
+    log = Dataset.from_frame(frame, action="dose", reward="reward", episode="day", time="at")
+    policy = Predictor(Constant(None, [Constant(0), Constant(1)]), noted(log))
+    for today in (frame.assign(dose=None), frame.assign(dose=None, at=None), frame[::-1], frame.assign(dose=[1, None] * 4)):
+        days = policy.predict(today, seed=1).reshape(2, 4)
+        assert (days == days[:, :1]).all()
+
+
+class Reminded(Constant):
+    """A player on the last three steps, of which it keeps what it was given."""
+
+    def __init__(self, observed):
+        super().__init__(0)
+        self.steps, self.action_size, self.observed, self.member, self.seen = 3, 2, observed, self, []
+
+    def done(self, actions):
+        return np.eye(2)[actions]
+
+    def act(self, observations, rng, greedy):
+        assert observations.shape[1] == 3 * self.observed + 2 * 2
+        self.seen.append(observations)
+        return np.zeros(len(observations), int)
+
+
+def past_of(frame, rows, **roles):
+    """{newest observation: the two before it} as a policy on the last three steps sees them, of a log with these roles."""
+    log = Dataset.from_frame(frame, action="action", reward="reward", **roles)
+    player = Reminded(1)
+    inner = Reminded(1)
+    inner.steps, inner.member, player.member = 1, None, inner
+    Predictor(player, noted(log)).predict(rows)
+    seen = np.concatenate(inner.seen)
+    return {row[6]: (row[0], row[3]) for row in seen.tolist()}
+
+
+@pytest.mark.parametrize("ends", [{"terminal": "done"}, {"timeout": "done"}, {"terminal": "done", "episode": "who"}])
+def test_histories_begin_anew_where_the_log_says_that_an_episode_ended(ends):
+    """As in training, where the first observation is repeated and not what came before."""
+    frame = pd.DataFrame({"x": np.arange(6.0), "action": [0, 1] * 3, "reward": 0.0, "done": [0, 0, 1] * 2, "who": 7})
+    frame = frame if "episode" in ends else frame.drop(columns="who")
+    rows = frame.astype({"done": object})
+    rows.loc[5, "done"] = None  # nobody knows yet
+    own = {0: (0, 0), 1: (0, 0), 2: (0, 1), 3: (3, 3), 4: (3, 3), 5: (3, 4)}
+    assert past_of(frame, frame, **ends) == past_of(frame, rows, **ends) == own
+    assert past_of(frame, rows.assign(action=None), **ends) == own
+    alone = rows.drop(columns="done")
+    if "episode" in ends:
+        assert past_of(frame, alone, **ends) == own | {3: (1, 2), 4: (2, 3)}
+        return
+    assert past_of(frame, alone[3:4], **ends) == {3: (3, 3)}
+    with pytest.raises(RowsError, match="last 3 steps of an episode: give the column done, which says where one ends"):
+        past_of(frame, alone, **ends)
+    rows.loc[2, "done"] = None
+    with pytest.raises(RowsError, match="column done is empty in row 2; it tells whether an episode ends there"):
+        past_of(frame, rows, **ends)
+
+
+def test_of_a_log_whose_rows_are_episodes_histories_have_one_step():
+    frame = pd.DataFrame({"x": np.arange(3.0), "action": [0, 1, 0], "reward": 0.0})
+    assert past_of(frame, frame) == {0: (0, 0), 1: (1, 1), 2: (2, 2)}
 
 
 @pytest.mark.parametrize("kind", ["categorical", "greedy", "thresholded"])

@@ -13,6 +13,7 @@ from deadreckon.files import write_json
 from deadreckon.report import charts, forest, headline, write
 from deadreckon.report.entries import read
 from deadreckon.report.page import render
+from deadreckon.report.parts import coloured
 from deadreckon.stats.interval import Interval
 
 GAINS = {"good seed 0": (12.0, 6.0, 18.0), "wild seed 0": (30.0, 9.0, 51.0), "bc seed 0": (1.0, -4.0, 6.0)}
@@ -122,6 +123,22 @@ def test_estimates_of_other_runs_are_refused(runs, tmp_path):
     write_json(tmp_path / "ope" / "estimates.json", estimates)
     with pytest.raises(UserError, match="decides on other, which is not among these runs; name its folder too"):
         write(runs, tmp_path / "page.html", estimates=tmp_path / "ope")
+
+
+def test_runs_of_one_name_are_told_apart_by_their_files(tmp_path):
+    """Estimates of another month's run would be a verdict on this one, and both would have one colour."""
+    for month in ("jan", "feb"):
+        write_run(tmp_path / month / "good", "bc", seed=ord(month[0]))
+        (tmp_path / month / "good" / "policy.npz").touch()
+    estimates = told({"good seed 0": (12.0, 6.0, 18.0), "good seed 1": (1.0, -4.0, 6.0)})
+    for each, month in zip(estimates["policies"], ("jan", "feb")):
+        each["file"] = str(tmp_path / month / "good" / "policy.npz")
+    write_json(tmp_path / "ope" / "estimates.json", estimates)
+    with pytest.raises(UserError, match=r"decides on good \(.*jan.*\), which is not among these runs"):
+        write([tmp_path / "feb" / "good"], tmp_path / "page.html", estimates=tmp_path / "ope")
+    write([tmp_path / "jan" / "good"], tmp_path / "page.html", estimates=tmp_path / "ope")
+    page = read([tmp_path / "feb" / "good", tmp_path / "jan" / "good"])
+    assert [slot for _, slot in coloured(page, estimates)] == [page.slot(page.entries[1]), page.slot(page.entries[0])]
 
 
 def test_a_cross_fit_shows_the_runs_of_its_folds(tmp_path):

@@ -1,19 +1,22 @@
 """The page as text: whole, self-contained, and safe whatever names it shows."""
 
+import dataclasses
 import html
 import json
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 from run_folders import TASK, write_run
 
+import deadreckon as dr
 from deadreckon.errors import UserError
 from deadreckon.files import write_json
 from deadreckon.report import axes, maze, spacetime, table, write
 from deadreckon.report.entries import read
 from deadreckon.report.page import render
-from deadreckon.report.provenance import command
+from deadreckon.report.provenance import command, schema_file
 from deadreckon.report.rows import rows
 from deadreckon.report.text import number, score
 from deadreckon.runs.folder import Folder
@@ -171,7 +174,7 @@ def test_command_to_reproduce(runs):
         ({"holdout": {"share": 0.2, "by": "random", "seed": 0, **HELD}}, "--holdout 0.2 --holdout-by random"),
         ({"holdout": {"share": 0.2, "by": "random", "seed": 0, **HELD}, "task": None}, ""),
         ({"holdout": {"share": 0.2, "by": "user", "seed": 0, **HELD}, "task": None}, "--holdout 0.2 --holdout-by user"),
-        ({"holdout": {"share": 0.2, "fold": 1, "folds": 5, "by": "random", "seed": 0, **HELD}, "task": None}, ""),
+        ({"holdout": {"share": 0.2, "fold": 1, "folds": 5, "by": "random", "seed": 0, **HELD}, "task": None}, "--cross-fit 5"),
         ({"task": None}, "--holdout 0"),
     ],
 )  # fmt: skip
@@ -184,6 +187,35 @@ def test_command_says_what_is_not_the_default(changes, options, tmp_path):
     text = command(read([path]).entries[0])
     before, after = text.split(" --episodes 6")
     assert after.split(" --agent.")[0].split(" --out ")[0].strip() == options
+
+
+@pytest.mark.parametrize("of", ["table", "fold", "converted", "frame"])
+def test_command_reads_a_table_as_the_run_did(of, tmp_path):
+    rows = {"x": [1.0, None, 3.0] * 20, "id": list(range(60)), "dose": [10, 20, 40] * 20, "gain": [0.0, 1.0] * 30}
+    pd.DataFrame(rows | {"who": np.arange(60) // 4}).to_csv(tmp_path / "log.csv", index=False)
+    log = dr.read(tmp_path / "log.csv", action="dose", reward="gain", ignore="id", group="who")
+    known = dataclasses.asdict(log.provenance)
+    known["extra"] = dict(known["extra"]) | ({"horizon": 3} if of == "converted" else {})
+    known["path"] = {"converted": str(tmp_path / "log.parquet"), "frame": None}.get(of, known["path"])
+    folder = Folder(write_run(tmp_path / "runs" / "cross" / "fold1", "bc", task=None))
+    config = folder.read_config()
+    held = {"share": 0.2, "by": "who", "seed": 0, **HELD} | ({"fold": 1, "folds": 5} if of == "fold" else {})
+    config["data"] |= {"provenance": json.loads(json.dumps(known, default=str)), "name": "log", "holdout": held}
+    write_json(folder.config, config)
+    [entry] = read([folder.path]).entries
+    text, page = command(entry), render(read([folder.path]))
+    where = {"converted": tmp_path / "log.parquet", "frame": "log"}.get(of, tmp_path / "log-schema.toml")
+    cut = "--horizon 3 " if of == "converted" else ""
+    assert text.startswith(f"deadreckon train --agent bc --data {where} {cut}--steps 200 ")
+    assert "--holdout" not in text  # by groups, as where nobody says otherwise
+    assert ("--cross-fit 5" in text) == (of == "fold")
+    assert text.endswith(f"--out {folder.path.parent if of == 'fold' else folder.path}")
+    assert ("The table was a data frame" in page) == (of == "frame")
+    assert ("log-schema.toml, to be put beside the table" in page) == (of in ("table", "fold"))
+    if of == "table":
+        file, columns = schema_file(entry)
+        file.write_text(columns)
+        assert dr.read(file).fingerprint == log.fingerprint
 
 
 @pytest.mark.parametrize("name", ["maze2d-umaze", "maze2d-medium", "maze2d-large"])

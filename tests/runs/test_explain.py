@@ -127,6 +127,19 @@ def test_thresholds_and_actions_have_the_units_of_the_schema(tmp_path):
     assert sum("dose = " in line for line in lines) >= 2
 
 
+def test_marks_of_missing_values_are_told_from_columns_that_are_called_so(tmp_path):
+    rng = np.random.default_rng(3)
+    x = rng.normal(size=ROWS)
+    x[rng.random(ROWS) < 0.5] = np.nan
+    table = {"x": x, "y_missing": rng.normal(size=ROWS), "action": ["a", "b"] * (ROWS // 2), "reward": np.zeros(ROWS)}
+    data = dr.Dataset.from_frame(table, action="action", reward="reward")
+    for weights, words in (((0, 9, 0), "x is missing"), ((0, 0, 9), "y_missing <= ")):
+        half = linear((0, 0, 0), weights)
+        bias = jnp.asarray([sum(weights) / 2 if weights[1] else 0.0, 0.0])
+        found = explain(saved(Categorical(MLP(half.net.weights, (bias,))), tmp_path / f"{weights[1]}.npz"), data)
+        assert found.tree.text.startswith(words)
+
+
 def test_the_tree_is_drawn_with_all_its_texts():
     assert "blood_<wbr>pressure &lt; 3" in drawing(Node("blood_pressure < 3", 1.0), "long names may be broken")
     root = Node("age <= 50", 1.0, Node("a & b", 0.25), Node("c <= 1", 0.75, Node("d", 0.5), Node("e", 0.25)))

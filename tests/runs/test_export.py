@@ -6,7 +6,9 @@ import re
 import shutil
 import subprocess
 import sys
+from types import SimpleNamespace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
@@ -14,14 +16,20 @@ import pytest
 
 import deadreckon as dr
 from deadreckon.cli.main import main
+from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.files import write_json
-from deadreckon.policies import portable
+from deadreckon.nets.encoder import Encoder
+from deadreckon.nets.mlp import MLP
+from deadreckon.policies import onnx_graph, portable, store
 from deadreckon.policies.decoded_rows import decoded
+from deadreckon.policies.deployed import EnvPolicy, Mixture, Seeing
+from deadreckon.policies.kinds import Deterministic
 from deadreckon.policies.table_encoder import TableEncoder
 from deadreckon.runs import export as exporting
 from deadreckon.runs.export import export
 from deadreckon.runs.exported import Rows, check
+from deadreckon.runs.reading import noted
 from deadreckon.runs.subject import subject
 from tests.recorded import decision
 
@@ -126,6 +134,30 @@ def test_what_differs_is_refused_and_nothing_is_left(place, monkeypatch):
     assert not list(place.glob("*wrong*"))
 
 
+def test_one_seed_of_a_cross_fit_keeps_what_its_table_was(place, tmp_path):
+    log = dr.read(place / "log.csv", action="action", reward="reward", kinds={"grade": "category"})
+    dr.cross_fit(dr.agents.BC(hidden=(4,), batch_size=8), log, out=tmp_path / "c", folds=2, seeds=2, steps=1, task=False)
+    folder = export(tmp_path / "c", "numpy", tmp_path / "numpy", seed=1)
+    found = portable.load(folder / "policy.npz").predict(rows_of_table(5, seed=1))
+    assert set(found) <= {"call", "mail", "wait"}
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_policies_on_pictures_are_played_by_numpy(tmp_path, mixed):
+    pictures = np.random.default_rng(0).integers(0, 256, (20, 16, 16, 3)).astype(np.uint8)
+    log = dr.Dataset.from_arrays(observations=pictures, actions=np.zeros((20, 1)), rewards=np.zeros(20), name="pictures",
+                                 action_space=Box((-1.0,), (1.0,)), terminals=np.ones(20, bool))  # fmt: skip
+    sees = []
+    for seed in range(1 + mixed):
+        keys = jax.random.split(jax.random.key(seed))
+        encoder = Encoder.create("patches", (16, 16, 3), 8, keys[0])
+        member = EnvPolicy(Deterministic(MLP.create(8, (4,), 1, keys[1])), None, None, -jnp.ones(1), jnp.ones(1))
+        sees.append(EnvPolicy(Seeing(encoder, member), None, None, None, None))
+    store.save(tmp_path / "p.npz", Mixture.of(sees) if mixed else sees[0])
+    folder = export(tmp_path / "p.npz", "numpy", tmp_path / "numpy", log=log)
+    assert (folder / "portable_pictures.py").exists()
+
+
 def test_continuous_actions_may_differ_by_little_for_their_range():
     rows = Rows(np.zeros((2, 1)), np.zeros(2, np.int32), np.array([[100.0], [0.0]], np.float32), np.array([1000.0]))
     check("it", rows, rows.actions + 0.009)
@@ -198,6 +230,34 @@ def test_an_onnx_graph_takes_the_columns_themselves(place):
     found = dict(zip([each.name for each in session.get_outputs()], session.run(None, onnx_inputs(encoder, columns))))
     assert found["outside_the_log"].tolist()[:4] == [True, True, False, True] == flagged.outside.tolist()[:4]
     assert found["action_name"].tolist() == flagged.actions.tolist()
+
+
+class Named(SimpleNamespace):
+    """Stands for the library onnx, which is an extra: parts of a graph by their names alone."""
+
+    TensorProto = SimpleNamespace(FLOAT=0, DOUBLE=0, STRING=0, BOOL=0)
+    helper = SimpleNamespace(
+        make_node=lambda kind, inputs, outputs, **options: SimpleNamespace(output=outputs),
+        make_tensor_value_info=lambda name, kind, shape: SimpleNamespace(name=name),
+    )
+    numpy_helper = SimpleNamespace(from_array=lambda value, name: SimpleNamespace(name=name))
+
+
+@pytest.mark.parametrize("name", ["observation", "action", "action_name", "outside_the_log", "x:missing", "Add_0"])
+def test_columns_that_are_called_as_parts_of_the_graph_are_refused_in_a_line(monkeypatch, name):
+    monkeypatch.setattr(onnx_graph, "libraries", lambda: (None, Named, None))
+    rows = {"x": [0.0, 1.0], "dose": [0, 1], "reward": [0.0, 1.0]}
+    for other in ("y", name):
+        log = dr.Dataset.from_frame(rows | {other: [1.0, 2.0]}, action="dose", reward="reward")
+        given, made = [SimpleNamespace(name="observation")], [SimpleNamespace(name="action")]
+        nodes = [SimpleNamespace(output=["Add_0"]), SimpleNamespace(output=["action"])]
+        graph = SimpleNamespace(input=given, output=made, node=nodes, initializer=[])
+        if other == "y":
+            onnx_graph.with_columns(SimpleNamespace(graph=graph), TableEncoder(noted(log)))
+            assert [each.name for each in graph.input] == ["x", "y"]
+            continue
+        with pytest.raises(UserError, match=f"column {name} is called as a part of the ONNX graph is"):
+            onnx_graph.with_columns(SimpleNamespace(graph=graph), TableEncoder(noted(log)))
 
 
 @pytest.fixture(scope="module")

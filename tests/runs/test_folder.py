@@ -4,11 +4,13 @@ from dataclasses import fields, replace
 
 import pytest
 
+from deadreckon import temporaries
 from deadreckon.agents import AGENTS, agent_class
 from deadreckon.bench.store import Store
 from deadreckon.data.spec import Box, Spec
 from deadreckon.errors import UserError
 from deadreckon.runs.folder import Folder
+from deadreckon.temporaries import SUFFIX, beside
 
 
 def test_what_follows_from_the_length_of_a_run_is_told_where_it_is_made_longer(tmp_path):
@@ -27,6 +29,19 @@ def test_what_follows_from_the_length_of_a_run_is_told_where_it_is_made_longer(t
     for other in (config(6, beta=1.0), config(3, actor_decay_steps=6.0)):
         with pytest.raises(UserError, match=r"actor_decay_steps was 3.0, now 6.0; choose another --out"):
             folder.check(other, resume=True)
+
+
+def test_what_dead_processes_left_is_forgotten_and_what_others_write_is_not(tmp_path, monkeypatch):
+    """Also a folder, such as that of an export into the run's."""
+    with beside(tmp_path / "numpy", folder=True) as living:
+        monkeypatch.setattr(temporaries, "_cleared", set())  # as in another process
+        (tmp_path / "metrics").mkdir()
+        (half := tmp_path / f".onnx.x{SUFFIX}").mkdir()
+        (half / "part").touch()
+        (tmp_path / "metrics" / f".0000000050.parquet.x{SUFFIX}").touch()
+        (tmp_path / ".notes.tmp").touch()
+        Folder(tmp_path).drop_after(10)
+        assert sorted(path.name for path in tmp_path.rglob("*")) == sorted([living.name, ".notes.tmp", "metrics"])
 
 
 @pytest.mark.parametrize("name", AGENTS)

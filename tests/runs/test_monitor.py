@@ -18,7 +18,9 @@ from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import Deterministic
 from deadreckon.runs.monitor import monitor
-from deadreckon.runs.realised import Realised, finished, returns_of
+from deadreckon.runs.reading import Read
+from deadreckon.runs.realised import Realised, finished, realised, returns_of
+from deadreckon.runs.subject import Subject, estimates_of, subject
 from tests.recorded import decision
 
 BC = dr.agents.BC(hidden=(4,), batch_size=8)
@@ -46,8 +48,8 @@ def place(tmp_path_factory):
     return folder
 
 
-def promise(folder, low):
-    told = decision([{"name": "run seed 0"}], [{"value": [0.5, 0.4], "low": [low, 0.3], "high": [0.6, 0.5]}])
+def promise(folder, low, **policy):
+    told = decision([{"name": "run seed 0"} | policy], [{"value": [0.5, 0.4], "low": [low, 0.3], "high": [0.6, 0.5]}])
     write_json(folder / "estimates.json", told)
 
 
@@ -131,10 +133,59 @@ def test_a_log_of_the_policy_in_use_needs_no_propensities_and_estimates_lie_besi
     log = dr.read(tmp_path / "log.csv", action="action", reward="reward", propensity="p", cost="cost")
     dr.train(BC, log, steps=2, task=False, out=tmp_path / "runs" / "run")
     (tmp_path / "runs" / "run-ope").mkdir()
-    promise(tmp_path / "runs" / "run-ope", 0.4)
+    promise(tmp_path / "runs" / "run-ope", 0.4, file=str(tmp_path / "runs" / "run" / "policies" / "seed0.npz"))
     found = monitor(tmp_path / "runs" / "run", tmp_path / "same.csv", reference=log)
     assert not found.alarm
     assert isinstance(found.value, Realised)
+
+
+def test_a_reference_needs_no_more_columns_than_a_log_of_the_policy_in_use(tmp_path):
+    """The first weeks in use have no propensities, and may miss a value that the log has."""
+    table(300, 0).assign(p=0.5, cost=1.0).to_csv(tmp_path / "log.csv", index=False)
+    log = dr.read(tmp_path / "log.csv", action="action", reward="reward", propensity="p", cost="cost")
+    run = dr.train(BC, log, steps=2, task=False, out=tmp_path / "run")
+    for name, seed in (("first.csv", 1), ("later.csv", 2)):
+        rows = table(60, seed)
+        rows.loc[3, "age"] = np.nan
+        rows.to_csv(tmp_path / name, index=False)
+    found = monitor(run, tmp_path / "later.csv", reference=tmp_path / "first.csv")
+    assert found.reference == "first"
+    assert found.columns[0].missing == (1 / 60, 1 / 60)
+    assert not found.alarm
+
+
+def test_a_column_that_is_called_as_a_mark_is_itself():
+    rows = {"x": [1.0, 2.0, 3.0], "x_missing": [0.0, 1.0, 0.0], "action": ["a", "b", "a"], "reward": [1.0, 0.0, 1.0]}
+    log = dr.Dataset.from_frame(rows, action="action", reward="reward")
+    one = Subject("p", None, "p", None, None, Read(log.provenance.extra), {})
+    found = one.log({**rows, "x_missing": [None, 1.0, 0.0]}, gaps=True, option="log=")
+    np.testing.assert_allclose(found.observations, [[1, 1 / 3], [2, 1], [3, 0]])
+    assert found.extras["missing x_missing"].tolist() == [True, False, False]
+    with pytest.raises(UserError, match="column x is empty in row 1"):
+        one.log({**rows, "x": [1.0, None, 3.0]}, gaps=True, option="log=")
+
+
+def test_estimates_of_another_policy_of_the_same_name_are_not_taken(place, tmp_path):
+    """Such as of a candidate of `recommend`, whose folder of runs lies beside."""
+    for name in ("run", "other/run"):
+        shutil.copytree(place / "run", tmp_path / "runs" / name)
+    mine, other = (tmp_path / "runs" / name / "policies" / "seed0.npz" for name in ("run", "other/run"))
+    one = subject(tmp_path / "runs" / "run")
+    promise(tmp_path / "runs" / "other", 0.1, file=str(other))
+    assert estimates_of(one) is None
+    assert estimates_of(one, tmp_path / "runs" / "other") is not None  # whoever names it means it
+    (tmp_path / "runs" / "both").mkdir()
+    policies = [{"name": "run seed 0", "file": str(other)}, {"name": "run seed 0 again", "file": str(mine)}]
+    value = {"value": [0.1, 0.5, 0.4], "low": [0.0, 0.4, 0.3], "high": [0.2, 0.6, 0.5]}
+    write_json(tmp_path / "runs" / "both" / "estimates.json", decision(policies, [value]))
+    for given in (None, tmp_path / "runs" / "both"):
+        assert estimates_of(one, given)[1] == 1
+    mine.rename(tmp_path / "moved.npz")
+    policies[1]["file"] = str(tmp_path / "moved.npz")
+    (tmp_path / "runs" / "run" / "policies" / "seed0.npz").write_bytes((tmp_path / "moved.npz").read_bytes())
+    write_json(tmp_path / "runs" / "both" / "estimates.json", decision(policies, [value]))
+    with pytest.raises(UserError, match=r"both has no estimates of run seed 0 \(.*runs/run/policies/seed0.npz\)"):
+        estimates_of(one, tmp_path / "runs" / "both")
 
 
 @pytest.mark.slow
@@ -228,6 +279,25 @@ def test_an_episode_that_may_go_on_is_left_out_and_returns_are_those_of_the_esti
     np.testing.assert_allclose(returns_of(done, Estimand(0.5, 2)), [1.5, 3.0])
     with pytest.raises(UserError, match="no episode is finished"):
         finished(log.select([2]), log)
+
+
+def test_episodes_that_go_on_side_by_side_are_named():
+    """A horizon would not help where the reference has ends that the new log lacks yet."""
+
+    def log(ended, steps=10):
+        ends = np.tile(np.arange(steps) == steps - 1, len(ended))
+        return dr.Dataset.from_arrays(
+            observations=np.zeros((len(ends), 1)), actions=np.zeros((len(ends), 1)), rewards=np.ones(len(ends)), name="beds",
+            terminals=ends & np.repeat(ended, steps), timeouts=ends & ~np.repeat(ended, steps),
+        )  # fmt: skip
+
+    told = decision([{"name": "run seed 0"}], [{"value": [5, 5], "low": [4, 4], "high": [6, 6]}],
+                    estimand={"discount": 0.9, "horizon": None})  # fmt: skip
+    whole, some = log([True] * 12), log([True] * 8 + [False] * 3, 4)
+    said = realised(some, whole, (told, 0), None, 0.05)
+    assert "3 of 11 episodes of beds end without a terminal, after 4 steps or more: if they go on, give the episodes" in said
+    assert "horizon" not in said
+    assert "estimate with a horizon" in realised(whole, log([False] * 12), (told, 0), None, 0.05)
 
 
 @pytest.mark.parametrize(("options", "words"), [

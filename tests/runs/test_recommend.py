@@ -11,6 +11,7 @@ import time
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import deadreckon as dr
@@ -472,6 +473,17 @@ def test_clusters_are_held_out_whole(small, tmp_path):
     assert told["cluster"] == "user"
     assert told["units"] == 4
     assert "600 rows, 60 episodes; 12 of them (20 %) are held out for the card, by user" in of(sent, "line")[0]
+
+
+def test_a_share_alone_holds_out_whole_groups_as_training_does(tmp_path):
+    rows = 600
+    frame = {"x": np.arange(rows) % 7, "action": np.arange(rows) % 2, "reward": np.ones(rows), "patient": np.arange(rows) // 20}
+    pd.DataFrame(frame).to_csv(tmp_path / "log.csv", index=False)
+    columns = {"action": "action", "reward": "reward", "group": "patient"}
+    for holdout in (0.3, None):
+        job = job_of(str(tmp_path / "log.csv"), tmp_path / "out", holdout=holdout, columns=columns)
+        _, _, held = Attempt(job, lambda what, value: None)._log()
+        assert held == Holdout(holdout or 0.2, "patient")
 
 
 def test_what_leaves_no_episode_for_the_card_is_refused(tmp_path):

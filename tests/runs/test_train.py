@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import deadreckon as dr
+from deadreckon import temporaries
 from deadreckon.collect import generate
 from deadreckon.data.spec import Box
 from deadreckon.files import read_json, write_json
@@ -14,6 +15,7 @@ from deadreckon.runs.evaluate import evaluate
 from deadreckon.stats.crossed import mean_interval
 from deadreckon.tasks import task
 from deadreckon.tasks.task import Task
+from deadreckon.temporaries import SUFFIX
 from tests.agents.worlds import corridor, swinging
 
 
@@ -62,7 +64,7 @@ def test_the_last_evaluation_is_that_of_the_last_policies(run):
 
 
 @pytest.mark.slow
-def test_interrupted_and_resumed_is_the_same_as_unbroken(run, log, tmp_path):
+def test_interrupted_and_resumed_is_the_same_as_unbroken(run, log, tmp_path, monkeypatch):
     class Stop(Exception):
         pass
 
@@ -76,7 +78,8 @@ def test_interrupted_and_resumed_is_the_same_as_unbroken(run, log, tmp_path):
         dr.train(agent(), log, out=tmp_path / "r", **SETTINGS)
     with pytest.raises(dr.UserError, match="not finished"):
         dr.load_run(tmp_path / "r")
-    (tmp_path / "r" / "metrics" / ".0000000050.parquet.x.tmp").write_text("left by a kill")
+    (tmp_path / "r" / "metrics" / f".0000000050.parquet.x{SUFFIX}").write_text("left by a kill")
+    monkeypatch.setattr(temporaries, "_cleared", set())  # as in another process
     resumed = dr.train(agent(), log, out=tmp_path / "r", resume=True, **SETTINGS)
     assert resumed.metrics.equals(run.metrics)
     assert resumed.evaluations.equals(run.evaluations)
@@ -264,7 +267,7 @@ def test_a_run_named_after_its_log_lies_in_runs_whatever_the_log_is_called(log, 
 @pytest.mark.slow
 def test_a_kill_while_the_first_file_is_written_can_be_resumed(log, tmp_path):
     (tmp_path / "r").mkdir()
-    (tmp_path / "r" / ".run.json.abc.tmp").write_text("half")
+    (tmp_path / "r" / f".run.json.abc{SUFFIX}").write_text("half")
     run = dr.train("bc", log, steps=2, episodes=1, out=tmp_path / "r", resume=True)
     assert not list(run.path.rglob("*.tmp"))
 

@@ -59,9 +59,18 @@ def graph_of(policy: Pure, shape: Sequence[int]) -> Any:
 
 
 def with_columns(model: Any, encoder: TableEncoder) -> None:
-    """Makes an input for each column of the table out of the one of numbers, in place."""
+    """Makes an input for each column of the table out of the one of numbers, in place.
+
+    Raises:
+        UserError: a column is called as another part of the graph is, whose names must all differ.
+    """
     made = _Encoding(encoder)
     graph = model.graph
+    parts = [*graph.input, *graph.output, *graph.initializer, *made.constants, *made.inputs[len(encoder.observed) :]]
+    taken = {NAME, *(each.name for each in parts), *(name for node in (*made.nodes, *graph.node) for name in node.output)}
+    if wrong := [key for key in encoder.observed if key in taken]:
+        text = f"column {wrong[0]} is called as a part of the ONNX graph is, whose names must differ"
+        raise UserError(f"{text}: rename it and train again, or export in another format")
     kept = [each for each in graph.input if each.name != OBSERVATION]
     del graph.input[:]
     graph.input.extend([*made.inputs, *kept])

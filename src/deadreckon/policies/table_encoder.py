@@ -76,6 +76,8 @@ class TableEncoder:
         observed: {name: column of the schema} of the columns that are observed, in their order; empty if there is no schema.
         actions: likewise of the action columns.
         times: kind of the column that orders rows; None where there is none.
+        ends: columns that say where episodes end.
+        alone: whether every row of the log is an episode, because none of its columns tells how rows follow one another.
         levels: names of discrete actions in the order of their codes; None where they are their codes, or continuous.
         masked: whether observations end in numbers that say which actions are legal.
         shape: of one observation; None where it is not known.
@@ -90,7 +92,10 @@ class TableEncoder:
         legal = {key: column for key, column in columns.items() if column["role"] == "legal"}
         self.one = {column["role"]: key for key, column in columns.items() if column["role"] in ("episode", "time")}
         self.times = next((column["kind"] for column in columns.values() if column["role"] == "time"), None)
-        self.used = {*self.actions, *legal, *self.one.values()}
+        self.ends = [key for key, column in columns.items() if column["role"] in ("terminal", "timeout")]
+        following = {"episode", "time", "terminal", "timeout", "next_observation"}
+        self.alone = bool(columns) and not following & {column["role"] for column in columns.values()}
+        self.used = {*self.actions, *legal, *self.one.values(), *self.ends}
         self.discrete = space.get("kind") == "Discrete" or (len(self.actions) == 1 and _only(self.actions)["kind"] != "number")
         self.levels = _levels(extra.get("action_levels"), self.actions, space.get("n") or 0) if self.discrete else None
         self.count = space.get("n") or (0 if self.levels is None else len(self.levels))  # of discrete actions

@@ -11,11 +11,11 @@ import numpy as np
 
 if __package__:
     from deadreckon.policies.table_encoder import Encoded, TableEncoder, like
-    from deadreckon.policies.table_rows import RowsError, first, is_missing, shown
+    from deadreckon.policies.table_rows import RowsError, first, flags_of, is_missing, shown
     from deadreckon.policies.table_times import times_of
 else:  # copied beside `portable.py`
     from table_encoder import Encoded, TableEncoder, like  # pyrefly: ignore[missing-import]
-    from table_rows import RowsError, first, is_missing, shown  # pyrefly: ignore[missing-import]
+    from table_rows import RowsError, first, flags_of, is_missing, shown  # pyrefly: ignore[missing-import]
     from table_times import times_of  # pyrefly: ignore[missing-import]
 
 OUTSIDE = "outside_the_log"  # the column of a table of predictions
@@ -74,21 +74,23 @@ class Predictor:
     Attributes:
         encoder: between rows and observations, codes and named actions.
         steps: last observations of an episode that it acts on.
+        drawing: what draws the members of a mixture where no seed is given.
     """
 
     def __init__(self, player: Player, log: Mapping[str, Any], name: str = "rows"):
         self.player, self.encoder = player, TableEncoder(log, name)
         self.steps = max(each.steps for each in (player, *player.members))
+        self.drawing = np.random.default_rng(0)
 
     def predict(
-        self, rows: Any, *, probabilities: bool = False, greedy: bool = True, seed: int | np.random.Generator = 0,
+        self, rows: Any, *, probabilities: bool = False, greedy: bool = True, seed: int | np.random.Generator | None = None,
         outside: str = "raise", legal: Any = None,
     ) -> Any:  # fmt: skip
         """The actions in rows of a table.
 
-        A policy on the last steps of episodes needs the log's column of the episode, if that has one, and each episode's rows
-        in order of time, from its first row on. Where the rows say what was done in them, by the columns of the actions, that
-        is taken for the past; else what the policy does itself.
+        A policy on the last steps of episodes needs the log's column of the episode, if that has one, else those that say where
+        episodes end, and each episode's rows in order of time, from its first row on. Where the rows say what was done in
+        them, by the columns of the actions, that is taken for the past; else what the policy does itself.
 
         Args:
             rows: a data frame (pandas, polars, Arrow), a dictionary of columns, a list of dictionaries or one dictionary, with
@@ -96,7 +98,8 @@ class Predictor:
                 of observations as they are encoded.
             probabilities: also gives the probability of every discrete action.
             greedy: take the deterministic (greedy) actions instead of sampled ones.
-            seed: of sampled actions; the same one samples the same, so use another each time, or a Generator.
+            seed: of sampled actions, and of which member of a mixture acts; the same one samples the same, so use another each
+                time, or a Generator. None: 0, but of a mixture what goes on from call to call.
             outside: "raise" refuses unknown levels, missing values where the log had none and values outside the schema's
                 range; "flag" marks such rows, and those with a value beyond the log's. What cannot be encoded at all, such as a
                 text where a number is needed, is always refused.
@@ -113,7 +116,8 @@ class Predictor:
         found = self.encoder.encode(rows, outside=outside, legal=legal)
         if probabilities and not self.encoder.discrete:
             raise RowsError("probabilities are those of discrete actions, and this policy's are continuous")
-        rng = seed if isinstance(seed, np.random.Generator) else np.random.default_rng(seed)
+        rng = seed if isinstance(seed, np.random.Generator) else np.random.default_rng(seed or 0)
+        rng = self.drawing if seed is None and self.player.members else rng
         remembers = self.steps > 1 or self.player.members
         episodes = _Episodes.of(self.encoder, found, self.steps) if remembers else None
         actions, probs = acted(self.player, found.observations, episodes, rng, greedy, probabilities)
@@ -199,30 +203,35 @@ class _Episodes(NamedTuple):
             steps: that the policy acts on; 1: rows without such a column are an episode each.
 
         Raises:
-            RowsError: nothing tells the episodes apart, or their rows are not in order.
+            RowsError: nothing tells the episodes apart, or their rows are not in order, which one step does not need.
         """
         rows, columns, key, time = len(found.observations), found.columns or {}, *map(encoder.one.get, ("episode", "time"))
-        if steps == 1 and key not in columns:
+        if encoder.alone or (steps == 1 and key not in columns):
             return cls(np.arange(rows), np.zeros(rows, int), None)
         where = f"{encoder.name}: this policy acts on the last {steps} steps of an episode"
         if found.columns is None:
             raise RowsError(f"{where}: give rows by the names of their columns, each episode's in order of time")
         if key is not None and key not in columns:
             raise RowsError(f"{where}: give the column {key} of the episode, and each episode's rows in order of time")
-        names = columns[key].tolist() if key is not None else [0] * rows  # without such a column the log is one episode
+        names = columns[key].tolist() if key is not None else [0] * rows
+        ended = _ended(encoder, columns, rows, where, key is None) if steps > 1 else np.zeros(rows, bool)
         moments, order = None, (encoder.schema or {}).get("table", {}).get("dates")
-        if time is not None and time in columns:
+        if time is not None and time in columns and steps > 1:
             dates = encoder.times not in ("number", "integer")
             moments = times_of(time, columns[time], encoder.name, dates=dates, order=order)
-        numbers: dict[Any, int] = {}
-        number, position, last = np.zeros(rows, int), np.zeros(rows, int), {}
+        number, position = np.zeros(rows, int), np.zeros(rows, int)
+        going: dict[Any, int] = {}  # by name the number of the episode that goes on
+        last: list[int] = []  # by number the newest row of the episode
         for row, name in enumerate(names):
             if is_missing(name):
                 raise RowsError(f"{encoder.name}: column {key} is empty in row {row}; it tells episodes apart")
             if isinstance(name, list | dict | np.ndarray):
                 raise RowsError(f"{encoder.name}: column {key} has {shown(name)} in row {row}, a text or a number is needed")
-            number[row] = numbers.setdefault(name, len(numbers))
-            before = last.get(name)
+            before = last[going[name]] if name in going else None
+            if before is None or ended[before]:
+                going[name], before = len(last), None
+                last.append(row)
+            number[row] = going[name]
             position[row] = 0 if before is None else position[before] + 1
             if moments is not None and before is not None and moments[before] > moments[row]:
                 given = columns[str(time)]
@@ -232,15 +241,44 @@ class _Episodes(NamedTuple):
                 empty = before if np.isnan(moments[before]) else row
                 text = f"column {time} is empty in row {empty}; it orders the rows of an episode"
                 raise RowsError(f"{encoder.name}: {text}")
-            last[name] = row
-        logged = encoder.logged(columns)
+            last[going[name]] = row
+        logged = encoder.logged(columns) if steps > 1 else None
         if logged is not None:
-            absent = logged < 0 if encoder.discrete else np.asarray(np.isnan(logged).any(1))
-            absent[list(last.values())] = False  # what is done there is asked for
+            unknown = (logged < 0)[:, None] if encoder.discrete else np.isnan(logged)
+            absent = np.asarray(unknown.any(1))
+            absent[last] = False  # what is done there is asked for
+            if unknown.all():  # columns that are to be filled in
+                return cls(number, position, None)
             if absent.any():
                 text = f"row {int(np.argmax(absent))} does not say what was done, and its episode goes on"
                 raise RowsError(f"{encoder.name}: {text}; give the action of every row but the last, or of none")
         return cls(number, position, logged)
+
+
+def _ended(encoder: TableEncoder, columns: Mapping[str, np.ndarray], rows: int, where: str, alone: bool) -> np.ndarray:
+    """(rows,) whether an episode ends with a row, as it does in training.
+
+    Args:
+        encoder: says which columns tell it; where the rows have a column of the episode, they need none of these.
+        columns: of the rows.
+        rows: how many there are.
+        where: begins messages.
+        alone: whether nothing else tells episodes apart.
+
+    Raises:
+        RowsError: nothing tells it.
+    """
+    if alone and rows > 1 and (absent := [key for key in encoder.ends if key not in columns]):
+        raise RowsError(f"{where}: give the column {absent[0]}, which says where one ends (0 where it goes on)")
+    out = np.zeros(rows, bool)
+    for key in encoder.ends:
+        if key in columns:
+            values = flags_of(key, columns[key], encoder.name)
+            if alone and np.isnan(values[:-1]).any():
+                row = first(np.isnan(values))
+                raise RowsError(f"{encoder.name}: column {key} is empty in row {row}; it tells whether an episode ends there")
+            out |= values > 0.5
+    return out
 
 
 def acted(

@@ -122,6 +122,10 @@ def numbers_of(column: str, values: np.ndarray, name: str, needed: str = "a numb
     """
     if values.dtype.kind in "fiub":
         return values.astype(np.float64)
+    if values.dtype.kind in "mM":  # dates and durations, which some units of numpy list as whole numbers
+        if (there := ~np.isnat(values)).any():
+            raise _no_value(column, str(values[row := first(there)]), row, name, needed)
+        return np.full(len(values), np.nan)
     cells = values.tolist()
     if (kinds := set(map(type, cells))) <= {float, type(None)} or (kinds == {str} and _says_number("".join(cells))):
         with contextlib.suppress(ValueError):  # a text that is no number, which is looked for below
@@ -153,7 +157,7 @@ def flags_of(column: str, values: np.ndarray, name: str) -> np.ndarray:
     Raises:
         RowsError: a value is none.
     """
-    if values.dtype.kind not in "fiub":
+    if values.dtype.kind not in "fiubmM":
         cells = values.tolist()
         values = _array([_truth(cell.strip()) if isinstance(cell, str) else cell for cell in cells])
     found = numbers_of(column, values, name, _FLAG)

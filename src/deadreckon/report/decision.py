@@ -8,7 +8,7 @@ from deadreckon.ope.estimates import LOGGED
 from deadreckon.report import forest
 from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, tag
-from deadreckon.report.parts import colours, figure, note, tile
+from deadreckon.report.parts import coloured, figure, note, tile
 from deadreckon.report.text import number, percent
 from deadreckon.runs.offline import checked, grounds
 from deadreckon.stats.interval import Interval, fixed, level_in_words
@@ -143,12 +143,13 @@ def _check(told: dict[str, Any], chosen: int) -> str:
 
 def _gains(page: Page, told: dict[str, Any]) -> Markup | None:
     """Every policy's gain with its simultaneous interval."""
-    first, slots = told["results"][0], colours(page, told)
+    first = told["results"][0]
     marks = []
-    for each, gain, own in zip(told["policies"], first["gain"], told["choice"]["objections"]):
+    each_of = zip(told["policies"], coloured(page, told), first["gain"], told["choice"]["objections"])
+    for each, (_, slot), gain, own in each_of:
         spread = Interval(*map(_number, gain))
         if math.isfinite(spread.value):
-            marks.append(forest.Mark(each["name"], slots[each["run"]], spread, hollow=bool(own)))
+            marks.append(forest.Mark(each["name"], slot, spread, hollow=bool(own)))
     if not marks:
         return None
     marks.sort(key=lambda mark: (mark.name != told["choice"]["name"], mark.hollow, -mark.spread.value))

@@ -7,7 +7,7 @@ from deadreckon.ope.estimates import LOGGED
 from deadreckon.report import charts
 from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, join, tag
-from deadreckon.report.parts import colours, figure, heads_of, note, scroll
+from deadreckon.report.parts import coloured, figure, heads_of, note, scroll
 from deadreckon.report.text import number, percent
 from deadreckon.stats.interval import NORMAL, PERCENT, level_in_words
 
@@ -30,21 +30,19 @@ def section(page: Page) -> Markup | None:
     )  # fmt: skip
     drawn = None
     if truth:
-        slots = colours(page, told)
-        labels = {folder.path.name: e.label for e in page.entries for folder, _ in e.folders}
-        runs = dict.fromkeys(each["run"] for each in told["policies"])
-        named = [(str(labels.get(run, run)), slots[run]) for run in runs]
-        legend = charts.keys(named, "estimate = true value")
+        named = coloured(page, told)
+        legend = charts.keys(list(dict.fromkeys(named)), "estimate = true value")
+        slots = [slot for _, slot in named]
         drawn = join(legend, tag("div", [_scatter(told, each, slots) for each in told["results"]], class_="charts two"))
     return join(drawn, scroll(_table(told)), how)
 
 
-def _scatter(told: dict[str, Any], result: dict[str, Any], slots: dict[str, int]) -> Markup:
+def _scatter(told: dict[str, Any], result: dict[str, Any], slots: list[int]) -> Markup:
     truth = told["truth"]
     points: list[Any] = []  # of as many numbers as `scatter` takes, which the type of `*ends` does not say
     for i, each in enumerate(told["policies"]):
         ends = (math.nan if result[end][i] is None else result[end][i] for end in ("value", "low", "high"))
-        points.append((each["name"], slots[each["run"]], truth["mean"][i], NORMAL * truth["error"][i], *ends))
+        points.append((each["name"], slots[i], truth["mean"][i], NORMAL * truth["error"][i], *ends))
     return figure(charts.scatter(points, "true value", "estimate"), f"{result['method']}: estimate against true value")
 
 

@@ -17,6 +17,7 @@ from deadreckon.report.entries import Page, read
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import coded, note
 from deadreckon.report.scores import scores
+from deadreckon.runs.decision_record import is_from
 from deadreckon.runs.offline import read_estimates
 from deadreckon.runs.train import Run
 
@@ -56,10 +57,11 @@ def write(
     told = None if estimates is None else read_estimates(estimates)
     page = read(runs)
     if told is not None:
-        shown = {name for e in page.entries for folder, _ in e.folders for name in (folder.path.name, folder.path.parent.name)}
-        of = {each["name"]: each["run"] for each in told["policies"]}[told["choice"]["name"]]
-        if of not in shown:
-            raise UserError(f"{estimates} decides on {of}, which is not among these runs; name its folder too")
+        shown = [place for e in page.entries for folder, _ in e.folders for place in (folder.path, folder.path.parent)]
+        of = {each["name"]: each for each in told["policies"]}[told["choice"]["name"]]
+        if not any(is_from(of, place) for place in shown):
+            file = f" ({of['file']})" if of.get("file") else ""
+            raise UserError(f"{estimates} decides on {of['run']}{file}, which is not among these runs; name its folder too")
     text = render(dataclasses.replace(page, estimates=told), title)
     with replacing(out) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -7,6 +7,7 @@ from deadreckon.report import charts
 from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.text import brackets, score
+from deadreckon.runs.decision_record import is_from
 from deadreckon.stats.interval import Interval
 
 
@@ -59,11 +60,15 @@ def tile(
     return tag("div", tag("small", name), tag("b", shown(value.value, signed=signed)), tag("span", ends), small, class_="tile")
 
 
-def colours(page: Page, told: dict[str, Any]) -> dict[str, int]:
-    """The colour of each run that was estimated: that of the page, or one that is left."""
-    known = {folder.path.name: page.slot(e) for e in page.entries for folder, _ in e.folders}
-    others = dict.fromkeys(each["run"] for each in told["policies"] if each["run"] not in known)
-    return known | {run: (len(page.entries) + i) % 8 for i, run in enumerate(others)}
+def coloured(page: Page, told: dict[str, Any]) -> list[tuple[str, int]]:
+    """Of each policy that was estimated its run and colour: those of the page, or the run's name and a colour that is left."""
+    of = [
+        next((e for e in page.entries if any(is_from(each, folder.path) for folder, _ in e.folders)), None)
+        for each in told["policies"]
+    ]
+    others = dict.fromkeys(each["run"] for each, e in zip(told["policies"], of) if e is None)
+    left = {run: (len(page.entries) + i) % 8 for i, run in enumerate(others)}
+    return [(each["run"], left[each["run"]]) if e is None else (e.label, page.slot(e)) for each, e in zip(told["policies"], of)]
 
 
 def heads_of(names: Iterable[str]) -> Markup:

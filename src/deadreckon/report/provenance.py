@@ -3,18 +3,24 @@
 import dataclasses
 import shlex
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from deadreckon.agents import AGENTS, agent_class
 from deadreckon.agents.agent import Agent
-from deadreckon.data.split import Holdout
+from deadreckon.data.schema import Schema
+from deadreckon.data.split import RANDOM, Holdout
 from deadreckon.online import Online
 from deadreckon.report.entries import Entry, Page
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import note, scroll
 from deadreckon.runs.card import seen_by
 from deadreckon.runs.online import turns_of
+from deadreckon.runs.reading import HORIZON
 from deadreckon.runs.steps import course, simulated
+
+# Of what `data convert` writes, which table a file of this kind may be; a log of another one knows its columns itself.
+CONVERTED = {".csv": "csv", ".parquet": "parquet", ".hdf5": "", ".npz": "", "": ""}
 
 
 def settings(entry: Entry) -> dict[str, Any]:
@@ -34,28 +40,50 @@ def command(entry: Entry) -> str:
     for folder, seeds in entry.folders:
         words = ["deadreckon", "train", *([] if "start" in entry.config else ["--agent", entry.agent])]
         words += _from_log(entry, seeds) if entry.online is None else _online(entry, entry.online, seeds)
-        lines.append(shlex.join(map(str, [*words, *options, "--out", folder.path])))
-    return "\n".join(lines)
+        fold = "fold" in (entry.config["data"].get("holdout") or {})
+        lines.append(shlex.join(map(str, [*words, *options, "--out", folder.path.parent if fold else folder.path])))
+    return "\n".join(dict.fromkeys(lines))
+
+
+def schema_file(entry: Entry) -> tuple[Path, str] | None:
+    """The file by which `command` reads a table as the run did, and its text; None where the log was no table in a file."""
+    known = entry.config["data"].get("provenance") or {}
+    if (found := _extra(entry).get("schema")) is None or known.get("path") is None:
+        return None
+    path, source = Path(known["path"]), known.get("source")
+    if CONVERTED.get(path.suffix, source) != source:
+        return None
+    schema = Schema.from_json(found, str(entry.folder.config))
+    text = dataclasses.replace(schema, table={"path": path.name, **schema.options()}).to_toml()
+    return path.with_name(f"{path.stem}-schema.toml"), text.strip()
+
+
+def _extra(entry: Entry) -> dict[str, Any]:
+    return (entry.config["data"].get("provenance") or {}).get("extra") or {}
 
 
 def _from_log(entry: Entry, seeds: list[int]) -> list[Any]:
     config = entry.config
     data, every = config["data"], config.get("evaluation", {})
-    words = ["--data", (data.get("provenance") or {}).get("path") or data["name"]]
+    table, extra = schema_file(entry), _extra(entry)
+    words = ["--data", table[0] if table else (data.get("provenance") or {}).get("path") or data["name"]]
+    words += ["--horizon", extra[HORIZON]] if extra.get(HORIZON) is not None else []
     words += ["--task", config["task"]] if config["task"] else []
     words += ["--steps", config["steps"], *_seeds(seeds)]
     if every.get("every") not in (None, max(config["steps"] // 10, 1)):
         words += ["--evaluate-every", every["every"]]
     words += ["--episodes", every["episodes"]] if every.get("episodes") not in (None, 20) else []
-    words += _holdout(data.get("holdout"), config["task"] is not None)
+    words += _holdout(data.get("holdout"), config["task"] is not None, extra.get("group") or RANDOM)
     return words + [word for name in ("history", "encoder", "shift") if name in config for word in (f"--{name}", config[name])]
 
 
-def _holdout(told: dict[str, Any] | None, simulated: bool) -> list[Any]:
-    """What has to be said for the same episodes to be held out; the folds of a cross-fit are no option, nor is a seed."""
+def _holdout(told: dict[str, Any] | None, simulated: bool, usual: str) -> list[Any]:
+    """What has to be said for the same episodes to be held out; a seed is no option. `usual` is how they are chosen unasked."""
     if told is None:
         return [] if simulated else ["--holdout", 0]  # where no simulator judges, a fifth is held out unasked
-    if "fold" in told or (told["share"] == Holdout.share and told["by"] == Holdout.by and not simulated):
+    if "fold" in told:
+        return ["--cross-fit", told["folds"], *(["--holdout-by", told["by"]] if told["by"] != usual else [])]
+    if told["share"] == Holdout.share and told["by"] == usual and not simulated:
         return []
     return ["--holdout", told["share"], "--holdout-by", told["by"]]
 
@@ -146,7 +174,20 @@ def _run(entry: Entry) -> Markup:
         tag("h3", entry.label),
         tag("dl", [join(tag("dt", name), tag("dd", value)) for name, value in facts if value]),
         tag("pre", tag("code", again), tabindex="0", aria_label="command to reproduce"),
+        _columns(entry),
     )
+
+
+def _columns(entry: Entry) -> Markup | None:
+    """What the command needs beside it where a table was learned from."""
+    if (found := schema_file(entry)) is not None:
+        summary = tag("summary", f"{found[0].name}, to be put beside the table")
+        return tag("details", summary, tag("pre", tag("code", found[1]), tabindex="0", aria_label="schema of the table"))
+    data = entry.config["data"]
+    if _extra(entry).get("schema") is None or data["provenance"].get("path") is not None:
+        return None
+    name = tag("code", data["name"])
+    return note("The table was a data frame: ", name, " stands for a file of it, whose columns have to be given as they were.")
 
 
 def _held(told: dict[str, Any] | None) -> str:

@@ -42,7 +42,7 @@ from deadreckon.runs import offline
 from deadreckon.runs.callback import StopTraining
 from deadreckon.runs.candidates import CONTINUOUS, DISCRETE, Candidate, agent_of, units
 from deadreckon.runs.durations import in_words
-from deadreckon.runs.holdout import divided, too_few, usual
+from deadreckon.runs.holdout import divided, of_share, too_few, usual
 from deadreckon.runs.settings import JudgeSettings, RecommendSettings
 from deadreckon.runs.together import judge_of
 from deadreckon.runs.train import Run, train
@@ -166,7 +166,7 @@ class Attempt:
             seen = f"{log.name} has shape {log.spec.observation_shape}"
             raise UserError(f"recommend learns from flat observations, {seen}; use train and ope")
         given = self.settings.holdout
-        holdout = usual(log) if given is None else given if isinstance(given, Holdout) else Holdout(given)
+        holdout = usual(log) if given is None else given if isinstance(given, Holdout) else of_share(log, given)
         held = len(holdout.parts(log).held)  # what cannot be held out is told before anything is learned
         if few := too_few(log, holdout):
             raise UserError(f"{few}, and a card rests on them; hold out by other values, or record more")

@@ -1,10 +1,11 @@
 """The shape of `estimates.json`, which `judge` and `recommend` write: it is checked before anything looks into it."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, NotRequired, TypedDict
 
 from deadreckon.errors import UserError
-from deadreckon.files import read_json
+from deadreckon.files import is_there, read_json
 from deadreckon.foreign.shapes import checked, same_length, wrong
 
 Number = float | None
@@ -160,6 +161,14 @@ class Estimates(TypedDict):
     propensities: NotRequired[Literal["logged", "learned"]]
     seed: NotRequired[int]
     recommend: NotRequired[Recommended]
+
+
+def is_from(policy: Mapping[str, Any], folder: Path) -> bool:
+    """Whether a policy that was judged is of a run's or cross-fit's folder: by its file, or by its name where that is gone."""
+    if policy["run"] != folder.name:
+        return False
+    file = policy.get("file")
+    return file is None or not is_there(file) or Path(file).resolve().is_relative_to(folder.resolve())
 
 
 def read_results(path: Path | str) -> dict[str, Any]:

@@ -172,7 +172,10 @@ def _explained(name: str, function: Pure, data: Dataset, steps: int) -> Explaine
     fidelity = _agreement(own, unit[fresh]) if discrete else _explained_variance(own, plain, unit[fresh])
     still = 1.0 - float(plain.mean()) if discrete else float(plain.mean() < 1e-12)
     said = action_names(data)
-    tree = node_of(trees[depth], names, _units_of(data, names), said, _units_of(data, said), discrete) if explains else None
+    marks = {observation_names(data)[each.dimensions[-1]] for each in columns_of(data) if each.marked and each.dimensions}
+    tree = None
+    if explains:
+        tree = node_of(trees[depth], names, marks, _units_of(data, names), said, _units_of(data, said), discrete)
     matters = _matters(ask, x[fresh], done[fresh], unit[fresh], _groups(data, names, steps), scale, discrete, rng)
     ends = fidelity.value, fidelity.low, fidelity.high
     return Explained(name, data.name, discrete, len(own), depth, *ends, still, bool(explains), tree, matters)

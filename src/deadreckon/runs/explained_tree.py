@@ -1,6 +1,6 @@
 """A tree as questions and answers in the names of a log, whatever library fitted it."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,13 +45,15 @@ class Node:
 
 
 def node_of(
-    tree: Any, names: Sequence[str], units: Sequence[str], actions: Sequence[str], of_actions: Sequence[str], discrete: bool
-) -> Node:
+    tree: Any, names: Sequence[str], marks: Collection[str], units: Sequence[str], actions: Sequence[str],
+    of_actions: Sequence[str], discrete: bool,
+) -> Node:  # fmt: skip
     """The root of scikit-learn's tree.
 
     Args:
         tree: fitted.
         names: of the numbers that it asks for.
+        marks: those of them that say where a column has no value, called NAME_missing.
         units: theirs, empty where nobody said one.
         actions: names of discrete actions, or of the dimensions of continuous ones.
         of_actions: units of continuous actions.
@@ -73,7 +75,7 @@ def node_of(
         column, equals, level = name.rpartition("=")
         if equals and column:  # a level, or a legal action, is there or not
             return Node(f"{column} is {level}", share, no, yes)
-        if name.endswith("_missing"):
+        if name in marks:
             return Node(f"{name.removesuffix('_missing')} is missing", share, no, yes)
         return Node(_measured(f"{name} <= {float(inner.threshold[i]):.4g}", units[which]), share, yes, no)
 

@@ -34,7 +34,7 @@ class Rows(NamedTuple):
     """Rows on which an export is checked.
 
     Attributes:
-        observations: (rows, *shape) as the policy takes them; histories of a policy on these.
+        observations: (rows, *shape) float32 as `pure` takes them; histories of a policy on these.
         member: (rows,) int32, which member of a mixture acts.
         actions: what the policy does.
         room: (size,) half of each action's range, 1 at least.
@@ -118,4 +118,4 @@ def played(play: Any, rows: Rows) -> np.ndarray:
     if play.members:
         parts = np.stack([played(member, rows) for member in play.members])
         return parts[rows.member, np.arange(len(rows.member))]
-    return np.asarray(play(rows.observations))
+    return np.asarray(play(rows.observations.astype(np.uint8) if play.rank > 1 else rows.observations))

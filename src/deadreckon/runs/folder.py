@@ -34,6 +34,7 @@ from deadreckon.foreign.door import refuse_link, refuse_links
 from deadreckon.foreign.parquet import read_parquet
 from deadreckon.interrupts import resumable
 from deadreckon.runs.records import read_run
+from deadreckon.temporaries import clear
 from deadreckon.training.field_names import with_field_names
 from deadreckon.versions import differences
 
@@ -119,16 +120,15 @@ class Folder:
             return pa.concat_tables(read, promote_options="default") if read else pa.table({})
 
     def drop_after(self, step: int) -> None:
-        """Forgets what a killed run wrote beyond its last checkpoint, and temporary files it left."""
+        """Forgets what a killed run wrote beyond its last checkpoint, and the temporary files that dead processes left."""
         refuse_links(self.path, _WHAT)
         for path in (self.path / "metrics").glob("*.parquet"):
             if not re.fullmatch("[0-9]+", path.stem):
                 raise UserError(f"{path}: parts of metrics are called after a number of updates; take this file away")
             if int(path.stem) > step:
                 path.unlink()
-        for path in self.path.rglob(".*.tmp"):
-            with contextlib.suppress(FileNotFoundError):
-                path.unlink()
+        for folder in (self.path, *self.path.glob("*/")):
+            clear(folder)
 
     def read_config(self) -> Any:
         """The configuration in run.json, with hyperparameters under the present names of their fields."""

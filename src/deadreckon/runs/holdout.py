@@ -47,7 +47,7 @@ def divided(log: Dataset, given: Holdout | Fold | float | None, judge: Task | No
     elif isinstance(given, Holdout | Fold):
         asked = given
     else:
-        asked = Holdout(given, by=group_of(log) or RANDOM) if given else None
+        asked = of_share(log, given) if given else None
     if isinstance(asked, Holdout) and (few := too_few(log, asked)):
         warnings.warn(f"{few}: all are learned from, and none is left to judge by", stacklevel=4)
         asked = None
@@ -88,6 +88,11 @@ def usual(log: Dataset) -> Holdout:
     if (group := group_of(log)) is not None:
         return Holdout(by=group)
     return Holdout(by=TIME) if isinstance(log.observations, np.memmap) else Holdout()
+
+
+def of_share(log: Dataset, share: float) -> Holdout:
+    """What is held out where only its share is said: whole groups, where the log says by which column."""
+    return Holdout(share, by=group_of(log) or RANDOM)
 
 
 def _read(told: dict[str, Any] | None) -> Holdout | Fold | None:

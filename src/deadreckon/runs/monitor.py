@@ -127,7 +127,8 @@ def monitor(
     one = subject(run, seed)
     told = estimates_of(one, estimates)
     option = "--reference (in Python reference=)"
-    old, new = one.log(reference, option=option), one.log(log, gaps=True, option=option)
+    old = one.log(reference, gaps=reference is not None, option=option)
+    new = one.log(log, gaps=True, option=option)
     sizes = [(log.spec.observation_shape, log.spec.action_size, log.spec.discrete) for log in (old, new)]
     if sizes[0] != sizes[1]:
         shapes = (f"{log.name} has observations {log.spec.observation_shape}, {log.action_space}" for log in (old, new))

@@ -70,11 +70,15 @@ def returns_of(log: Dataset, estimand: Estimand) -> np.ndarray:
     return np.add.reduceat(weights * np.asarray(log.rewards, np.float64), log.starts)
 
 
+def _cut(log: Dataset, estimand: Estimand) -> np.ndarray:
+    """(n,) steps of the episodes that a time-out cuts."""
+    cut = log.lengths[~np.asarray(log.terminals)[log.ends]]
+    return cut if estimand.horizon is None else cut[cut < estimand.horizon]
+
+
 def unseen(log: Dataset, estimand: Estimand) -> float:
     """The largest share of the discounted time of an episode that lies beyond a time-out, of which the log shows nothing."""
-    cut = log.lengths[~np.asarray(log.terminals)[log.ends]]
-    if estimand.horizon is not None:
-        cut = cut[cut < estimand.horizon]
+    cut = _cut(log, estimand)
     if not len(cut):
         return 0.0
     if estimand.horizon is None:
@@ -100,9 +104,15 @@ def realised(
     estimand = Estimand(1.0)
     if told is not None:
         estimand = Estimand(**{key: told[0]["estimand"][key] for key in ("discount", "horizon", "greedy")})
-    if told is not None and (share := max(unseen(new, estimand), unseen(old, estimand))) > TAIL:
+    if told is not None and (share := max(before := unseen(old, estimand), unseen(new, estimand))) > TAIL:
         beyond = f"the estimate counts rewards beyond time-outs ({100 * share:.0f} % of the discounted time)"
-        return f"not compared: {beyond}, which a log does not show; estimate with a horizon (`deadreckon ope --horizon`)"
+        how = "estimate with a horizon (`deadreckon ope --horizon`)"
+        if before <= TAIL:  # episodes side by side, of which several may go on
+            cut = _cut(new, estimand)
+            those = f"{len(cut):,} of {new.episodes:,} episodes of {new.name} end without a terminal"
+            those = f"{those}, after {cut.min():,} steps or more"
+            how = f"{those}: if they go on, give the episodes alone that began before the first of them"
+        return f"not compared: {beyond}, which a log does not show; {how}"
     if given is not None and not (np.isfinite(given).all() and given[0] < given[1]):
         raise UserError(f"return_range must be least and greatest return of an episode, got {given[0]:g} .. {given[1]:g}")
     x, source = returns_of(new, estimand), "as given"

@@ -18,7 +18,8 @@ from deadreckon.files import is_there, read_json
 from deadreckon.names import shown
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
-from deadreckon.runs.decision_record import read_results
+from deadreckon.runs.crossfit import MIXTURE
+from deadreckon.runs.decision_record import is_from, read_results
 from deadreckon.runs.gather import gather
 from deadreckon.runs.offline import NAME
 from deadreckon.runs.player import CROSS_FIT, chosen
@@ -131,19 +132,23 @@ class Subject:
     def _with_gaps(self, make: Callable[..., Dataset], schema: Schema, there: Container[str]) -> Dataset:
         """A log in which values are missing that none was in the policy's: they become the mean that was there, or no level.
 
-        The extra columns `missing NAME` say where. Columns that a log of a policy in use need not have, such as propensities,
-        are left out where they are not `there`.
+        The extra columns `missing NAME` say where; of a column beside one that is called NAME_missing none may be missing.
+        Columns that a log of a policy in use need not have, such as propensities, are left out where they are not `there`.
         """
         extra = self.read.extra or {}
         held = extra.get(HELD) or {}
-        complete = [column for column in schema.having("observation") if not column.marked]
+        observed = schema.having("observation")
+        taken = {column.name for column in observed}  # a column that is called as a mark would be is itself
+        unmarked = [column for column in observed if not column.marked]
+        complete = [column for column in unmarked if f"{column.name}_missing" not in taken]
+        whole = [replace(column, marked=False) for column in unmarked if column not in complete]
         lenient = [
             replace(column, marked=True, fill=held.get(column.name, {}).get("mean") if column.fill is None else column.fill)
             for column in complete
         ]
         kept = tuple(column for column in schema.columns if column.role not in OPTIONAL or column.name in there)
         schema = replace(schema, columns=kept)
-        log = make(schema=schema.resolved(lenient))
+        log = make(schema=schema.resolved([*lenient, *whole]))
         told = dict(log.provenance.extra)
         names = list(told["observation_names"])
         marks = {f"{column.name}_missing": f"{GAPS}{column.name}" for column in complete}
@@ -184,7 +189,10 @@ def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
     if not isinstance(one.acting, EnvPolicy):
         raise UserError(f"{given} holds no policy of this package")
     run = load(owner) if owner is not None and (owner / "run.json").exists() else None
-    told = {} if one.file is None else store.meta(one.file).get("log", {})
+    if (file := one.file) is None:
+        assert owner is not None
+        file = owner / MIXTURE  # of all seeds, which knows the same log
+    told = store.meta(file).get("log", {})
     config = None if run is None else run.config
     data = config or (load(owner / FIRST).config if owner is not None and (owner / FIRST / "run.json").exists() else {})
     return Subject(
@@ -195,6 +203,9 @@ def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
 def estimates_of(one: Subject, given: Path | str | None = None) -> tuple[dict[str, Any], int] | None:
     """What `deadreckon ope --out` or `recommend` estimated of a policy, and its place there.
 
+    It is known by its file. The names of its run and seed, which others may have too, do where the folder is given or is the
+    run's own and its file is not where it was judged.
+
     Args:
         one: the policy.
         given: the folder or file; None looks in that of the decision which chose the policy, in the run's folder, in the one
@@ -203,11 +214,12 @@ def estimates_of(one: Subject, given: Path | str | None = None) -> tuple[dict[st
     Raises:
         UserError: the given one is none, or does not have this policy.
     """
-    known = [*([one.decision] if one.decision else []), *([one.folder, one.folder.parent] if one.folder else [])]
+    own = [*([one.decision] if one.decision else []), *([one.folder, one.folder.parent] if one.folder else [])]
+    beside = []
     if one.folder is not None:  # such as runs/clinic-ope beside runs/clinic, the newest first
-        beside = [file.parent for file in one.folder.parent.glob(f"*/{NAME}") if file.parent not in known]
-        known += sorted(beside, key=lambda folder: (folder / NAME).stat().st_mtime, reverse=True)
-    places = known if given is None else [Path(given)]
+        beside = [file.parent for file in one.folder.parent.glob(f"*/{NAME}") if file.parent not in own]
+        beside.sort(key=lambda folder: (folder / NAME).stat().st_mtime, reverse=True)
+    places = [*own, *beside] if given is None else [Path(given)]
     for place in places:
         file = place / NAME if place.is_dir() or given is None else place
         if not file.exists():
@@ -217,10 +229,23 @@ def estimates_of(one: Subject, given: Path | str | None = None) -> tuple[dict[st
         told = read_results(file)
         if not told["results"]:
             continue
-        for i, each in enumerate(told["policies"]):
-            if each["run"] == one.run and each["seed"] == one.seed:
-                return told, i
+        policies = told["policies"]
+        named = [i for i, each in enumerate(policies) if (each["run"], each["seed"]) == (one.run, one.seed)]
+        alike = named
+        if given is None:
+            alike = [i for i in named if place in own and one.folder is not None and is_from(policies[i], one.folder)]
+        saved = [i for i, each in enumerate(policies) if _is_saved(one, each.get("file"), i in named)]
+        if saved or len(alike) == 1:
+            return told, [*saved, *alike][0]
     if given is not None:
         how = f"`deadreckon ope --data LOG --policies {one.folder or one.file or one.run} --out FOLDER` writes them"
-        raise UserError(f"{given} has no estimates of {one.name}; {how}")
+        which = one.name if one.file is None else f"{one.name} ({one.file})"
+        raise UserError(f"{given} has no estimates of {which}; {how}")
     return None
+
+
+def _is_saved(one: Subject, file: str | None, named: bool) -> bool:
+    """Whether a policy that was judged is this one by its file; both may have none, and then the same names."""
+    if file is None or one.file is None:
+        return file is one.file and named
+    return is_there(file) and one.file.samefile(file)
