@@ -90,3 +90,9 @@ def test_unused_actions_are_named():
     told = "\n".join(warnings_for(make_log(discrete=True)))
     assert "1 of 4 actions never occurs in the log (3)" in told
     assert isinstance(make_log().action_space, Box)
+
+
+def test_a_column_that_is_called_as_a_mark_is_itself():
+    table = {"x": [0.0, 1.0, 2.0, 3.0], "x_missing": [0, 1, 0, 1], "action": [0, 1, 1, 0], "reward": [1.0, 0.0, 1.0, 0.0]}
+    found = {column.name: column.dimensions for column in columns_of(Dataset.from_frame(table))}
+    assert (found["x"], found["x_missing"]) == ((0,), (1,))

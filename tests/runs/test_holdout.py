@@ -2,13 +2,14 @@
 
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import deadreckon as dr
 from deadreckon.cli.main import main
-from deadreckon.cli.train import summary
+from deadreckon.cli.train import columns_of, summary
 from deadreckon.collect import generate
 from deadreckon.data.formats.folder import write_folder
 from deadreckon.data.spec import Box
@@ -212,3 +213,8 @@ def test_copies_of_a_run_keep_what_they_know(run, log, tmp_path):
     shutil.copytree(run.path, tmp_path / "moved")
     renamed = replace(log, name="other")
     assert seen(dr.load_run(tmp_path / "moved").taught, renamed).sum() == 16
+
+
+def test_a_schema_says_itself_which_column_is_kept():
+    assert columns_of(SimpleNamespace(schema="log.toml"), "user") == {"schema": "log.toml"}
+    assert columns_of(SimpleNamespace(action=("arm",)), "user") == {"action": ("arm",), "keep": ("user",)}

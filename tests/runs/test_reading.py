@@ -10,6 +10,7 @@ import pytest
 import deadreckon as dr
 from deadreckon.cli.main import main
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.formats.io import convert
 from deadreckon.errors import UserError
 from deadreckon.policies import store
 from deadreckon.runs.crossfit import cross_fit
@@ -202,3 +203,15 @@ def test_a_log_without_the_legal_actions_that_a_function_said_is_refused_in_one_
     for given in (frame, dr.Dataset.from_frame(frame)):
         with pytest.raises(UserError, match=words):
             one.log(given, option="--log")
+
+
+def test_a_log_that_was_converted_to_parquet_is_read_again_as_a_log(tmp_path):
+    """It keeps the schema of its table, whose columns it has no more."""
+    rng = np.random.default_rng(0)
+    frame = pd.DataFrame({"dose": rng.normal(size=40), "given": rng.integers(0, 2, 40), "gain": rng.normal(size=40)})
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    convert(tmp_path / "log.csv", tmp_path / "log.parquet", action="given", reward="gain")
+    run = train(BC, dr.read(tmp_path / "log.parquet"), out=tmp_path / "run", **SHORT)
+    log = subject(run.path).log(option="--data")
+    assert len(log) == 40
+    assert log.provenance.extra["schema"]["columns"].keys() == {"dose", "given", "gain"}

@@ -128,11 +128,11 @@ def _train(name, parsed, preset):
 
 
 def columns_of(given: Mapping, by: str | None) -> dict[str, Any]:
-    """The mapping of a table, in which the column to hold out by is kept and not observed."""
+    """The mapping of a table, in which the column to hold out by is kept and not observed; a schema says itself what is."""
     from deadreckon.data.formats.kind import READING
 
     named = mapping_options(given)
-    if named.keys() - READING and by not in (None, "random", "time"):
+    if named.keys() - READING and "schema" not in named and by not in (None, "random", "time"):
         named["keep"] = tuple(dict.fromkeys([*named.get("keep", ()), by]))
     return named
 

@@ -141,7 +141,8 @@ def _dimensions(log: Dataset) -> tuple[Told, ...]:
 def _places(column: Column, names: dict[str, int]) -> tuple[int, ...]:
     """The dimensions that an observation became, that of its missing values the last."""
     keys = [f"{column.name}={level}" for level in column.levels or ()] if column.kind == "category" else [column.name]
-    return tuple(names[key] for key in (*keys, f"{column.name}_missing") if key in names)
+    keys += [f"{column.name}_missing"] if column.marked else []  # else a column of its own may be called so
+    return tuple(names[key] for key in keys if key in names)
 
 
 def _holds(column: Column, seen: dict[str, Any]) -> str:

@@ -15,6 +15,7 @@ from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.io import read as read_file
 from deadreckon.data.formats.kind import TABLES, sniff
+from deadreckon.data.formats.tables import is_written
 from deadreckon.data.held import HELD
 from deadreckon.data.schema import Schema
 from deadreckon.data.schema_file import table_of
@@ -88,7 +89,7 @@ def schema_for(name: str, read: Read, path: Path | str) -> tuple[Schema | None, 
         options = {}  # a file of another kind than the first may have another dialect, and has another name
     schema = schema.read_as(schema.options() if options is None else options)
     kind = Path(table).is_file() and sniff(table, schema.table.get("separator"))
-    return (schema, table) if kind in TABLES else (None, path)
+    return (schema, table) if kind in TABLES and not (kind == "parquet" and is_written(table)) else (None, path)
 
 
 def read_like(name: str, read: Read, path: Path | str) -> Dataset:

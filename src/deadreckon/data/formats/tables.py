@@ -15,8 +15,9 @@ from deadreckon.data.formats.kind import READING, sniff
 from deadreckon.data.formats.spread import from_anybody, from_table, shapes_of, to_table, told_shapes
 from deadreckon.data.formats.words import levels_in
 from deadreckon.data.spec import Discrete
-from deadreckon.errors import UserError
+from deadreckon.errors import UserError, reading
 from deadreckon.files import replacing
+from deadreckon.foreign.parquet import check_parquet
 
 _HEADER = b"deadreckon"  # the entry of Parquet's metadata that holds the header as JSON
 
@@ -60,6 +61,17 @@ def read_tabular(
         path, columns, header, source=kind, extra=extra, warnings=[*told, *warnings], strict=strict, name=name, horizon=horizon,
         action_space=space,
     )  # fmt: skip
+
+
+def is_written(path: Path | str) -> bool:
+    """Whether a Parquet file is a log that `write_parquet` wrote, and not somebody's table.
+
+    Raises:
+        UserError: it is no Parquet file, or damaged.
+    """
+    check_parquet(path, "Parquet", whole=False)
+    with reading(path, "Parquet"), parquet.ParquetFile(path) as file:
+        return _HEADER in (file.schema_arrow.metadata or {})
 
 
 def write_parquet(log: Dataset, path: Path | str) -> None:
