@@ -7,10 +7,12 @@ import pytest
 
 from deadreckon.mbo import designer
 from deadreckon.mbo.auto import chosen, standard_error
+from deadreckon.mbo.designer import DesignInput
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.gp import GP
 from deadreckon.mbo.validation import judged
 from deadreckon.mbo.variables import Variable
+from deadreckon.progress import unwatched
 
 RNG = np.random.default_rng(0)
 Y = RNG.normal(size=400)
@@ -54,6 +56,14 @@ def test_of_noise_no_method_is_praised():
     assert at == 0
     assert reason == f"of net, which ranks unseen designs best of 2 methods, {among.doubt}; GP is taken"
     assert among.doubt == "the model's order of rows that it has not seen cannot be distinguished from chance"
+
+
+def test_with_a_kappa_the_process_is_taken(monkeypatch):
+    """No other method ranks by it."""
+    monkeypatch.setattr(GP, "solve", lambda method, setting: method.kappa)
+    data = Designs.from_arrays(RNG.uniform(size=(60, 2)), Y[:60])
+    method = designer("auto", networks_from=50, kappa=-1.0, hidden=(8,), steps=1)
+    assert method.solve(DesignInput(data, 4, [0], None, unwatched)) == -1.0
 
 
 @pytest.mark.slow

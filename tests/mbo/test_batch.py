@@ -229,3 +229,13 @@ def test_a_whole_number_on_a_log_scale_stays_whole():
     tried = moved(data, data.x, 0.05, np.random.default_rng(1))
     assert (tried[:, 0] == np.round(tried[:, 0])).all()
     assert (tried != data.x).any(1).all()
+
+
+def test_whole_numbers_in_steps_move_by_these():
+    rng = np.random.default_rng(0)
+    frame = {"heat": 25 * rng.integers(0, 9, 30), "a": rng.uniform(size=30), "y": rng.normal(size=30)}
+    data = Designs.from_frame(frame, "y", steps={"heat": 25})
+    assert data.variables[0].kind == "integer"
+    tried = moved(data, data.x, 1e-3, np.random.default_rng(1))[:, 0]
+    assert (tried % 25 == 0).all()
+    assert (tried != data.x[:, 0]).any()

@@ -154,6 +154,10 @@ def test_a_schema_with_several_targets(table, capsys):
         ("[columns.a]\nrole = 'input'\nkind = 'number'", "unknown kind 'number'"),
         ("[columns.a]\nrole = 'input'\nsteps = 1", "unknown entry 'steps'"),
         ("[columns.a]\nrole = 'weighted'", "a weighted column needs weight"),
+        ("[columns.a]\nrole = 'target'\nlog = true", "log is of the role input, and its role is target; leave log out"),
+        ("[columns.a]\nrole = 'input'\nweight = 1.0", "weight is of the role weighted, and its role is input"),
+        ("[columns.a]\nrole = 'weighted'\nweight = 1.0\nlow = 0\nhigh = 1", "low is of the role input, and its role is wei"),
+        ("[columns.a]\nrole = 'std_error'\nfix = 1", "fix is of the role input, and its role is std_error"),
         ("[columns.a]\nrole = 'target'\n[columns.b]\nrole = 'target'", "columns a and b both have the role target"),
         ("constraints = 'a'\n[columns.a]\nrole = 'input'", "constraints must be a list"),
         ("[table]\nsep = ';'\n[columns.a]\nrole = 'input'", "unknown entry 'sep'"),
@@ -164,6 +168,20 @@ def test_schemas_that_are_refused(tmp_path, text, words):
     with pytest.raises(UserError, match=words) as told:
         DesignSchema.load(tmp_path / "s.toml")
     assert "\n" not in str(told.value)
+
+
+def test_a_column_that_is_ignored_keeps_what_was_drafted_of_it(tmp_path):
+    told = DesignColumn("ignore", "integer", 1.0, 8.0, weight=2.0, unit="mm")
+    schema = DesignSchema({"a": told, "y": DesignColumn("target", unit="mm")})
+    schema.save(tmp_path / "s.toml")
+    assert DesignSchema.load(tmp_path / "s.toml") == schema
+
+
+def test_an_input_that_the_file_lacks_is_refused(table):
+    schema, _ = describe(table)
+    schema = dataclasses.replace(schema, columns={**schema.columns, "heats": DesignColumn("input")})
+    with pytest.raises(UserError, match="^mine: unknown column 'heats': did you mean heat"):
+        schema.read(table)
 
 
 SCHEMA = """

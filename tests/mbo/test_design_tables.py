@@ -338,6 +338,18 @@ def test_a_column_that_must_be_mended_stays_an_input_of_the_draft(tmp_path):
         Designs.from_frame(frame(dose=[f"{i % 6}-{i % 6 + 2}" for i in range(18)]), "y")
 
 
+def test_a_score_may_be_larger_than_an_input(tmp_path):
+    """Counts beyond 16,777,216, and numbers that 32 bits hold coarsely."""
+    for cfu in ([20_000_001 + 26_000_003 * i for i in range(18)], [1e9 + i / 2 for i in range(18)]):
+        path = write(tmp_path / "t.csv", frame() | {"cfu": cfu})
+        for asked in (None, "cfu"):
+            schema, lines = describe(path, asked)
+            assert schema.named("target") == ["cfu"]
+            assert not [line for line in lines if "take a constant off" in line]
+            assert told(schema.read, path)[0].y.tolist() == cfu
+    assert "column solvent holds texts, numbers are needed" in " ".join(describe(path, "solvent")[1])
+
+
 def test_rows_without_any_input_are_left_out_and_nothing_else_is_said():
     columns = {"temp": [*np.arange(17.0), None], "size": [*np.arange(17.0) ** 2, None], "y": [*np.arange(18.0) % 5]}
     with pytest.raises(UserError, match="^frame: all inputs are empty in row 17, counted from 0; leave it out$"):

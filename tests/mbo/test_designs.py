@@ -44,6 +44,12 @@ def test_kinds_bounds_levels_and_the_sign_as_told():
     np.testing.assert_allclose(found.y, -np.array(table()["y"]))
 
 
+def test_dates_are_levels_where_somebody_says_so():
+    days = ["2024-05-06", "2024-05-07"] * 6
+    for told in ({"kinds": {"solvent": "categorical"}}, {"levels": {"solvent": days[:2]}}):
+        assert Designs.from_frame(table(solvent=days), "y", **told).variables[2].levels == tuple(days[:2])
+
+
 def test_a_csv_goes_round(tmp_path):
     csv.write_csv(pa.table(table()), tmp_path / "mine.csv")
     found = Designs.from_csv(tmp_path / "mine.csv", "y", ignore=["layers"])
@@ -68,6 +74,7 @@ def test_a_csv_goes_round(tmp_path):
         (table(), {"bounds": {"solvent": (0, 30)}}, "column solvent is categorical and has levels, not bounds"),
         (table(9), {}, "9 rows are too few to learn from, 10 or more are needed"),
         (table(), {"kinds": {"layers": "whole"}}, "unknown kind 'whole'"),
+        (table(), {"kinds": {"layers": "integer"}, "levels": {"layers": [1, 2, 3]}}, "layers is integer .* make it ordinal"),
         (table(), {"kinds": {"temperature": "integer"}}, "whole numbers are needed"),
         (table(), {"levels": {"solvent": ["water"]}}, "unknown level 'ethanol' in row 1; known are water"),
         ({"y": list(range(12))}, {}, "no column beside the target 'y'"),
@@ -75,6 +82,7 @@ def test_a_csv_goes_round(tmp_path):
         (table(temperature=[1.7e9 + i for i in range(12)]), {}, "reaches 1.7e.09 .* which 32 bits hold in steps of 128 only"),
         (table(layers=[2**40 + i for i in range(12)]), {}, "beyond 16,777,216, .* take a constant off it"),
         (table(temperature=[datetime(2024, 1, 1)] * 12), {}, "column temperature holds times; make numbers of them"),
+        (table(solvent=["2024-05-06", "2024-05-07"] * 6), {}, "column solvent holds times; make numbers of them"),
         (table(**{" z": [1.0] * 12}), {"target": "z"}, "unknown column 'z': did you mean ' z'"),
     ],
 )

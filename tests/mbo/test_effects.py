@@ -193,7 +193,7 @@ def test_members_give_the_covariance_of_averages():
 def test_neighbours_are_the_nearest_rows():
     data = TABLES["mixed"](50).designs()
     far, rows = neighbours(data, data.x[:5], 3)
-    z = data.coordinates.encode(data.x).astype(float)
+    z = data.coordinates.place(data.x)
     apart = np.linalg.norm(z[:5, None] - z, axis=2)
     np.testing.assert_array_equal(rows[:, 0], np.arange(5))
     np.testing.assert_allclose(far, np.sort(apart, 1)[:, :3] / usual_distance(data), atol=1e-6)

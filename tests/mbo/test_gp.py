@@ -140,6 +140,23 @@ def test_of_noise_no_skill_is_claimed():
     assert cross_validated(data, designer("gp").predictor, "GP").skilled
 
 
+def test_what_is_used_for_its_scores_does_not_calibrate():
+    """Of many rows of noise the best half of those that are used lies above 0 by luck; new ones do not."""
+    rng = np.random.default_rng(0)
+    variables = [Variable(name, low=-2, high=2) for name in "ab"]
+    data = Designs.from_arrays(rng.uniform(-2, 2, (3000, 2)), rng.standard_normal(3000), variables)
+    method = designer("gp", max_rows=60, rounds=2)
+    assert method.used(data).y.mean() > 0.8
+    made, plain = method.propose(data, 4), method.replace(folds=0).propose(data, 4)
+    np.testing.assert_array_equal(made.x, plain.x)
+    assert plain.predicted.min() > 0.5
+    assert np.abs(made.predicted).max() < 0.3
+    assert len(made.quality.observed) == 600
+    assert made.by_chance
+    new = rng.standard_normal((1000, 1))
+    assert (np.abs(new - made.predicted) <= 1.96 * made.predicted_std).mean() > 0.9
+
+
 def test_of_tables_without_any_relation_few_pass_for_some():
     """At most the share that is promised, of a model that fits noise well: pairs of rows that agree by chance count twice."""
 

@@ -2,8 +2,10 @@
 
 import numpy as np
 
+from deadreckon.mbo.batch import Chosen
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.nn_distance import nn_distance
+from deadreckon.mbo.local_search import spaced
+from deadreckon.mbo.nn_distance import distance_to_others, nn_distance
 from deadreckon.mbo.variables import Variable
 
 
@@ -25,3 +27,19 @@ def test_letters():
     x = np.indices((2,) * 4).reshape(4, -1).T[:12]
     data = Designs.from_arrays(x, np.arange(12.0), variables)
     np.testing.assert_allclose(nn_distance(data, np.array([[1, 1, 0, 0], [1, 1, 1, 1]])), [1.0, 1.0], atol=1e-6)
+
+
+def test_the_order_of_the_levels_is_none_of_the_distance():
+    """Any two levels are as far apart, also from the first; batches and searches keep designs apart by the same distances."""
+    rng, x = np.random.default_rng(0), np.array([[0.0, i] for i in range(4)], np.float32)
+    variables = [Variable("a"), Variable("c", "categorical", levels=tuple("wxyz"))]
+    a = rng.normal(size=24)
+    data = Designs.from_arrays(np.stack([a, rng.integers(0, 4, 24)], 1), a, variables)
+    assert np.ptp(distance_to_others(data, x)) == 0
+    alone = Designs.from_arrays(np.stack([a, np.ones(24)], 1), a, variables)
+    far = nn_distance(alone, np.array([[alone.x[0, 0], i] for i in range(4)]))
+    np.testing.assert_allclose(far / far[0], [1, 0, 1, 1])
+    apart, chosen = 2**0.5 + 1e-6, Chosen(data)
+    assert len(spaced(data, x, np.arange(4.0), apart, 4)) == 1
+    chosen.add(x, 4, apart)
+    assert len(chosen.x) == 1

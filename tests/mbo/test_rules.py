@@ -43,6 +43,17 @@ def test_levels_that_are_numbers_are_compared_as_numbers_in_whatever_order_they_
     np.testing.assert_array_equal(clause.met(np.arange(3.0)), [level in bad for level in levels])
 
 
+@pytest.mark.parametrize(("relation", "at"), [("<", False), ("<=", True), (">", False), (">=", True)])
+def test_a_value_at_a_threshold_is_compared_as_32_bits_hold_both(relation, at):
+    [clause] = Rules.of([A, B], forbidden=[f"a {relation} 0.3"]).forbidden[0].clauses
+    for kind in (np.float32, np.float64):  # float64(float32(0.3)) is greater than 0.3
+        assert clause.met(np.array([0.3], np.float32).astype(kind)).tolist() == [at]
+        assert clause.met(np.array([0.2, 0.4], kind)).tolist() == ["<" in relation, ">" in relation]
+    assert clause.holds(Fraction(3, 10)) == at
+    [far] = Rules.of([A, B], forbidden=[f"a {relation} 1e200"]).forbidden[0].clauses
+    assert far.met(np.array([0.3])).tolist() == ["<" in relation]
+
+
 @pytest.mark.parametrize("rule", [{"constraints": ["a + b <= -5"]}, {"forbidden": ["a > -1"]}])
 def test_a_rule_of_numbers_that_nothing_satisfies_is_blamed(rule):
     rng = np.random.default_rng(0)

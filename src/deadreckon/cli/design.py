@@ -112,6 +112,8 @@ def _propose(name: str, method: Any, options: Design) -> None:
     if options.targets:
         design_front.check(name, options)
         return design_front.write_proposals(options, asked(options))
+    if options.reference:
+        raise UserError("--reference is the point that hypervolumes of --targets are measured from; leave it out without these")
     if options.minimise not in (None, (), (options.target,)):
         raise UserError(f"--minimise {' '.join(options.minimise or ())}: names stand there with --targets alone")
     if (options.data is None) == (options.problem is None):

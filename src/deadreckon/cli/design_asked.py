@@ -19,6 +19,7 @@ def check_problem(options: Any) -> None:
         UserError: one line, with the option.
     """
     said = {name: getattr(options, name) for name in OF_TABLES} | reading(options)
+    said["minimise"] = None if options.minimise is None else True  # without names it is given, too
     for name, value in said.items():
         if value not in (None, (), {}):
             raise UserError(f"--{name.replace('_', '-')} is about a table of your own (--data); leave it out with --problem")

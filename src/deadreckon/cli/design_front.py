@@ -101,7 +101,7 @@ def write_proposals(options: Any, asked: dict[str, Any]) -> None:
         written = data[0].write(out / "proposals.csv", x, more)
         for line in told(front):
             print(line)
-        for line in front.warnings:
+        for line in (*front.notes, *front.warnings):
             print(f"! {line}", file=sys.stderr)
         print(written)
         write_beside(data[0].decode(x) | more, about_front(front), out / "proposals.xlsx")

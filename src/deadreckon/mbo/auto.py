@@ -4,7 +4,8 @@ Up to `networks_from` rows the method is the Gaussian process, cross-validated: 
 than the table is worth. From there on the process, an ensemble and a model that ranks are all fitted on the same four fifths of
 the designs and asked about the rest. The one with the greatest rank correlation is taken, because proposals are chosen by their
 order; but the process where it is within one standard error of that (Breiman et al. 1984), since it tells noise from doubt.
-Where no method's order can be distinguished from chance, the process is taken and a warning says so.
+Where no method's order can be distinguished from chance, the process is taken and a warning says so. With a kappa it is taken
+untried, since it alone ranks by deviations too.
 """
 
 from dataclasses import replace
@@ -27,10 +28,10 @@ DRAWS = 200  # of rows, for the standard error of a difference
 class Auto(Designer):
     """The Gaussian process, an ensemble or a model that ranks: by their predictions of designs that they have not seen."""
 
-    revision: ClassVar[int] = 3
+    revision: ClassVar[int] = 4
 
     kappa: Number = host(0.0)
-    """standard deviations added to the prediction of a Gaussian process: below 0 cautious, above 0 bold"""
+    """standard deviations added to the prediction of a Gaussian process, which is then taken: below 0 cautious, above 0 bold"""
     networks_from: Count = host(500)  # number of designs from which on networks are tried beside the Gaussian process
     hidden: Sizes = host((256, 256))  # width of each hidden layer of networks
     steps: Count = host(2000)  # updates of networks
@@ -43,7 +44,7 @@ class Auto(Designer):
     def solve(self, setting: DesignInput) -> list[Proposals]:
         """Proposals of the method that the rule takes, with the quality of all that were tried."""
         gp = GP(kappa=self.kappa)
-        if len(setting.data) < self.networks_from or not checkable(setting.data, 2 * ENOUGH):
+        if self.kappa or len(setting.data) < self.networks_from or not checkable(setting.data, 2 * ENOUGH):
             return gp.solve(setting)
         sizes = {"hidden": self.hidden, "steps": self.steps}
         tried = [gp, Forward(members=5, **sizes), RaM(**sizes)]

@@ -69,7 +69,7 @@ def batch(
 
 
 def least_distance(data: Designs) -> float:
-    """Between proposals, in coordinates."""
+    """Between proposals, by their places (`Coordinates.place`)."""
     return (APART if data.rules.apart is None else data.rules.apart) * usual_distance(data)
 
 
@@ -79,12 +79,12 @@ class Chosen:
     def __init__(self, data: Designs, repeat: bool = False):
         self.data = data
         self.x: list[np.ndarray] = []
-        self.z = np.empty((0, data.coordinates.size))
+        self.z = data.coordinates.place(data.x[:0])
         self.known: set[bytes] = set() if repeat else set(keys(data, data.x))
 
     def add(self, x: np.ndarray, n: int, apart: float) -> None:
-        """Takes those that are new and at least so far, in coordinates, from all that were taken, until there are n."""
-        for row, key, z in zip(x, keys(self.data, x), self.data.coordinates.encode(x).astype(np.float64)):
+        """Takes those that are new and at least so far, by their places, from all that were taken, until there are n."""
+        for row, key, z in zip(x, keys(self.data, x), self.data.coordinates.place(x)):
             if len(self.x) >= n:
                 return
             if key in self.known or (len(self.z) and np.square(self.z - z).sum(1).min() < apart**2):
@@ -132,8 +132,8 @@ def pulled(data: Designs, x: np.ndarray, limit: float) -> np.ndarray:
 def moved(data: Designs, x: np.ndarray, reach: float, rng: np.random.Generator) -> np.ndarray:
     """Designs around these: a random part of the variables of each is changed, at least one.
 
-    Numbers move by a normal deviate of `reach` ranges of the data, whole numbers and ordered levels by one step or more,
-    categories to any level.
+    Numbers move by a normal deviate of `reach` ranges of the data, whole numbers, ordered levels and numbers in steps by one
+    step or more, categories to any level.
     """
     x = np.array(x, np.float64)
     fixed = [column for column, _ in data.rules.fixed]
@@ -155,7 +155,7 @@ def moved(data: Designs, x: np.ndarray, reach: float, rng: np.random.Generator) 
             away = x[rows, i] * np.expm1(away)
         else:
             away = reach * float(np.ptp(seen)) * rng.standard_normal(count)
-        if (step := 1 if v.kind != "continuous" else v.step) is not None:
+        if (step := v.step or (1 if v.kind != "continuous" else None)) is not None:
             away = float(step) * np.where(away < 0, -1, 1) * np.maximum(np.round(np.abs(away) / float(step)), 1)
         x[rows, i] = (x[rows, i] + away).clip(v.low, v.high)
     return x

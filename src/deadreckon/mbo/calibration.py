@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadreckon.stats.interval import NORMAL
+from deadreckon.stats.interval import LEVEL, NORMAL
 
-SHARE = 0.95  # of truths that an interval should hold
+SHARE = LEVEL  # of truths that an interval should hold
 OWN = 0.5  # w of a model whose order of designs is distinguishable from chance
 
 

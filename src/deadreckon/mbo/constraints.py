@@ -69,8 +69,11 @@ class Clause:
         return COMPARED[self.relation](value, self.value) if self.levels is None else value in self.levels
 
     def met(self, values: np.ndarray) -> np.ndarray:
-        """(rows,) which values satisfy it, in floating point."""
-        return COMPARED[self.relation](values, float(self.value)) if self.levels is None else np.isin(values, self.levels)
+        """(rows,) which values satisfy it, in floating point: both sides in 32 bits, as designs are."""
+        if self.levels is not None:
+            return np.isin(values, self.levels)
+        with np.errstate(over="ignore"):  # a larger number than 32 bits hold is infinite
+            return COMPARED[self.relation](np.asarray(values, np.float32), np.float32(float(self.value)))
 
 
 @dataclass(frozen=True)

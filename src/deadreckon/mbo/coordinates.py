@@ -95,6 +95,19 @@ class Coordinates:
             parts.append((logits[..., 1:] - logits[..., :1]).reshape(len(x), len(columns) * (n - 1)))
         return np.concatenate(parts, 1).astype(np.float32)
 
+    def place(self, x: np.ndarray) -> np.ndarray:
+        """(rows, features) float64 of (rows, variables) designs: where they lie for distances.
+
+        Numbers are coordinates, categories one-hot, so that of one all levels are equally far from each other, whichever of
+        them is the first.
+        """
+        x = np.asarray(x)
+        parts = [self.encode(x)[:, : len(self.numeric)].astype(np.float64)]
+        for columns, n in self.groups:
+            levels = x[:, columns].astype(int)[..., None] == np.arange(n)
+            parts.append(levels.reshape(len(x), len(columns) * n).astype(np.float64))
+        return np.concatenate(parts, 1)
+
     def decode(self, z: np.ndarray) -> np.ndarray:
         """(rows, size) coordinates as (rows, variables) designs, within bounds, whole numbers rounded."""
         z = np.asarray(z, np.float64)

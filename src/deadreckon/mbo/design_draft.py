@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.arrow import flat, is_missing, is_number
+from deadreckon.data.arrow import flat, is_category, is_missing, is_number
 from deadreckon.data.describe import pinned
 from deadreckon.data.kinds import check_column
 from deadreckon.data.roles import row_numbers
 from deadreckon.errors import UserError
 from deadreckon.mbo.design_schema import DesignColumn, DesignSchema
-from deadreckon.mbo.design_table import name_of, read_designs, scored, trimmed
+from deadreckon.mbo.design_table import name_of, numbers_of, read_designs, scored, trimmed
 from deadreckon.mbo.doubts import of_inputs, of_outcomes, of_target, sum_of, unsaid_sums
 from deadreckon.mbo.rules import Rules
 from deadreckon.mbo.variables import Mend, Variable, name_of_rows, variable_of
@@ -45,6 +45,16 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
     inputs: dict[str, tuple[Variable, np.ndarray]] = {}
     y = None
     for column in names:
+        if column == target:
+            try:  # a score may have more digits than an input
+                y = numbers_of(name, table, column, rows)
+            except UserError as error:
+                columns[column] = DesignColumn("target", about=str(error).removeprefix(f"{name}: "))
+                told.append(columns[column].about)
+                continue
+            columns[column] = DesignColumn("target", about=_counted(y))
+            told += of_target(column, y, rows)
+            continue
         if column in left:
             columns[column] = DesignColumn("ignore", about="looks like a row number")
             continue
@@ -56,21 +66,15 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
             continue
         except UserError as error:
             columns[column] = DesignColumn("ignore", about=str(error).removeprefix(f"{name}: "))
-            told.append(f"{columns[column].about}{': ignored so far' * (column != target)}")
+            told.append(f"{columns[column].about}: ignored so far")
             continue
         if v.leveled:
             numbers = all(isinstance(level, int | float) or is_number(str(level)) for level in v.levels)
             more = "" if numbers else "; if they are in order, make it ordinal"
             columns[column] = DesignColumn("input", v.kind, levels=v.levels, about=f"{len(v.levels)} levels{more}")
         else:
-            about = f"{len(set(values.tolist())):,} different values"
-            columns[column] = DesignColumn("input", v.kind, v.low, v.high, about=about)
-        if column == target:
-            y = values
-            told += of_target(target, values, rows)
-        else:
-            inputs[column] = v, values
-    columns[target] = DesignColumn("target", about=columns[target].about)
+            columns[column] = DesignColumn("input", v.kind, v.low, v.high, about=_counted(values))
+        inputs[column] = v, values
     while names := _names_of_rows(inputs, rows):
         for column, why in names.items():
             columns[column] = DesignColumn("ignore", about=why)
@@ -82,6 +86,10 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
     told += of_inputs(variables, x, rows, rules=Rules.of(variables, constraints=sums, name=name))
     told += [] if y is None else of_outcomes(variables, x, target, y)
     return DesignSchema(columns, constraints=tuple(sums), table=pinned(dialect) | ways), told
+
+
+def _counted(values: np.ndarray) -> str:
+    return f"{len(set(values.tolist())):,} different values"
 
 
 def _stacked(inputs: Mapping[str, tuple[Variable, np.ndarray]], rows: np.ndarray) -> np.ndarray:
@@ -101,10 +109,11 @@ def _names_of_rows(inputs: Mapping[str, tuple[Variable, np.ndarray]], rows: np.n
 def _last_of_numbers(name: str, table: pa.Table, names: Sequence[str]) -> str:
     """The last of the columns that holds numbers in half of the rows or more."""
     for column in reversed(names):
-        rows = np.flatnonzero(~is_missing(flat(table, column, ignored=True)))
-        if 2 * len(rows) < max(table.num_rows, 1):
+        values = flat(table, column, ignored=True)
+        rows = np.flatnonzero(~is_missing(values))
+        if 2 * len(rows) < max(table.num_rows, 1) or is_category(values.type):
             continue
         with contextlib.suppress(UserError):
-            if not variable_of(name, table, column, None, None, None, rows)[1].leveled:
-                return column
+            numbers_of(name, table, column, rows)
+            return column
     raise UserError(f"{name}: no column holds numbers that could be the target")

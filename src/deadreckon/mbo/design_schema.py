@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from deadreckon.data.formats.kind import READING
+from deadreckon.data.kinds import check_column
 from deadreckon.data.schema import toml_value
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml, replacing
@@ -29,6 +30,13 @@ from deadreckon.mbo.variables import KINDS
 from deadreckon.names import shown
 
 ROLES = ("input", "target", "std_error", "weighted", "ignore")
+# Entries of a column beside its role and unit; one that is ignored keeps those that it had.
+_ENTRIES: dict[str, set[str]] = {
+    "input": {"kind", "low", "high", "levels", "step", "log", "fix"},
+    "target": set(),
+    "std_error": set(),
+    "weighted": {"weight"},
+}
 _LISTS = ("constraints", "mixtures", "forbidden")
 
 
@@ -46,7 +54,7 @@ class DesignColumn:
         log: whether methods see its logarithm.
         fix: the value that proposals have; None: it is searched.
         weight: of a weighted column.
-        unit: of its numbers; shown alone.
+        unit: of its numbers, for whoever reads the file; nothing is done with it.
         about: what the table holds there, a comment.
     """
 
@@ -138,12 +146,15 @@ class DesignSchema:
             UserError: there is no target, a column is not in the file, or what `Designs.from_frame` refuses.
         """
         ways = {**self.table, **{key: more.pop(key) for key in READING if key in more}}
-        asked = together(self.called(more).options(), more)
+        called = self.called(more)
+        asked = together(called.options(), more)
         table, _, told = read_designs(path, ways, set(asked["ignore"]) - set(more.get("targets", ())))
         warn(path, told)
         target = asked.pop("target")
         if target is None:
             raise UserError(f'{path}: no column is the target; give one the role "target" in the schema, or name it (--target)')
+        for column in called.named("input"):
+            check_column(table, column, name_of(path))
         known = {*self.columns, target, asked["std_error"], *asked["weights"], *asked["ignore"]}
         strangers = [name for name in table.column_names if name not in known and name.strip()]
         left = [f"not in the schema and left out: {', '.join(strangers)}"] if strangers else []
@@ -223,11 +234,16 @@ def _column(where: str, told: Any) -> DesignColumn:
             raise UserError(f"{where}: {unknown('entry', key, known)}")
         if key in ("low", "high", "step", "weight") and (isinstance(value, bool) or not isinstance(value, int | float)):
             raise UserError(f"{where}: {key} must be a number, got {value!r}")
+    role = told["role"]
+    for key in told:
+        if key not in _ENTRIES.get(role, set(known)) | {"role", "unit"}:
+            owner = next(each for each, entries in _ENTRIES.items() if key in entries)
+            raise UserError(f"{where}: {key} is of the role {owner}, and its role is {role}; leave {key} out")
     if told.get("kind", KINDS[0]) not in KINDS:
         raise UserError(f"{where}: {unknown('kind', str(told['kind']), KINDS)}")
     if ("low" in told) != ("high" in told):
         raise UserError(f"{where}: low and high go together; one of them is missing")
-    if told["role"] == "weighted" and "weight" not in told:
+    if role == "weighted" and "weight" not in told:
         raise UserError(f"{where}: a weighted column needs weight, a number")
     if "levels" in told and not (isinstance(told["levels"], list) and told["levels"]):
         raise UserError(f"{where}: levels must be a list of values, got {told['levels']!r}")

@@ -227,10 +227,7 @@ class Designer(eqx.Module):
         validate: bool = False,
     ) -> list[Proposals]:
         """The same for several seeds, as one program where the method is a compiled one."""
-        if n < 1:
-            raise UserError(f"n must be 1 or more, got {n}")
-        if not seeds or min(seeds) < 0 or max(seeds) >= 2**32:
-            raise UserError(f"seeds must be 0 .. 2^32 - 1 and at least one, got {list(seeds)}")
+        check_asked(n, seeds)
         check_fields(self)
         if distinct and self.from_data and data.rules.apart is not None:
             raise UserError(f"{self.label} proposes designs of the data as they are, not at a least distance; leave apart out")
@@ -290,6 +287,18 @@ class Designer(eqx.Module):
         spread = nan if predicted_std is None else np.hypot(view.y_std * np.asarray(predicted_std, np.float64), beyond)
         fitted = None if believed is None else Fitted.of(setting.data, believed, beyond)
         return Proposals(self.label, x, predicted, spread, seed, fitted=fitted, noisy=noisy, beyond=beyond)
+
+
+def check_asked(n: int, seeds: Sequence[int]) -> None:
+    """Refuses a count of proposals, or seeds, that are none.
+
+    Raises:
+        UserError: with the count or the seeds.
+    """
+    if n < 1:
+        raise UserError(f"n must be 1 or more, got {n}")
+    if not seeds or min(seeds) < 0 or max(seeds) >= 2**32:
+        raise UserError(f"seeds must be 0 .. 2^32 - 1 and at least one, got {list(seeds)}")
 
 
 class Search(NamedTuple):

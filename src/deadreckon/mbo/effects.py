@@ -194,14 +194,20 @@ def _to_sum(part: np.ndarray, weight: np.ndarray, total: np.ndarray, held: np.nd
     return np.where(held, part, scaled)
 
 
+def keeping(data: Designs) -> np.ndarray:
+    """(rows,) which designs of the data satisfy all rules of proposals but steps."""
+    good = allowed(data, data.x.astype(np.float64))
+    for column, value in data.rules.fixed:
+        good &= np.abs(data.x[:, column] - value) <= SLACK * max(1.0, abs(value))
+    return good
+
+
 def permitted(data: Designs) -> np.ndarray:
     """(rows,) which designs of the data satisfy all rules of proposals but steps; all of them where none does.
 
     What others have scored is no measure of what can be gained.
     """
-    good = allowed(data, data.x.astype(np.float64))
-    for column, value in data.rules.fixed:
-        good &= np.abs(data.x[:, column] - value) <= SLACK * max(1.0, abs(value))
+    good = keeping(data)
     return good if good.any() else np.ones(len(data), bool)
 
 

@@ -82,7 +82,7 @@ class Forward(Designer):
     batch_size: Count = static(128)  # batch size (designs per update)
     lr: NonNegative = 3e-4  # learning rate of the networks
     ascent_steps: Count = static(200)  # gradient steps that move the designs
-    design_lr: NonNegative = 0.01  # step size of the designs (Adam), times the square root of the number of coordinates
+    design_lr: NonNegative = 0.01  # step size of the designs, times the square root of the number of coordinates
 
     @property
     def label(self) -> str:

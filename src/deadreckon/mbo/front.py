@@ -7,7 +7,7 @@ grows as others are chosen, so that only the first of a sorted list is counted a
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,13 +15,13 @@ import numpy as np
 from deadreckon.errors import UserError
 from deadreckon.mbo.batch import batch, check_batch, least_distance
 from deadreckon.mbo.calibration import Calibration
-from deadreckon.mbo.designer import Proposals
+from deadreckon.mbo.designer import DesignInput, Proposals, check_asked
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.effects import permitted
+from deadreckon.mbo.effects import keeping, permitted
 from deadreckon.mbo.gp import GP, search
-from deadreckon.mbo.hypervolume import hypervolume, improvement, non_dominated, reference_of
+from deadreckon.mbo.hypervolume import hypervolume, improvement, non_dominated, range_of, reference_of
 from deadreckon.mbo.process import Process, fit
-from deadreckon.mbo.validation import Quality, checkable, cross_validated
+from deadreckon.mbo.validation import Quality
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.randomness import generator
 
@@ -41,7 +41,7 @@ class Front:
         data: (targets,) the same designs with the scores of each target.
         made: (targets,) the same proposals with what is predicted of each target.
         reference: (targets,) the point from which hypervolumes are measured.
-        before: hypervolume of the data's scores, as they were measured, of rows that satisfy the rules.
+        before: hypervolume of the data's scores, as they were measured, of rows that satisfy the rules; of all where none does.
         gain: what the proposals' true scores are expected to add to the hypervolume of the data's true scores.
     """
 
@@ -79,6 +79,21 @@ class Front:
     def warnings(self) -> list[str]:
         """What should be known before anybody tries the proposals, by target."""
         return [f"{each.target}: {made.warning}" for each, made in zip(self.data, self.made) if made.warning]
+
+    @property
+    def notes(self) -> list[str]:
+        """Why the hypervolume or the gain is not what one may take it for."""
+        lines = []
+        if not keeping(self.data[0]).any():
+            lines.append("no row of the data satisfies the rules of the proposals, so that the hypervolume is that of all rows")
+        if self.before == 0:
+            lines.append("no row that counts lies above the reference point in all targets")
+        if self.gain == 0 and not self.unskilled:
+            lines.append(
+                "no proposal is expected to add anything, above the reference point in all targets and beyond the front; "
+                "they are those of the greatest predictions, all targets together"
+            )
+        return lines
 
 
 @dataclass(frozen=True)
@@ -135,29 +150,32 @@ def propose_front(
         watch: called with what is fitted, the targets done and those in all.
 
     Raises:
-        UserError: fewer than two targets, a reference point of another size, or fewer designs than are asked for.
+        UserError: fewer than two targets, a seed that is none, a reference point of another size or without finite numbers, or
+            fewer designs than are asked for.
     """
     data, gp = tuple(data), GP()
-    if n < 1:
-        raise UserError(f"n must be 1 or more, got {n}")
+    check_asked(n, [seed])
     if len(data) < 2:
         raise UserError(f"a front needs two targets or more, got {len(data)}")
     if reference is not None and len(reference) != len(data):
         raise UserError(f"the reference point needs {len(data)} numbers, one for each target, got {len(reference)}")
-    y = np.stack([each.y for each in data], 1)
+    if reference is not None and not np.isfinite(reference).all():
+        raise UserError(f"the reference point needs finite numbers, got {', '.join(f'{each:g}' for each in reference)}")
+    y, counts = np.stack([each.y for each in data], 1), permitted(data[0])
     signs = np.where([each.minimise for each in data], -1.0, 1.0)
-    point = reference_of(y) if reference is None else signs * np.asarray(reference, np.float64)
+    point = reference_of(y, counts) if reference is None else signs * np.asarray(reference, np.float64)
+    low, span = range_of(y, counts)
     processes, qualities = [], []
     for k, each in enumerate(data):
         watch("targets", k, len(data))
-        used = gp.used(each)
-        processes.append(fit(used, rows=gp.fit_rows))
-        qualities.append(cross_validated(used, gp.predictor, each.target) if checkable(each) else None)
+        processes.append(fit(gp.used(each), rows=gp.fit_rows))
+        quality = gp.quality(DesignInput(each, n, [seed], None, unwatched))
+        qualities.append(quality and replace(quality, method=each.target))
     rows = np.flatnonzero(on_front(data))
-    pool = candidates(data[0], tuple(processes), y, n, seed)
+    pool = candidates(data[0], tuple(processes), low, span, n, seed)
     gains = Gains(processes, pool, data[0].x[rows], point, seed)
-    order = gains.greedy(2 * n, data[0].coordinates.encode(pool).astype(np.float64), least_distance(data[0]))
-    value = lambda x: Scalarised(tuple(processes), np.ones(len(data)), *_range(y)).mean(x)  # noqa: E731
+    value = Scalarised(tuple(processes), np.ones(len(data)), low, span).mean
+    order = gains.greedy(2 * n, value(pool), data[0].coordinates.place(pool), least_distance(data[0]))
     x = batch(data[0], pool[order], n, value, repeat=repeat, seed=seed)
     check_batch(data[0], x, repeat)
     made = tuple(_predicted(process, x, seed, quality) for process, quality in zip(processes, qualities))
@@ -173,28 +191,23 @@ def _predicted(process: Process, x: np.ndarray, seed: int, quality: Quality | No
 
 
 def on_front(data: Sequence[Designs]) -> np.ndarray:
-    """(rows,) which designs of the data are on its front; those that break a rule of proposals do not count."""
+    """(rows,) which designs of the data are on its front, of those that `permitted` lets count."""
     rows = np.flatnonzero(permitted(data[0]))
     found = np.zeros(len(data[0]), bool)
     found[rows[non_dominated(np.stack([each.y[rows] for each in data], 1))]] = True
     return found
 
 
-def _range(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(scores,) the least scores of the front, and its ranges; those of all rows where it is flat."""
-    front = y[non_dominated(y)]
-    span, all_rows = np.ptp(front, axis=0), np.ptp(y, axis=0)
-    return front.min(0), np.where(span > 0, span, np.where(all_rows > 0, all_rows, 1.0))
-
-
-def candidates(data: Designs, processes: tuple[Process, ...], y: np.ndarray, n: int, seed: int) -> np.ndarray:
-    """(m, variables) different designs that are good by some weighting of the targets."""
-    count = y.shape[1]
+def candidates(
+    data: Designs, processes: tuple[Process, ...], low: np.ndarray, span: np.ndarray, n: int, seed: int
+) -> np.ndarray:
+    """(m, variables) different designs that are good by some weighting of the targets, from `low` on in units of `span`."""
+    count = len(processes)
     drawn = generator(seed, "weights of targets").dirichlet(np.ones(count), WEIGHTS)
     alone = 0.02 + (1 - 0.02 * count) * np.eye(count)
     found = []
     for i, share in enumerate([*alone, *drawn]):
-        process: Any = Scalarised(processes, 1 / np.maximum(share, 0.02), *_range(y))
+        process: Any = Scalarised(processes, 1 / np.maximum(share, 0.02), low, span)
         found.append(search(data, process, 0.0, ROUNDS, max(KEPT, 4 * n // (WEIGHTS + count)), seed + i))
     return np.unique(np.concatenate(found), axis=0)
 
@@ -225,11 +238,12 @@ class Gains:
         """What one candidate is expected to add."""
         return float(np.mean([improvement(y[i], front, self.reference) for y, front in zip(self.y, fronts)]))
 
-    def greedy(self, n: int, z: np.ndarray | None = None, apart: float = 0.0) -> np.ndarray:
+    def greedy(self, n: int, value: np.ndarray, z: np.ndarray | None = None, apart: float = 0.0) -> np.ndarray:
         """(n,) or fewer candidates, in the order in which they are chosen; each adds most to those before it.
 
         Args:
             n: how many.
+            value: (candidates,) by which they are chosen where none adds anything.
             z: (candidates, size) their coordinates, where they must lie apart.
             apart: least distance between those that are chosen.
         """
@@ -243,6 +257,8 @@ class Gains:
                 fresh.add(i)
             if gain[i] == -np.inf:  # all others lie too near
                 break
+            if gain[i] <= 0:
+                i = int(np.where(gain > -np.inf, value, -np.inf).argmax())
             order.append(i)
             gain[i] = -np.inf
             if z is not None:

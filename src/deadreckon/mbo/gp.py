@@ -14,9 +14,10 @@ from deadreckon.mbo.batch import batch, moved
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.fitted import Fitted
+from deadreckon.mbo.forward import on_held_out
 from deadreckon.mbo.local_search import improved
 from deadreckon.mbo.process import Process, fit
-from deadreckon.mbo.validation import ENOUGH, Predict, checkable, cross_validated
+from deadreckon.mbo.validation import ENOUGH, Predict, Quality, checkable, cross_validated
 from deadreckon.randomness import generator
 from deadreckon.training.hyperparameters import Count, CountOrZero, Number, host
 
@@ -27,14 +28,16 @@ DRAWN = 512  # random designs that it begins with
 class GP(Designer):
     """The greatest predicted score under a Gaussian process with a length for each variable, and categories."""
 
-    revision: ClassVar[int] = 4
+    revision: ClassVar[int] = 5
 
     kappa: Number = host(0.0)
     """standard deviations added to the prediction: below 0 cautious (lower confidence bound), above 0 bold (upper one)"""
     max_rows: Count = host(3000)  # largest number of designs in the fit: half the best ones, half drawn from the rest
     fit_rows: Count = host(400)  # largest number of designs on which the hyperparameters are fitted
     rounds: Count = host(40)  # rounds of the search
-    folds: CountOrZero = host(5)  # folds of the cross-validation that calibrates the intervals; 0: none
+    folds: CountOrZero = host(5)
+    """folds of the cross-validation that calibrates the intervals; 0: none. Of more than `max_rows` designs a fifth is held out
+    once instead"""
 
     @property
     def label(self) -> str:
@@ -43,11 +46,7 @@ class GP(Designer):
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
         """One process for all seeds, which differ in their searches."""
-        data = self.used(setting.data)
-        process, quality = fit(data, rows=self.fit_rows), None
-        if self.folds > 1 and checkable(data):
-            setting.watch("cross-validation", 0, self.folds if len(data) >= ENOUGH else len(data))
-            quality = cross_validated(data, self.predictor, self.label, self.folds)
+        process, quality = fit(self.used(setting.data), rows=self.fit_rows), self.quality(setting)
         found = []
         for seed in setting.seeds:
             pool = search(setting.data, process, self.kappa, self.rounds, max(KEPT, 4 * setting.n), seed)
@@ -73,6 +72,22 @@ class GP(Designer):
         best, rest = order[: self.max_rows // 2], order[self.max_rows // 2 :]
         drawn = generator(0, "rows of the process").choice(rest, self.max_rows - len(best), replace=False)
         return data.part(np.concatenate([best, drawn]))
+
+    def quality(self, setting: DesignInput) -> Quality | None:
+        """What its predictions are worth; None where that is not looked at, or where the designs are too few.
+
+        Where not all designs are used, those that are were chosen by their scores, and are better than others by their noise
+        too: they would not show how far. So it is judged on designs that are drawn from all.
+        """
+        data = setting.data
+        if self.folds < 2:
+            return None
+        if len(data) > self.max_rows:
+            return on_held_out(self, setting) if checkable(data, 2 * ENOUGH) else None
+        if not checkable(data):
+            return None
+        setting.watch("cross-validation", 0, self.folds if len(data) >= ENOUGH else len(data))
+        return cross_validated(data, self.predictor, self.label, self.folds)
 
     def unseen(self, setting: DesignInput, x: np.ndarray, error: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """What it says of scores of other designs, with their standard errors: (m,) means and deviations with noise."""

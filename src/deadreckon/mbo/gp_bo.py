@@ -86,7 +86,7 @@ class GPBO(Designer):
     """kernel of the process; auto: inner product where most variables are categories, else RBF"""
     max_rows: Count = static(1000)  # largest number of designs in the fit: half the best ones, half drawn from the rest
     ascent_steps: Count = static(200)  # gradient steps that move the designs
-    design_lr: NonNegative = 0.01  # step size of the designs (Adam), times the square root of the number of coordinates
+    design_lr: NonNegative = 0.01  # step size of the designs, times the square root of the number of coordinates
 
     @property
     def label(self) -> str:

@@ -49,11 +49,23 @@ def improvement(point: np.ndarray, front: np.ndarray, reference: np.ndarray) -> 
     return float(above.prod()) - hypervolume(np.minimum(front, point), reference)
 
 
-def reference_of(y: np.ndarray) -> np.ndarray:
+def range_of(y: np.ndarray, counts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """(scores,) the least scores of the front, and its ranges; of a score in which it is flat that of all rows.
+
+    Args:
+        y: (rows, scores).
+        counts: (rows,) which of them may be on the front; None: all.
+    """
+    some = y if counts is None else y[counts]
+    front = some[non_dominated(some)]
+    span = np.ptp(front, axis=0)
+    return front.min(0), np.where(span > 0, span, np.ptp(y, axis=0))
+
+
+def reference_of(y: np.ndarray, counts: np.ndarray | None = None) -> np.ndarray:
     """(scores,) a reference point: below the least scores of the front by a tenth of its range (Ishibuchi et al. 2018).
 
-    Where the front is one point, or flat in a score, the range of all rows in that score is taken.
+    The front and its range are those of `range_of`.
     """
-    front = y[non_dominated(y)]
-    span = np.ptp(front, axis=0)
-    return front.min(0) - 0.1 * np.where(span > 0, span, np.ptp(y, axis=0))
+    low, span = range_of(y, counts)
+    return low - 0.1 * span

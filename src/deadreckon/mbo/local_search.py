@@ -60,7 +60,7 @@ def on_grid(data: Designs, x: np.ndarray, value: Value, rng: np.random.Generator
 
 def spaced(data: Designs, x: np.ndarray, value: np.ndarray, apart: float, kept: int) -> np.ndarray:
     """(kept,) or fewer rows, the greatest values first, of which none lies nearer than `apart` to one before it."""
-    z = data.coordinates.encode(x).astype(np.float64)
+    z = data.coordinates.place(x)
     free, order = np.ones(len(z), bool), []
     for i in np.argsort(-value, kind="stable"):
         if free[i]:

@@ -8,7 +8,7 @@ SAMPLE = 1000  # designs of the data whose neighbours tell what near is
 
 
 def nn_distance(data: Designs, x: np.ndarray) -> np.ndarray:
-    """Distance of designs to the nearest scored one, in standardised coordinates, in units of what is usual among the data.
+    """Distance of designs to the nearest scored one (`Coordinates.place`), in units of what is usual among the data.
 
     Args:
         data: scored designs.
@@ -23,22 +23,21 @@ def nn_distance(data: Designs, x: np.ndarray) -> np.ndarray:
 
 def distance_to_others(data: Designs, x: np.ndarray) -> np.ndarray:
     """(n,) distance of each of two or more designs to the nearest other one, in the same units."""
-    z = data.coordinates.encode(x).astype(np.float64)
+    z = data.coordinates.place(x)
     return _nearest(z, z, np.arange(len(z)))[0] / usual_distance(data)
 
 
 def usual_distance(data: Designs) -> float:
-    """Median distance of a scored design to the nearest other one, in standardised coordinates; 1 where all are repeated."""
-    z = data.coordinates.encode(data.x).astype(np.float64)
+    """Median distance of a scored design to the nearest other one, by their places; 1 where all are repeated."""
+    z = data.coordinates.place(data.x)
     rows = np.random.default_rng(0).permutation(len(z))[:SAMPLE]
     usual = _nearest(z, z[rows], rows)[0]
     return float(np.median(usual[usual > 0])) if (usual > 0).any() else 1.0
 
 
 def nearest_scored(data: Designs, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) distances of designs to the nearest scored one, in standardised coordinates, and (n,) the rows of these."""
-    encode = data.coordinates.encode
-    return _nearest(encode(data.x).astype(np.float64), encode(x).astype(np.float64))
+    """(n,) distances of designs to the nearest scored one, by their places, and (n,) the rows of these."""
+    return _nearest(data.coordinates.place(data.x), data.coordinates.place(x))
 
 
 def neighbours(data: Designs, x: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -48,7 +47,7 @@ def neighbours(data: Designs, x: np.ndarray, count: int) -> tuple[np.ndarray, np
         (n, count) distances, in usual distances as `nn_distance` has them, and (n, count) rows of the data; fewer columns
         where the data has fewer designs.
     """
-    z, points = (data.coordinates.encode(each).astype(np.float64) for each in (data.x, x))
+    z, points = (data.coordinates.place(each) for each in (data.x, x))
     count, out = min(count, len(z)), []
     for point in points:
         distance = np.linalg.norm(z - point, axis=1)

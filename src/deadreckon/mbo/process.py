@@ -47,11 +47,9 @@ class Features:
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """(rows, features) of (rows, variables) designs."""
         view = self.data.coordinates
-        count = len(view.numeric)
-        parts = [view.encode(x)[:, :count].astype(np.float64)]
-        for columns, n in view.groups:
-            parts.append((x[:, columns].astype(int)[..., None] == np.arange(n)).reshape(len(x), len(columns) * n) / 2**0.5)
-        return np.concatenate(parts, 1)
+        found = view.place(x)
+        found[:, len(view.numeric) :] /= 2**0.5
+        return found
 
 
 @dataclass(frozen=True)

@@ -113,6 +113,7 @@ def about_front(front: Front) -> dict[str, list[Any]]:
         **{f"target {each.target}": f"to be made {'small' if each.minimise else 'large'}" for each in front.data},
         **{f"out of fold, {d.target}": str(m.quality) for d, m in zip(front.data, front.made) if m.quality is not None},
         **{f"warning, {d.target}": m.warning for d, m in zip(front.data, front.made) if m.warning},
+        **{f"note {i}": line for i, line in enumerate(front.notes, 1)},
         "hypervolume of the data": front.before,
         "expected to be added": "not known" if front.unskilled else front.gain,
         "predicted_TARGET": MEAN,

@@ -48,7 +48,7 @@ class RaM(Designer):
     list_size: Count = static(256)  # designs per list, one list per update
     lr: NonNegative = 3e-4  # learning rate of the model
     ascent_steps: Count = static(200)  # gradient steps that move the designs
-    design_lr: NonNegative = 0.01  # step size of the designs (Adam), times the square root of the number of coordinates
+    design_lr: NonNegative = 0.01  # step size of the designs, times the square root of the number of coordinates
 
     def _learner(self) -> Ranking:
         return Ranking(self.lr, 1, self.hidden, 1, "relu", self.list_size)

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.arrow import category_codes, flat, is_category, is_number, is_text
+from deadreckon.data.arrow import as_dates, category_codes, flat, is_category, is_number, is_text
 from deadreckon.errors import UserError, unknown
 from deadreckon.mbo.design_table import numbers_of
 
@@ -97,13 +97,14 @@ def variable_of(
     """A column's numbers in the rows that count, and what it may be."""
     stored, given = table.column(column).type, kind
     if pa.types.is_temporal(stored):
-        remedy = f"make numbers of them, or ignore the column (--ignore {shlex.quote(column)})"
-        raise UserError(f"{name}: column {column} holds times; {remedy}")
+        raise _holds_times(name, column)
     if kind is None:
         kind = "categorical" if is_category(stored) or levels else "integer" if pa.types.is_integer(stored) else "continuous"
     if kind not in KINDS:
         raise UserError(f"{name}: column {column}: {unknown('kind', kind, KINDS)}")
     if kind not in ("categorical", "ordinal"):
+        if levels:
+            raise UserError(f"{name}: column {column} is {kind} and has no levels; to propose these alone, make it ordinal")
         return _number(name, table, column, kind, bounds, rows)
     if bounds is not None:
         raise UserError(f"{name}: column {column} is {kind} and has levels, not bounds")
@@ -127,6 +128,11 @@ def _category(
     else:
         known = tuple(sorted(set(values)))
     return codes(name, column, values, known, rows), Variable(column, "categorical", levels=known)
+
+
+def _holds_times(name: str, column: str) -> UserError:
+    remedy = f"make numbers of them, or ignore the column (--ignore {shlex.quote(column)})"
+    return UserError(f"{name}: column {column} holds times; {remedy}")
 
 
 def _number(
@@ -227,7 +233,10 @@ def _check_texts(name: str, column: str, values: Sequence[str], rows: np.ndarray
 
     Raises:
         Mend: they are.
+        UserError: they are dates.
     """
+    if as_dates(pa.array(values)) is not None:
+        raise _holds_times(name, column)
     by_unit: dict[str, list[str]] = {}
     for value in values:
         if found := _WITH_UNIT.fullmatch(value):

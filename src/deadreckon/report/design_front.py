@@ -66,6 +66,7 @@ def _lead(front: Front) -> str:
         parts.append(f"{broken:,} {counted} not count.")
     if not bad:
         parts.append(f"The proposals are expected to add {number(front.gain)}.")
+    parts += [f"{line[0].upper()}{line[1:]}." for line in front.notes]
     return " ".join(parts)
 
 
