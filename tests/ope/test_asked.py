@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from deadreckon.errors import UserError
-from deadreckon.ope import FQE, BehaviorModel, Estimand, ImportanceSampling, OPEInput
+from deadreckon.ope import FQE, BehaviorModel, DoublyRobust, Estimand, ImportanceSampling, LinearFQE, OPEInput
 from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.decide import decide
 from deadreckon.ope.dope import evaluate_log
@@ -98,6 +98,17 @@ def test_what_a_decision_cannot_be_asked_is_refused_before_anything_is_fitted(ca
     monkeypatch.setattr("deadreckon.ope.decide.support", lambda *_: pytest.fail("something was looked at"))
     with pytest.raises(UserError, match=told):
         decide(case, **{"estimators": ["is"], **options})
+
+
+@pytest.mark.parametrize(("judge", "told"), [
+    (LinearFQE(ridge=0.0), "LinearFQE.ridge takes a finite number > 0, got 0.0"),
+    (DoublyRobust(fqe=LinearFQE(ridge=0.0)), "LinearFQE.ridge takes a finite number > 0, got 0.0"),
+    (ImportanceSampling(log_ratio_range=(2.0, -6.0)), r"log_ratio_range must be \(least, greatest\), got 2, -6"),
+    (DoublyRobust(log_ratio_range=(0.0, 1.0, 2.0)), r"log_ratio_range takes 2 numbers or None, got \(0.0, 1.0, 2.0\)"),
+])  # fmt: skip
+def test_settings_of_estimators_that_are_none_are_refused(judge, told):
+    with pytest.raises(UserError, match=told):
+        judge.check_settings()
 
 
 def test_ranges_and_groups_are_refused_wherever_they_are_given(case):

@@ -1,5 +1,6 @@
 """Totals of costs beside the value, and limits of them: exact worlds, coverage, and what is refused."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -12,6 +13,8 @@ from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.costs import Cost, cost_columns, costs_of, limits_of, totals
 from deadreckon.ope.decide import decide
 from deadreckon.ope.doubly_robust import DoublyRobust
+from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.support import Support
 from deadreckon.policies import BlackBoxPolicy
@@ -117,6 +120,61 @@ def test_unsupported_policies_have_endless_costs():
     assert np.isfinite(ends[1]).all()
     cost = Cost("cost", 2.0, ends, ())
     assert cost.objection(0, 0.95) == "nobody knows whether its cost stays within 2"
+
+
+class Members(Estimator):
+    """Three critics that nearly learn the mean."""
+
+    label = "members"
+
+    def solve(self, case):
+        value = np.full(case.count, case.data.rewards.mean())
+        found = value + 1e-6 * np.arange(3.0)[:, None]
+        return Estimates("members", case.names, value, value, value, case.estimand, bootstrap=found)
+
+
+@pytest.mark.parametrize("judge", [ImportanceSampling(), Members()], ids=["weights", "critics"])
+def test_a_cost_that_never_occurred_has_no_upper_end(judge):
+    """A hundred rows without an event that one of a hundred has: often enough there is none, and the limit is not met."""
+    log = bandit(100, 0)
+    never = replace(log, extras=log.extras | {"cost": np.zeros(100)})
+    case = OPEInput(never, [policy(CHANCES[2])], discount=0.0, horizon=1, logged=True)
+    (cost,) = costs_of(case, judge, _support(case), {"cost": 0.001}, 0.025)
+    assert cost.ends[0].tolist() == [0.0, -np.inf, np.inf]
+    assert cost.objection(0, 0.975) == (
+        "nobody knows whether its cost stays within 0.001: in every judged episode that counts for it the total is 0, which "
+        "does not tell how rare others are"
+    )
+
+
+def test_a_cost_whose_fit_has_not_settled_is_not_known():
+    class Diverging(Estimator):
+        label = "diverging"
+
+        def solve(self, case):
+            return replace(ImportanceSampling().solve(case), diagnostics={"settled": np.array([0.0, 1.0, 1.0])})
+
+    (cost,) = costs_of(case(), Diverging(), _support(case()), {"cost": 99.0}, 0.05)
+    assert np.isinf(cost.ends[0, 1:]).all()
+    assert cost.objection(0, 0.95) == "nobody knows whether its cost stays within 99: the fit of its estimate has not settled"
+    assert cost.objection(1, 0.95) is None
+
+
+def test_warnings_of_costs_are_on_the_card(monkeypatch):
+    """But those that the value has too stand there once."""
+    cost = Cost("cost", None, np.zeros((3, 3)), ("the critics of policy 0 diverge", "known"))
+    monkeypatch.setattr("deadreckon.ope.decide.costs_of", lambda *given: [cost])
+    monkeypatch.setattr("deadreckon.ope.decide.support", lambda case, model: _support(case))
+    monkeypatch.setattr("deadreckon.ope.decide._confounded", lambda case, choice, *given: ({}, choice))
+    told = decide(case(), [_Warning()], model=SMALL).choice.warnings
+    assert told == ("known", "cost: the critics of policy 0 diverge")
+
+
+class _Warning(ImportanceSampling):
+    """With a warning of its own."""
+
+    def solve(self, case):
+        return replace(super().solve(case), warnings=("known",))
 
 
 def test_totals_are_values_with_intervals_for_all_at_once():

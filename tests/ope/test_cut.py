@@ -14,7 +14,8 @@ from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.features import Table
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.linear import Fit, LinearFQE
-from deadreckon.ope.select import gains
+from deadreckon.ope.registry import estimator
+from deadreckon.ope.select import gains, select
 from deadreckon.theory.tabular import garnet
 from tests.ope.worlds import as_policy, tables
 
@@ -76,6 +77,17 @@ def test_estimators_are_chosen_by_how_much_lies_beyond(recorded):
     within = OPEInput(log, [as_policy(own)], horizon=STEPS, **asked)
     assert within.beyond == 0.0
     assert [each.label for each in automatic(within)] == ["DR-linear", "DRL"]
+
+
+@pytest.mark.parametrize("name", ["is", "wis", "pdis", "smis"])
+def test_weights_correct_nothing_beyond_the_recording(recorded, name):
+    """A policy that earns the same sooner would seem to be better, where what comes later is not counted."""
+    _, _, other, log = recorded
+    for horizon in (STEPS, None):
+        case = OPEInput(log, [as_policy(other)], discount=DISCOUNT, horizon=horizon, logged=True, names=["other"])
+        found = estimator(name).on(case)
+        assert found.corrected == (horizon == STEPS)
+        assert any("model-based only" in line for line in select([found]).objections[0]) == (horizon is None)
 
 
 def test_what_the_behaviour_policy_would_do_next(recorded):

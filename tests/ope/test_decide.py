@@ -7,7 +7,7 @@ from scipy import stats
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
-from deadreckon.ope import LOGGED, DoublyRobust, Estimand, ImportanceSampling, LinearFQE, OPEInput, estimator
+from deadreckon.ope import LOGGED, DoublyRobust, Estimand, ImportanceSampling, LinearFQE, OPEInput, estimator, select
 from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import CrossFitted
@@ -346,14 +346,39 @@ def test_clusters_are_redrawn_as_one():
         observations=log.observations, actions=log.actions, rewards=rewards, terminals=log.terminals,
         action_space=Discrete(4), behavior_log_probs=np.full(1000, -np.log(4)),
     )  # fmt: skip
-    errors = {}
+    errors, half = {}, {}
     for name, clusters in (("episodes", None), ("users", users)):
         case = OPEInput(log, as_uniform(4), discount=0.0, logged=True, clusters=clusters)
         errors[name] = inference.errors(ImportanceSampling(normalised=False).on(case).influence)[-1]
         assert len(np.unique(case.units)) == (1000 if clusters is None else 40)
+        students = ImportanceSampling(normalised=False, interval="t").on(case)
+        half[name] = (students.high - students.low)[-1] / 2
         assert clusters is None or all(len(set(case.folds(5)[users == u])) == 1 for u in range(40))
     assert errors["users"] == pytest.approx(1.0 / np.sqrt(40), rel=0.3)
     assert errors["users"] > 3 * errors["episodes"]
+    assert half["users"] == pytest.approx(stats.t.ppf(0.975, 39) * errors["users"])
+    assert half["episodes"] == pytest.approx(stats.t.ppf(0.975, 999) * errors["episodes"])
+    bound = ImportanceSampling(normalised=False, interval="hoeffding", return_range=(-9.0, 9.0), max_weight=4.0)
+    with pytest.raises(UserError, match="interval='hoeffding' needs independent episodes, and those of a cluster are not"):
+        bound.on(case)
+
+
+@pytest.mark.parametrize("judge", [ImportanceSampling(), ImportanceSampling(kind="trajectory"), DR, DRL], ids=lambda x: x.label)
+def test_weights_rest_on_clusters_and_not_on_their_episodes(judge):
+    """Forty stores with one action each, which four of them take: a thousand customers of these are four."""
+    rng = np.random.default_rng(0)
+    store, actions = np.repeat(np.arange(40), 25), np.repeat(np.arange(40) % 10 == 0, 25).astype(int)
+    log = Dataset.from_arrays(
+        observations=np.ones((1000, 1)), actions=actions, rewards=actions + rng.standard_normal(1000),
+        terminals=np.ones(1000, bool), action_space=Discrete(2), behavior_log_probs=np.log(np.where(actions == 1, 0.1, 0.9)),
+    )  # fmt: skip
+    for clusters in (None, store):
+        found = judge.on(OPEInput(log, constant([0.0, 1.0]), discount=0.0, horizon=1, logged=True, clusters=clusters))
+        assert found.ess[0] == pytest.approx(100.0, rel=0.1)
+        amount = found.diagnostics.get("effective clusters", [np.inf])[0]
+        assert amount == (np.inf if clusters is None else pytest.approx(4.0, rel=0.05))
+        told = f"its weights rest on {amount:.1f} clusters, 10 are needed"
+        assert any(told in line for line in select([found]).objections[0]) == (clusters is not None)
 
 
 # ---- checks -------------------------------------------------------------------------------------------------------------

@@ -108,7 +108,7 @@ def test_what_a_guarantee_lacks():
             refuse(case, wanted)
         assert "\n" not in str(error.value)
     with pytest.raises(UserError, match="an episode returns 1, outside of the range 0 .. 0.5"):
-        guaranteed(case_of(log), 0, (0.0, 0.5))
+        refuse(case_of(log), (0.0, 0.5))
     lacks_all = case_of(replace(log, extras={}), clusters=np.arange(60) // 2)
     with pytest.raises(UserError, match=r"\(--return-range LOW HIGH\); and propensities .*; and independent"):
         decide(lacks_all, [LINEAR], guarantee=True, model=MODEL)
@@ -202,6 +202,20 @@ def test_gains_by_group():
         decide(case_of(log), [LINEAR], groups=Groups("row", tuple(map(str, range(1810))), np.arange(1810)))
     with pytest.raises(UserError, match="above 0 and at most 1, got 2"):
         decide(case_of(log), [LINEAR], tail=2.0)
+
+
+def test_groups_and_tails_know_among_how_many_the_policy_was_chosen():
+    """The better of two has the intervals of one alone at half of the level."""
+    log = trials(400, np.random.default_rng(0))
+    groups = Groups("g", ("a", "b"), np.arange(400) % 2)
+    two, one = case_of(log, [MOSTLY, FIRST]), case_of(log, [MOSTLY])
+    chosen, alone, twice = (by_group(each, 0, groups, MODEL, alpha)[0] for each, alpha in ((two, 0.1), (one, 0.05), (one, 0.1)))
+    assert chosen["high"] - chosen["low"] == pytest.approx(alone["high"] - alone["low"], rel=0.02)
+    assert chosen["high"] - chosen["low"] > 1.1 * (twice["high"] - twice["low"])
+    chosen, alone = tails(two, 0, 0.5, MODEL, 0.1), tails(one, 0, 0.5, MODEL, 0.05)
+    assert (chosen["low"], chosen["high"]) == pytest.approx((alone["low"], alone["high"]))
+    wider = tails(one, 0, 0.5, MODEL, 0.05, wider=0.2)
+    assert (wider["low"], wider["high"]) == pytest.approx((alone["low"] - 0.2, alone["high"] + 0.2))
 
 
 @pytest.mark.slow  # simultaneous intervals are looked at in test_decide.py, on which these rest

@@ -91,6 +91,18 @@ def test_fitted_values_are_those_of_the_world_in_the_log(world, name):
     np.testing.assert_allclose(found.value, exact, atol=0.05 * scale, err_msg=name)
 
 
+def test_distributions_of_one_step_have_its_mean_reward():
+    """Whatever the discount, which counts nothing there: action 0 earns -1 and action 1 earns 3."""
+    actions = np.arange(200) % 2
+    log = Dataset.from_arrays(
+        observations=np.ones((200, 1)), actions=actions, rewards=np.array([-1.0, 3.0])[actions], terminals=np.ones(200, bool)
+    )
+    chances = np.array([[0.5, 0.5], [0.1, 0.9]])
+    fitted = FQED(members=1, hidden=(), steps=200, lr=0.1, batch_size=64, atoms=5)
+    found = fitted.estimate(log, [as_policy(each[None]) for each in chances], discount=0.9, horizon=1)
+    np.testing.assert_allclose(found.value, chances @ [-1.0, 3.0], atol=0.1)
+
+
 @pytest.mark.slow
 @cases([name for name in FITTED if "dice" in name or name == "vpm"], nowhere=["dual-dice", "gen-dice", "vpm"])
 def test_ratios_are_those_of_exact_occupancies(world, name):

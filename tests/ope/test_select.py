@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
@@ -26,7 +27,7 @@ from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.metrics import published
 from deadreckon.ope.registry import PUBLIC, as_estimator, with_fields
-from deadreckon.ope.select import unbounded_where_unsupported
+from deadreckon.ope.select import gains, unbounded_where_unsupported
 from deadreckon.policies import BlackBoxPolicy, library
 from deadreckon.report.dope import write_bench
 from deadreckon.report.text import number
@@ -190,6 +191,25 @@ def test_what_an_interval_does_not_know_makes_it_endless(diagnostics, ess, why):
         assert why in choice.reason
         assert (choice.low, choice.high) == (-np.inf, np.inf)
         assert choice.gains[0, 1] == -np.inf
+
+
+@pytest.mark.parametrize(("episodes", "why"), [(10, "there are only 10 episodes or clusters"), (40, "has not settled")])
+def test_accepting_what_is_model_based_accepts_neither_few_episodes_nor_a_fit_that_goes_on(episodes, why):
+    """Critics of two updates, of a policy that earns more."""
+    case = OPEInput(lqr(-0.5, 0.5, episodes, 5), linear(-1.0, 0.1), discount=0.5, logged=True)
+    found = FQE(members=2, hidden=(), steps=10, lr=0.3, batch_size=16).on(case)
+    choice = select([found], accept_model_based=True)
+    assert why in choice.reason
+    assert (choice.deploy, choice.low) == (False, -np.inf)
+
+
+def test_gains_of_few_clusters_by_the_bootstrap_are_students():
+    """Five clusters that are redrawn many times are five."""
+    draws = np.random.default_rng(0).standard_normal((4000, 1))
+    found = estimates("FQE-linear", [1.0], 1.0 + draws, corrected=False)
+    (five, many) = (gains(dataclasses.replace(found, units=count))[0] for count in (5, 10_000))
+    wider = np.sqrt(5 / 4) * stats.t.ppf(0.975, 4) / stats.norm.ppf(0.975)
+    assert five[2] - five[1] == pytest.approx(wider * (many[2] - many[1]), rel=1e-2)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import linprog
 
 from deadreckon.errors import UserError
-from deadreckon.ope.sensitivity import bounds, interval, tipping, weight_box
+from deadreckon.ope.sensitivity import bounds, tipping, weight_box
 
 
 def program(y, low, high, sign):
@@ -28,15 +28,9 @@ def test_bounds_are_those_of_linear_programs(seed):
     for gamma in (1.5, 4.0):
         low, high = weight_box(ratios, gamma, behavior)
         least, most = bounds(y, low, high)
-        assert least[0] == pytest.approx(program(y, np.exp(low), np.exp(high), 1))
-        assert most[0] == pytest.approx(program(y, np.exp(low), np.exp(high), -1))
-        # And of redrawn logs, those of logs in which episodes are repeated.
-        counts = np.random.default_rng(seed).multinomial(12, np.full(12, 1 / 12), 5)
-        least, most = bounds(y, low, high, baseline=y, counts=counts)
-        for b, times in enumerate(counts):
-            again = np.repeat(np.arange(12), times)
-            one = bounds(y[again], low[again], high[again], baseline=y[again])
-            assert (least[b], most[b]) == pytest.approx((one[0][0], one[1][0]))
+        assert least == pytest.approx(program(y, np.exp(low), np.exp(high), 1))
+        assert most == pytest.approx(program(y, np.exp(low), np.exp(high), -1))
+        assert bounds(y, low, high, baseline=y) == pytest.approx((y.mean() + least, y.mean() + most))
 
 
 def test_the_box_is_that_of_odds():
@@ -57,7 +51,7 @@ def test_no_confounding_is_the_estimate_and_more_is_wider():
     w = np.exp(ratios)
     before = None
     for gamma in (1.0, 1.1, 2.0, 10.0, 1000.0):
-        least, most = (x[0] for x in bounds(y, *weight_box(ratios, gamma, behavior), baseline=0.25))
+        least, most = bounds(y, *weight_box(ratios, gamma, behavior), baseline=0.25)
         if gamma == 1.0:
             assert (least, most) == pytest.approx((0.25 + (w * y).sum() / w.sum(),) * 2)
         else:
@@ -70,11 +64,8 @@ def test_no_confounding_is_the_estimate_and_more_is_wider():
 def test_zero_weights_and_none():
     y = np.array([-5.0, 1.0, 2.0])
     logs = np.array([-np.inf, 0.0, 0.0])
-    least, most = bounds(y, logs - np.log(2), logs + np.log(2))
-    assert (least[0], most[0]) == pytest.approx(((2 * 1 + 0.5 * 2) / 2.5, (0.5 * 1 + 2 * 2) / 2.5))
-    least, most = bounds(y, logs, logs, counts=np.array([[3, 0, 0], [0, 2, 1]]))
-    assert np.isnan(least[0])
-    assert least[1] == most[1] == pytest.approx(4 / 3)
+    found = bounds(y, logs - np.log(2), logs + np.log(2))
+    assert found == pytest.approx(((2 * 1 + 0.5 * 2) / 2.5, (0.5 * 1 + 2 * 2) / 2.5))
     with pytest.raises(UserError, match="no episode"):
         bounds(y, np.full(3, -np.inf), np.full(3, -np.inf))
 
@@ -89,21 +80,13 @@ def confounded(rng, n, strength):
     return action, y
 
 
-@pytest.mark.slow
 def test_a_confounded_world_is_inside_its_box_alone():
-    """Always acting is worth 0.8. The plain estimate says more; bounds and their intervals at the true Gamma hold it."""
-    held, plain = [], []
-    for seed in range(60):
-        rng = np.random.default_rng(seed)
-        action, y = confounded(rng, 400, 2.0)
-        ratios = np.where(action, np.log(2.0), -np.inf)
-        counts = rng.multinomial(400, np.full(400, 1 / 400), 200)
-        for gamma, into in ((2.0, held), (1.0, plain)):
-            box = weight_box(ratios, gamma, np.full(400, np.log(0.5)))
-            low, high = interval(*bounds(y, *box, counts=counts))
-            into.append(low <= 0.8 <= high)
-    assert np.mean(held) >= 0.93
-    assert np.mean(plain) < 0.2
+    """Always acting is worth 0.8. The plain estimate says more; the bounds at the true Gamma hold it."""
+    action, y = confounded(np.random.default_rng(0), 100_000, 2.0)
+    ratios, behavior = np.where(action, np.log(2.0), -np.inf), np.full(len(y), np.log(0.5))
+    low, high = bounds(y, *weight_box(ratios, 2.0, behavior))
+    assert low - 0.01 < 0.8 < high
+    assert bounds(y, *weight_box(ratios, 1.0, behavior))[0] > 0.9
 
 
 def test_a_critic_narrows_the_bounds():
@@ -121,6 +104,6 @@ def test_tipping():
     assert np.isnan(tipping(lambda gamma: -gamma))
     assert tipping(lambda gamma: 1.0) == np.inf
     y, ratios, behavior = small(3, 100)
-    gain = lambda gamma: bounds(y + 0.5, *weight_box(ratios, gamma, behavior), baseline=-y)[0][0]  # noqa: E731
+    gain = lambda gamma: bounds(y + 0.5, *weight_box(ratios, gamma, behavior), baseline=-y)[0]  # noqa: E731
     most = tipping(gain)
     assert gain(most) > 0 > gain(most + 2e-3)

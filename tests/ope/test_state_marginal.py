@@ -134,6 +134,20 @@ def test_the_variance_grows_with_a_power_of_the_horizon():
     assert products[80] > 20 * marginal[80], (marginal, products)
 
 
+def test_episodes_that_are_cut_off_have_not_ended():
+    """One state and four episodes alike: one ends, one is cut off after a step, two go on, with ratios of 1 and 3.
+
+    After the first step a third of the probability is over, of those three that tell, and two thirds are on.
+    """
+    ratios = np.log([1.0, 1.0, 1.0, 1.0, 1.0, 3.0])
+    lengths, ended = np.array([1, 1, 2, 2]), np.array([True, False, True, True])
+    found = state_marginal(np.zeros(6, int), ratios, np.zeros(6), lengths, ended, 1.0)
+    assert found.states[1, 0] == pytest.approx(2 / 3)
+    # The weights are 4 times 2/3 a quarter and three quarters of that, and 4/3 episodes that are over with a weight of one.
+    weight = 4 * 2 / 3 * np.array([0.25, 0.75])
+    assert found.ess[1] == pytest.approx((weight.sum() + 4 / 3) ** 2 / (np.square(weight).sum() + 4 / 3))
+
+
 def test_what_is_no_table():
     ones = np.ones(2, int)
     with pytest.raises(UserError, match="whole numbers"):

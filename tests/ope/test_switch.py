@@ -50,10 +50,8 @@ def test_shrinkage_by_hand():
     with np.errstate(divide="ignore"):
         logs = np.log(w)
     assert shrunk(logs, 4.0) == pytest.approx(4 * w / (w**2 + 4))
-    assert shrunk(logs, 4.0, "pessimistic") == pytest.approx([0.0, 0.5, 2.0, 4.0])
-    for kind in ("optimistic", "pessimistic"):
-        assert shrunk(logs, np.inf, kind) == pytest.approx(w)
-        assert not shrunk(logs, 0.0, kind).any()
+    assert shrunk(logs, np.inf) == pytest.approx(w)
+    assert not shrunk(logs, 0.0).any()
     # It minimises what the paper says.
     for each in w[1:]:
         grid = np.linspace(0.0, 3.0, 30_001)
@@ -90,7 +88,6 @@ def test_no_bias_where_the_critic_has_none(world):
     for scores in (
         switch_scores(*inputs(world), np.array([0.0, 0.7, 1.5, np.inf])),
         shrinkage_scores(*inputs(world), np.array([0.1, 1.0, np.inf])),
-        shrinkage_scores(*inputs(world), np.array([0.1, 1.0]), "pessimistic"),
     ):
         off = np.abs(scores.mean(1) - world[-1]) / (scores.std(1) / np.sqrt(scores.shape[1]))
         assert (off < 3.5).all(), off

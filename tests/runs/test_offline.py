@@ -210,6 +210,27 @@ def test_each_look_at_the_same_episodes_spends_half_of_what_is_left(noise, tmp_p
         judge([run], log, **QUICK)
 
 
+def test_another_deciding_estimator_is_another_look(noise, tmp_path, monkeypatch):
+    """Whoever tries estimators, or clusters, until one deploys has looked as often; others beside the first may only object."""
+    log, run, _ = noise
+    monkeypatch.setenv("DEADRECKON_HOME", str(tmp_path))
+    levels = []
+
+    def decide(*given, alpha, **options):
+        levels.append(alpha)
+        raise UserError("no more than the level is asked")
+
+    def own(data, policies, discount):
+        return [data.rewards.mean() for _ in policies]
+
+    monkeypatch.setattr(offline, "decide", decide)
+    for estimators, more in (("is", {}), (["is", "pdis"], {}), ("is", {"seed": 3}), ("is", {"tail": 0.5}), ("wis", {}),
+                             (own, {}), ("is", {"cluster": "user"}), ("is", {})):  # fmt: skip
+        with pytest.raises(UserError, match="no more than the level"):
+            judge([run], log, estimators, **QUICK | more)
+    assert [0.05 / alpha for alpha in levels] == [2, 2, 2, 2, 4, 8, 16, 2]
+
+
 @pytest.mark.parametrize(("change", "words"), [
     ({"estimators": []}, "no estimator"), ({"out": "file"}, "file is a file; --out must be a folder"),
     ({"model": BehaviorModel(steps=0)}, "BehaviorModel.steps takes a whole number"),

@@ -20,6 +20,7 @@ from deadreckon.ope.features import Table
 from deadreckon.ope.fits import Fits
 from deadreckon.ope.histories import with_histories
 from deadreckon.ope.pictures import behind, with_features
+from deadreckon.ope.sequences import times
 from deadreckon.ope.settings import EstimateOptions, EstimateSettings
 from deadreckon.ope.tables import NOISE, Actor
 from deadreckon.ope.weights import GROUPS, Episodes
@@ -149,10 +150,19 @@ class OPEInput(Fits):
     def units(self) -> np.ndarray:
         """(episodes of `data`,) unit of each episode, 0 .. n - 1: its cluster, or a random group of clusters where there are
         more than `GROUPS`. Units are what is redrawn and what influence functions are summed over."""
-        own = np.unique(self.clusters[self.held], return_inverse=True)[1]
-        count = int(own.max()) + 1
+        count = int(self.cluster.max()) + 1
         mixed = generator(self.seed, "units").permutation(np.arange(count) % min(count, GROUPS))
-        return mixed[own]
+        return mixed[self.cluster]
+
+    @cached_property
+    def cluster(self) -> np.ndarray:
+        """(episodes of `data`,) cluster of each, 0 .. n - 1."""
+        return np.unique(self.clusters[self.held], return_inverse=True)[1]
+
+    @cached_property
+    def clustered(self) -> bool:
+        """Whether some of the judged episodes are of one cluster."""
+        return int(self.cluster.max()) + 1 < len(self.cluster)
 
     @cached_property
     def episodes(self) -> Episodes:
@@ -162,7 +172,7 @@ class OPEInput(Fits):
     @cached_property
     def time(self) -> np.ndarray:
         """(rows,) steps since the episode's start."""
-        return np.arange(len(self.data)) - np.repeat(self.data.starts, self.data.lengths)
+        return times(self.data.lengths)
 
     @cached_property
     def ended(self) -> np.ndarray:
@@ -205,18 +215,16 @@ class OPEInput(Fits):
         if self.estimand.horizon is None:
             return np.asarray(self.data.terminals), self.data.usable
         whole = self.given.select(self.held)
-        time = np.arange(len(whole)) - np.repeat(whole.starts, whole.lengths)
-        kept = time < self.estimand.horizon
+        kept = times(whole.lengths) < self.estimand.horizon
         return np.asarray(whole.terminals)[kept], whole.usable[kept]
 
     def folds(self, count: int) -> np.ndarray:
         """(episodes of `data`,) fold of each, 0 .. count - 1, or as many as there are clusters; clusters stay whole."""
-        own = np.unique(self.clusters[self.held], return_inverse=True)[1]
-        clusters = int(own.max()) + 1
+        clusters = int(self.cluster.max()) + 1
         if clusters < 2:
             raise UserError(f"{self.data.name}: one episode or cluster cannot be cross-fitted; two or more are needed")
         dealt = generator(self.seed, "folds").permutation(np.arange(clusters) % min(count, clusters))
-        return dealt[own]
+        return dealt[self.cluster]
 
     def teaching(self, rows: int | None = None) -> "OPEInput | None":
         """The episodes that are not judged, as a case with the same policies; None where all are.
@@ -408,8 +416,7 @@ class OPEInput(Fits):
 
         One member alone counts every episode once.
         """
-        own = np.unique(self.clusters[self.held], return_inverse=True)[1]
-        return redrawn(int(own.max()) + 1, members, self.seed)[own]
+        return redrawn(int(self.cluster.max()) + 1, members, self.seed)[self.cluster]
 
 
 def _different(held: Any, episodes: int) -> np.ndarray:
@@ -426,7 +433,7 @@ def _different(held: Any, episodes: int) -> np.ndarray:
 def _timed(data: Dataset, horizon: int | None) -> Dataset:
     if horizon is None or horizon == 1:
         return data
-    time = np.arange(len(data)) - np.repeat(data.starts, data.lengths)
+    time = times(data.lengths)
     with_time = lambda seen, t: np.concatenate([np.asarray(seen), (t / horizon).astype(np.float32)[:, None]], 1)  # noqa: E731
     final = with_time(data.final_observations, data.lengths)
     successors = None if data.successors is None else with_time(data.successors, time + 1)

@@ -73,7 +73,7 @@ class Confounding:
         if not np.isfinite(top):
             return np.array([-np.inf, np.inf]), np.zeros((2, units))
         y, base = self.outcomes[which], self.baseline[which]
-        ends = np.array([float(end[0]) for end in bounds(y, low, high, base)])
+        ends = np.array(bounds(y, low, high, base))
         small, large = np.exp(low - top), np.exp(high - top)
         pulls = []
         for ratio, below, above in zip(ends - base.mean(), (large, small), (small, large)):

@@ -5,7 +5,8 @@ and estimator, on the same episodes. What does not depend on rewards, such as pr
 
 Intervals hold for all policies and all costs at once (Bonferroni over costs), at the level of the decision. A policy whose
 upper end is above a limit is not deployed. So the chance to deploy one that costs more than its limit is at most alpha / 2,
-beside the chance alpha / 2 of deploying one that is no gain.
+beside the chance alpha / 2 of deploying one that is no gain. A total that is the same in every episode has no upper end: of a
+cost that never occurred the log does not tell how rare it is, nor how large.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,6 +26,7 @@ from deadreckon.ope.support import Support
 from deadreckon.stats.interval import level_in_words
 
 NAMES = ("cost", "costs")  # further columns of logs that are costs by their names alone, as DSRL has them
+ROUNDING = 1e-9  # of an influence function that is zero
 _SHARED = ("propensities", "behavior", "behavior policy", "coverage", "features", "next", "initial", "current", "final")
 
 
@@ -37,6 +39,8 @@ class Cost(NamedTuple):
         ends: (policies, 3) totals with lower and upper ends, of the behaviour policy last.
         warnings: of the estimate, one line each.
         discount: of each further step, as of the value; 1 where episodes have one step.
+        unknown: for each policy why nothing is known of its total, in a phrase that is empty where there is no such reason;
+            may be left out.
     """
 
     column: str
@@ -44,6 +48,7 @@ class Cost(NamedTuple):
     ends: np.ndarray
     warnings: tuple[str, ...]
     discount: float = 1.0
+    unknown: tuple[str, ...] = ()
 
     @property
     def told(self) -> str:
@@ -63,7 +68,8 @@ class Cost(NamedTuple):
         if self.limit is None or high <= self.limit:
             return None
         if not np.isfinite(high):
-            return f"nobody knows whether its {self.told} stays within {self.limit:g}"
+            why = f": {self.unknown[which]}" if self.unknown and self.unknown[which] else ""
+            return f"nobody knows whether its {self.told} stays within {self.limit:g}{why}"
         between = f"{value:.4g} [{low:.4g}, {high:.4g}] ({level_in_words(level)})"
         return f"its {self.told} is {between}, which may be above its limit of {self.limit:g}"
 
@@ -132,11 +138,30 @@ def costs_of(
     """
     found = []
     for column, limit in limits.items():
-        told = estimator.on(_with_cost(case, column))
-        ends = totals(told, alpha / len(limits), supported(told, support))
+        own = _with_cost(case, column)
+        told = estimator.on(own)
+        unknown = _unknown(told, own)
+        ends = totals(told, alpha / len(limits), supported(told, support) & [not why for why in unknown])
         discount = case.estimand.discount if case.given.lengths.max() > 1 and case.estimand.horizon != 1 else 1.0
-        found.append(Cost(column, limit, ends, told.warnings, discount))
+        found.append(Cost(column, limit, ends, told.warnings, discount, unknown))
     return found
+
+
+def _unknown(found: Estimates, case: OPEInput) -> tuple[str, ...]:
+    """For each policy why its total has no interval, a phrase; empty where nothing speaks against one."""
+    same = np.full(len(found.names), np.ptp(case.data.returns(case.discount)) == 0.0)
+    if found.influence is not None:  # of weighted episodes some policies may have those without the cost alone
+        with np.errstate(over="ignore", invalid="ignore"):  # where products of weights are huge, and nothing is known either
+            spread = found.influence.std(0)
+            same |= spread <= ROUNDING * np.maximum(spread.max(), np.abs(found.value).max())
+    if found.ess is not None:  # without any weight that is the reason
+        same &= found.ess > 0
+    settled = found.diagnostics.get("settled", np.ones(len(found.names)))
+    alike = "in every judged episode that counts for it the total is {:.4g}, which does not tell how rare others are"
+    return tuple(
+        alike.format(value) if alone else "" if known >= 1 else "the fit of its estimate has not settled"
+        for value, alone, known in zip(found.value, same, settled)
+    )
 
 
 def totals(found: Estimates, alpha: float, known: np.ndarray) -> np.ndarray:

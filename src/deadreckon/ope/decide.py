@@ -91,7 +91,10 @@ def decide(
     which = case.names.index(choice.name)
     more: dict[str, Any] = {"costs": as_json(costs)} if costs else {}
     for each in costs:
-        choice = replace(choice, evidence=(*choice.evidence, each.words(which, 1 - alpha)))
+        doubts = (f"{each.column}: {line}" for line in each.warnings if line not in choice.warnings)
+        choice = replace(
+            choice, evidence=(*choice.evidence, each.words(which, 1 - alpha)), warnings=(*choice.warnings, *doubts)
+        )
     if settings.guarantee:
         more["guarantee"] = bound = guaranteed(case, which, settings.return_range, alpha)
         choice = _demanded(choice, bound, f"for any number of episodes, not only many, its gain is at least {bound:+.4g}")
@@ -105,7 +108,7 @@ def decide(
         except UserError as error:
             more["groups"] = {"column": groups.column, "refused": str(error)}
     if settings.tail is not None:
-        more["tail"], line = _tail(case, which, settings.tail, model, alpha, endless)
+        more["tail"], line = _tail(case, which, settings.tail, model, alpha, choice.wider, endless)
         choice = replace(choice, evidence=(*choice.evidence, line))
     return Decision([unbounded_where_unsupported(each, checked) for each in estimates], checked, choice, more)
 
@@ -169,14 +172,14 @@ def _confounded(
 
 
 def _tail(
-    case: OPEInput, which: int, share: float, model: BehaviorModel, alpha: float, endless: str | None
+    case: OPEInput, which: int, share: float, model: BehaviorModel, alpha: float, wider: float, endless: str | None
 ) -> tuple[dict[str, Any], str]:
     """The lower tail as JSON values and in a line, or why it is not known."""
     worst = f"its worst {100 * share:g} % of episodes"
     try:
         if endless is not None:
             raise UserError(endless)
-        values = tails(case, which, share, model, alpha)
+        values = tails(case, which, share, model, alpha, wider)
     except UserError as error:
         return {"share": share, "refused": str(error)}, f"{worst} are not known: {error}"
     gain = f"{values['gain']:+.4g} [{values['low']:+.4g}, {values['high']:+.4g}]"

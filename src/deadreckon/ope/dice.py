@@ -27,6 +27,7 @@ from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import Fitted, create, expected, taken
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
+from deadreckon.ope.fits import settled
 from deadreckon.ope.fqe import Scale
 from deadreckon.ope.weights import few
 from deadreckon.randomness import keys
@@ -172,7 +173,7 @@ def estimates(case: OPEInput, label: str, ratios: np.ndarray, found: np.ndarray,
     ess = np.square(weight.sum(1)) / np.maximum(np.square(weight).sum(1), 1e-300)
     return Estimates(
         label, case.names, found.mean(0), low, high, case.estimand, bootstrap=found, ess=ess,
-        warnings=(*few(case.names, ess, case.data.episodes), *warnings),
+        warnings=(*few(case.names, ess, case.data.episodes), *warnings), diagnostics=settled(case.count, warnings),
     )  # fmt: skip
 
 

@@ -29,10 +29,9 @@ from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import FQE
-from deadreckon.ope.importance import log_ratios, logged_probs, multiplied
+from deadreckon.ope.importance import check_range, effective_clusters, log_ratios, logged_probs, multiplied, tails_of
 from deadreckon.ope.linear import Fit, LinearFQE
 from deadreckon.ope.mrdr import out_of_fold
-from deadreckon.ope.pareto import diagnosed
 from deadreckon.ope.shrinkage import shrinkage_scores
 from deadreckon.ope.switch import beyond, switch_scores
 from deadreckon.ope.tuning import bias_bound, cross_fitted, least_bound
@@ -66,6 +65,11 @@ class DoublyRobust(Estimator):
     alive_only: bool = static(False)  # whether ended episodes leave the sum of the weights, as in the public code (biased)
     lengths: Count = static(10)  # number of correction lengths that are blended, with kind="magic"
     confidence: UnitInterval = 0.5  # level of the interval that biases are measured from, with kind="magic"
+
+    def check_settings(self) -> None:
+        """Refuses settings out of range."""
+        super().check_settings()
+        check_range(self.log_ratio_range)
 
     @property
     def takes_crossed(self) -> bool:  # pyrefly: ignore[bad-override] - nobody sets it
@@ -114,7 +118,7 @@ class DoublyRobust(Estimator):
             average.append(episodes.average(log_rho))
         ess, redrawn = np.asarray(ess), np.stack(bootstrap, 1)
         warnings = self._warnings(case, ess, nuisances)
-        diagnostics = self._diagnostics(case, nuisances) | diagnosed(tails) | multiplied(case, ess, average)
+        diagnostics = self._diagnostics(case, nuisances) | tails_of(case, tails) | multiplied(case, ess, average)
         nuisance = None
         if left:
             diagnostics["uncorrected"] = uncorrected = np.array(left)
@@ -218,7 +222,7 @@ class DoublyRobust(Estimator):
         return Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), ess=ess, corrected=case.beyond <= TAIL,
             warnings=tuple(warnings), inflation=_beyond(case),
-            diagnostics=self._diagnostics(case, nuisances) | diagnosed(tails) | {"untrusted": np.array(left)}
+            diagnostics=self._diagnostics(case, nuisances) | tails_of(case, tails) | {"untrusted": np.array(left)}
             | multiplied(case, ess, average),
         )  # fmt: skip
 
@@ -278,7 +282,7 @@ class DoublyRobust(Estimator):
         episodes = case.episodes
         of_row = episodes.group[episodes.of]
         whole = bool(np.asarray(case.data.terminals)[case.data.ends].all())  # also where the horizon ends them
-        values, influence, ess = [], [], []
+        values, influence, weights = [], [], []
         for i, name in enumerate(case.names):
             if name == LOGGED and whole:
                 returns = case.data.returns(case.discount)
@@ -297,10 +301,12 @@ class DoublyRobust(Estimator):
                 weight = np.maximum(np.bincount(episodes.of, nuisances.weights[i], episodes.count), 0.0)
             values.append(value)
             influence.append(pulls)
-            ess.append(weight.sum() ** 2 / max(float(np.square(weight).sum()), 1e-300))
-        ess = np.asarray(ess)
+            weights.append(weight)
+        ess = np.array([weight.sum() ** 2 / max(float(np.square(weight).sum()), 1e-300) for weight in weights])
         warnings = [*few(case.names, ess, episodes.count), *self._convergence_warnings(case, nuisances)]
         means = {"mean ratio": nuisances.weights[:, case.followed].mean(1)}
+        with np.errstate(divide="ignore"):
+            means |= effective_clusters(case, [np.log(weight) for weight in weights])
         exact = Fit(self.fqe, case).features.table is not None
         if exact:
             warnings.append(

@@ -7,6 +7,7 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
+from deadreckon.ope.sequences import times
 from deadreckon.settings import check_kind
 
 TAIL = 0.02  # share of the discounted time beyond a time-out that may be left to a critic without a word
@@ -117,7 +118,7 @@ def cut_at(log: Dataset, horizon: int) -> Dataset:
         return log
     if log.successors is not None:
         raise UserError(f"{log.name}: its rows do not follow each other, so the first {horizon} steps are not known")
-    time = np.arange(len(log)) - np.repeat(log.starts, lengths)
+    time = times(lengths)
     keep = time < horizon
     terminals, timeouts = np.array(log.terminals), np.array(log.timeouts)
     over = time == horizon - 1

@@ -43,6 +43,7 @@ class Estimates(Shown):
             between policies. NaN where nobody knows it; None where there is none.
         inflation: (policies,) by which errors are multiplied, beyond what the influence function says; None: by one. See
             `OPEInput.inflation`.
+        units: how many units of the log (`OPEInput.units`) it rests on; `Estimator.on` knows it.
     """
 
     method: str
@@ -60,6 +61,7 @@ class Estimates(Shown):
     diagnostics: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
     inflation: np.ndarray | None = field(default=None, repr=False)
     nuisance: np.ndarray | None = field(default=None, repr=False)
+    units: int | None = None
 
     @classmethod
     def of_influence(

@@ -81,7 +81,8 @@ class Estimator(eqx.Module):
             found = found.unbounded(lost)
             names = [name for name, gone in zip(found.names, lost) if gone]
             warnings = (*warnings, f"no finite estimate of {names[0]}{f' and {len(names) - 1} more' if names[1:] else ''}")
-        return dataclasses.replace(found, warnings=warnings, seconds=time.perf_counter() - begun)
+        units = int(case.units.max()) + 1 if found.units is None else found.units
+        return dataclasses.replace(found, warnings=warnings, seconds=time.perf_counter() - begun, units=units)
 
     @property
     def label(self) -> str:

@@ -2,7 +2,7 @@
 
 import contextlib
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypedDict
@@ -107,6 +107,11 @@ class Fits:
             "columns": columns, "estimand": self.estimand.as_json(), "seed": self.seed,
         }  # fmt: skip
         return folder_of(self.out, what, asked)
+
+
+def settled(policies: int, warnings: Sequence[str]) -> dict[str, np.ndarray]:
+    """The diagnostic `settled` of an estimate of so many policies by one fit, which has these `convergence_warnings`."""
+    return {"settled": np.full(policies, float(not warnings))}
 
 
 def _digest(column: np.ndarray) -> str:

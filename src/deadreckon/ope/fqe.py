@@ -25,6 +25,7 @@ from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import Best, Fitted, OutOfFold, create, expected, taken
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
+from deadreckon.ope.fits import settled
 from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitInterval, host, static
 
@@ -224,9 +225,10 @@ class FQE(Estimator):
         weight = case.redrawn(self.members).T
         found = (values * weight[:, None]).sum(-1) / weight.sum(-1)[:, None]
         low, high = ensemble_interval(found)
+        warnings = self.convergence_warnings(case)
         return Estimates(
-            self.label, case.names, found.mean(0), low, high, case.estimand, bootstrap=found,
-            warnings=tuple(self.convergence_warnings(case)),
+            self.label, case.names, found.mean(0), low, high, case.estimand, bootstrap=found, warnings=tuple(warnings),
+            diagnostics=settled(case.count, warnings),
         )  # fmt: skip
 
     def convergence_warnings(self, case: OPEInput, what: str = "fqe") -> list[str]:

@@ -22,6 +22,7 @@ from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import in_blocks
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
+from deadreckon.ope.fits import settled
 from deadreckon.ope.fqe import Scale
 from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, TwoOrMore, host, static
@@ -41,6 +42,7 @@ class Distributions(eqx.Module):
     settings: "FQED"
     discount: float
     scale: Scale
+    share: float
     policies: int = eqx.field(static=True)
 
     @property
@@ -88,7 +90,7 @@ class Distributions(eqx.Module):
         """One step of every critic towards the projected target; copies are renewed every `target_update_period` steps."""
         assert batch.extra is not None
         future = self.mixture(state.targets, batch.next_observation, batch.extra["policy"])
-        reward = (1.0 - self.discount) * batch.reward / self.scale.std
+        reward = self.share * batch.reward / self.scale.std
         target = project(future, reward, self.discount * (1.0 - batch.terminal), self.support)
         grads, metrics = jax.grad(self.loss, has_aux=True)(state.critics, batch, target)
         # Every critic's gradient is clipped by its own norm.
@@ -138,7 +140,7 @@ class FQED(Estimator):
         """Mean of the distributions at the initial observations."""
         data, scale = case.data, Scale.of(case)
         scale = scale._replace(high=max(scale.high, scale.low + 1e-3))
-        learner = Distributions(self, case.discount, scale, case.count)
+        learner = Distributions(self, case.discount, scale, share=1.0 / case.span, policies=case.count)
         redrawn = case.redrawn(self.members)
         extra = {"policy": case.next_actions(self.samples), "weight": redrawn[data.episode_of]}
         rows = TransitionSource(data, learner.needs(data.spec), extra)
@@ -148,7 +150,8 @@ class FQED(Estimator):
         values = scale.unit * in_blocks(of, first, case.initial_actions(self.initial_samples))
         found = (values * redrawn.T[:, None]).sum(-1) / redrawn.sum(0)[:, None]
         low, high = ensemble_interval(found)
+        warnings = case.convergence_warnings("fqe-d", "q")
         return Estimates(
-            self.label, case.names, found.mean(0), low, high, case.estimand, bootstrap=found,
-            warnings=tuple(case.convergence_warnings("fqe-d", "q")),
+            self.label, case.names, found.mean(0), low, high, case.estimand, bootstrap=found, warnings=tuple(warnings),
+            diagnostics=settled(case.count, warnings),
         )  # fmt: skip

@@ -3,7 +3,8 @@
 Groups are by something that is known before an episode's first action, such as a site or a kind of customer: by something that
 actions change they would be compared by their own outcome. The score of an episode is that of the plain doubly robust estimate
 with critics out of fold (`dr-linear`), minus the same of the behaviour policy. Its mean over a group is the gain there, because
-weights average one and critics are corrected given the first observation. Intervals hold for all groups at once.
+weights average one and critics are corrected given the first observation. Intervals hold for all groups at once, and for all
+policies that the one may have been chosen among by the same episodes (Bonferroni).
 """
 
 from typing import Any, NamedTuple
@@ -62,14 +63,15 @@ class Groups(NamedTuple):
 def by_group(
     case: OPEInput, which: int, groups: Groups, model: BehaviorModel, alpha: float = ALPHA, wider: float = 0.0
 ) -> list[dict[str, Any]]:
-    """The gain of one of a case's policies in each group, as JSON values: an end that nobody knows is None.
+    """The gain of one of a case's policies, chosen among them by any rule, in each group, as JSON values: an end that nobody
+    knows is None.
 
     Args:
         case: log and policies, with the log's own as the last.
         which: of the policies.
         groups: of the log's episodes.
         model: how the behaviour policy is learned where propensities were not logged.
-        alpha: share of logs for which one of the intervals may miss.
+        alpha: share of logs for which one of the intervals of any of the policies may miss.
         wider: added at both ends; see `select.Choice`.
 
     Raises:
@@ -89,8 +91,8 @@ def by_group(
     cluster = case.clusters[case.held]
     own = np.array([len(np.unique(cluster[code == g])) for g in range(len(size))])
     known = own >= UNITS
-    half = case.inflation[which] * inference.errors(influence) * inference.simultaneous(influence[:, known], alpha, case.seed)
-    half = half + wider
+    factor = inference.simultaneous(influence[:, known], alpha / len(case.policies), case.seed)
+    half = case.inflation[which] * inference.errors(influence) * factor + wider
     return [
         {"name": name, "episodes": int(size[g]), "gain": float(mean[g]) if size[g] else None,
          "low": float(mean[g] - half[g]) if known[g] else None, "high": float(mean[g] + half[g]) if known[g] else None}

@@ -25,7 +25,7 @@ LARGEST = 300.0  # log of a weight; larger ones are cut, which can only lower th
 
 
 def refuse(case: OPEInput, return_range: tuple[float, float] | None) -> None:
-    """Says what a guarantee lacks, if anything.
+    """Says what a guarantee lacks, if anything, or that a return lies outside of the range.
 
     Raises:
         UserError: in one line.
@@ -42,12 +42,18 @@ def refuse(case: OPEInput, return_range: tuple[float, float] | None) -> None:
         lacks.append("policies that draw their actions and tell how likely these are")
     if not episodes.ended.all():
         lacks.append(f"whole episodes: {(~episodes.ended).sum():,} are cut off; give a horizon that all of them reach")
-    if len(np.unique(case.clusters[case.held])) < len(case.held):
+    if case.clustered:
         lacks.append("independent episodes: those of a cluster are not")
     if case.crossed:
         lacks.append("policies that learned from none of the judged episodes: those of a cross-fit learned from each other's")
     if lacks:
         raise UserError(f"a guarantee needs {'; and '.join(lacks)}")
+    assert return_range is not None
+    (low, high), returns = return_range, case.data.returns(case.discount)
+    slack = 1e-6 * (high - low)  # returns are sums of rewards in single precision
+    if returns.min() < low - slack or returns.max() > high + slack:
+        beyond = float(returns.min() if returns.min() < low - slack else returns.max())
+        raise UserError(f"an episode returns {beyond:.6g}, outside of the range {low:g} .. {high:g} that must hold for all")
 
 
 def guaranteed(case: OPEInput, which: int, return_range: tuple[float, float] | None, alpha: float = ALPHA) -> float:
@@ -65,12 +71,7 @@ def guaranteed(case: OPEInput, which: int, return_range: tuple[float, float] | N
     refuse(case, return_range)
     assert return_range is not None
     low, high = return_range
-    returns = case.data.returns(case.discount)
-    slack = 1e-6 * (high - low)  # returns are sums of rewards in single precision
-    if returns.min() < low - slack or returns.max() > high + slack:
-        beyond = float(returns.min() if returns.min() < low - slack else returns.max())
-        raise UserError(f"an episode returns {beyond:.6g}, outside of the range {low:g} .. {high:g} that must hold for all")
-    gained = np.clip(returns - low, 0.0, high - low)
+    gained = np.clip(case.data.returns(case.discount) - low, 0.0, high - low)
     logs = case.log_probs[which] - np.asarray(case.data.extras["behavior_log_probs"], np.float64)
     weights = np.exp(np.minimum(case.episodes.cumulate(logs)[case.data.ends], LARGEST))
     return float(lower((weights - 1.0) * gained + (high - low), alpha / len(case.policies))) - (high - low)

@@ -13,10 +13,11 @@ from deadreckon.errors import UserError
 from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
+from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.pareto import diagnosed
-from deadreckon.ope.weights import Episodes
+from deadreckon.settings import check_kind
 from deadreckon.stats import inference, means
 from deadreckon.training.hyperparameters import Count, Positive, static
 
@@ -46,13 +47,18 @@ class ImportanceSampling(Estimator):
     """smallest and largest return of an episode, for hoeffding and bernstein"""
     max_weight: Positive | None = static(None)  # largest weight of an episode or of its steps, for hoeffding and bernstein
 
+    def check_settings(self) -> None:
+        """Refuses settings out of range."""
+        super().check_settings()
+        check_range(self.log_ratio_range)
+
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # products of weights overflow; `Estimator.on` tells of it
     def solve(self, case: OPEInput) -> Estimates:
         """Weighted sums of the logged rewards."""
         episodes = case.episodes
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         rewards = np.asarray(case.data.rewards, np.float64)
-        bounds = self._bounds(episodes, rewards)
+        bounds = self._bounds(case, rewards)
         values, lows, highs, ess, bootstrap, influence, tails, average = [], [], [], [], [], [], [], []
         for row in ratios:
             log_rho = episodes.cumulate(row)
@@ -65,7 +71,7 @@ class ImportanceSampling(Estimator):
             bootstrap.append(sums.redraw(episodes.counts))
             if self.interval != "bootstrap":
                 each = sums.value() + sums.influence()
-                if not self.normalised and episodes.even:
+                if not self.normalised and episodes.even and not case.clustered:
                     each = episodes.contributions(log_rho, rewards, whole=self.kind == "trajectory")
                 low, high = self._interval(each, bounds) if sums.ess > 0 else (-np.inf, np.inf)
                 lows.append(low)
@@ -79,8 +85,8 @@ class ImportanceSampling(Estimator):
             warnings.append("weights overflow; normalised=True keeps them finite")
         found = Estimates.of_influence(
             self.label, case, values, np.stack(influence, 1), bootstrap=np.stack(bootstrap, 1), ess=ess,
-            corrected=True, warnings=tuple(warnings),
-            diagnostics=diagnosed(tails) | multiplied(case, ess, average),
+            corrected=case.beyond <= TAIL, warnings=tuple(warnings),
+            diagnostics=tails_of(case, tails) | multiplied(case, ess, average),
         )  # fmt: skip
         return replace(found, low=np.asarray(lows), high=np.asarray(highs)) if lows else found
 
@@ -90,7 +96,7 @@ class ImportanceSampling(Estimator):
         short = {"trajectory": "IS", "per_decision": "PDIS"}[self.kind]
         return f"{'W' if self.normalised else ''}{short}"
 
-    def _bounds(self, episodes: Episodes, rewards: np.ndarray) -> tuple[float, float] | None:
+    def _bounds(self, case: OPEInput, rewards: np.ndarray) -> tuple[float, float] | None:
         if self.interval not in ("hoeffding", "bernstein"):
             return None
         if self.return_range is None or self.max_weight is None or self.normalised:
@@ -98,7 +104,9 @@ class ImportanceSampling(Estimator):
                 f"interval={self.interval!r} needs normalised=False, return_range=(least, greatest) and max_weight: "
                 "it holds for every number of episodes because it knows what an episode can contribute"
             )
-        if not episodes.even or (self.kind == "per_decision" and rewards.min() < 0 < rewards.max()):
+        if case.clustered:
+            raise UserError(f"interval={self.interval!r} needs independent episodes, and those of a cluster are not; use 't'")
+        if not case.episodes.even or (self.kind == "per_decision" and rewards.min() < 0 < rewards.max()):
             raise UserError(
                 f"interval={self.interval!r} needs episodes that end or are cut off at the same step and, per decision, "
                 "rewards of one sign: else the range of a return does not bound what an episode adds; use kind='trajectory'"
@@ -121,6 +129,43 @@ class ImportanceSampling(Estimator):
             )
         bound = means.hoeffding if self.interval == "hoeffding" else means.empirical_bernstein
         return bound(each, *bounds)
+
+
+def check_range(log_ratios: tuple[float, float] | None) -> None:
+    """Refuses what is no range of log-ratios.
+
+    Raises:
+        UserError: not two numbers, the least before the greatest.
+    """
+    check_kind("log_ratio_range", log_ratios, tuple[float, float] | None)
+    if log_ratios is not None and not log_ratios[0] < log_ratios[1]:
+        raise UserError(f"log_ratio_range must be (least, greatest), got {log_ratios[0]:g}, {log_ratios[1]:g}")
+
+
+def tails_of(case: OPEInput, log_weights: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+    """Diagnostics of what is averaged: `pareto.diagnosed` of each policy's (episodes,) or (rows,) weights, in logarithms, and
+    `effective_clusters`. Where episodes come in clusters, which are what is independent, both are of their sums."""
+    return diagnosed(_by_cluster(case, log_weights)) | effective_clusters(case, log_weights)
+
+
+def effective_clusters(case: OPEInput, log_weights: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+    """The diagnostic `effective clusters`: how many the sums of weights over each amount to, (sum w)^2 / sum w^2; nothing
+    where each episode is one."""
+    if not case.clustered:
+        return {}
+    tops = [each.max() for each in log_weights]
+    weights = [np.exp(each - (top if np.isfinite(top) else 0.0)) for each, top in zip(_by_cluster(case, log_weights), tops)]
+    return {"effective clusters": np.array([w.sum() ** 2 / max(float(np.square(w).sum()), 1e-300) for w in weights])}
+
+
+def _by_cluster(case: OPEInput, log_weights: Sequence[np.ndarray]) -> Sequence[np.ndarray]:
+    """Logarithms of the sums over clusters; the weights themselves where each episode is one."""
+    if not case.clustered:
+        return log_weights
+    found = [np.full(int(case.cluster.max()) + 1, -np.inf) for _ in log_weights]
+    for total, each in zip(found, log_weights):
+        np.logaddexp.at(total, case.cluster if len(each) == len(case.cluster) else case.cluster[case.data.episode_of], each)
+    return found
 
 
 def multiplied(case: OPEInput, ess: np.ndarray, average: Sequence[np.ndarray]) -> dict[str, np.ndarray]:

@@ -24,7 +24,7 @@ from deadreckon.ope.features import Features
 from deadreckon.ope.linear_sums import BLOCK, SUMMED, Critic, Sums, blocks
 from deadreckon.randomness import generator
 from deadreckon.stats.bootstrap import percentile_interval, resample_counts
-from deadreckon.training.hyperparameters import Count, NonNegative, static
+from deadreckon.training.hyperparameters import Count, Positive, static
 
 RIDGES = 10.0 ** np.arange(-1, 6)  # in rows: what the prior that weights are zero counts
 PILOT = 10.0
@@ -48,7 +48,7 @@ class LinearFQE(Estimator):
     fourier_features: Count = static(256)  # random Fourier features, where the log has more than a few distinct observations
     samples: Count = static(10)  # actions sampled at each observation, for continuous actions
     n_bootstrap: Count = static(N_BOOTSTRAP)  # bootstrap resamples of the log for the interval
-    ridge: NonNegative | None = static(None)  # strength of the ridge penalty, in transitions; None: by cross-validation
+    ridge: Positive | None = static(None)  # strength of the ridge penalty, in transitions; None: by cross-validation
 
     takes_horizon = True
 
@@ -71,16 +71,19 @@ class LinearFQE(Estimator):
         ridges = [fit.ridge(sums, i, None) for i in range(case.count)]
         counts = resample_counts(rng, groups, self.n_bootstrap)
         values, bootstrap, warnings = np.empty(case.count), np.empty((self.n_bootstrap, case.count)), []
+        settled = np.ones(case.count)
         for i in range(case.count):
             critic = fit.critic(sums, once, i, ridges[i])
             if not critic.settled:
+                settled[i] = 0.0
                 warnings.append(f"{self.label}: the backup of {case.names[i]} diverges on this log's features")
             values[i] = sums.start[:, i].sum(0) @ critic.weights[-1] / sums.episodes.sum() * fit.std
             for b, weight in enumerate(counts):
                 bootstrap[b, i] = fit.value(sums, weight, i, critic.ridge)
         low, high = np.array([percentile_interval(each, groups) for each in bootstrap.T]).T
         return Estimates(
-            self.label, case.names, values, low, high, case.estimand, bootstrap=bootstrap,
+            self.label, case.names, values, low, high, case.estimand, bootstrap=bootstrap, units=groups,
+            diagnostics={"settled": settled},
             warnings=(*warnings, "its interval knows the variance of the log and not the bias of the features"),
         )  # fmt: skip
 

@@ -6,20 +6,15 @@ of the policy, Jiang and Li 2016, theorem 1, unrolled, say that of one episode i
     sum_t E[discount^{2t} rho_{0:t-1}^2 Var(rho_t e(s_t, a_t) | s_t)]
 
 and nothing else that depends on Q_hat. Given the state, the inner variance over the log's actions is the quadratic form
-d' (diag(1 / beta) - 1 1') d in d_a = pi(a|s) e(s, a), which is Omega of Farajtabar et al. Three ways to make it small:
-
-- `mrdr_linear` minimises the form itself, for critics that are linear in features and discrete actions;
-- `mrdr_weights` are weights of rows for any fit. They keep the form's diagonal, sum_a pi^2 (1 - beta) / beta e^2, which is the
-  mean of rho^2 (1 - beta) e^2, and the whole of it where the policy is deterministic: there they are (1 - beta) / beta^2.
-  Where it is not, they count errors that all actions share for more than these matter;
-- without the behaviour's probabilities (`log_behavior` of None, as for densities) they are rho^2, for the second moment of
-  rho e, an upper bound of its variance.
+d' (diag(1 / beta) - 1 1') d in d_a = pi(a|s) e(s, a), which is Omega of Farajtabar et al. A log tells the propensity of what it
+did, and seldom those of all that it might have done, which the form needs. So `log_weights` are weights of rows that keep the
+form's diagonal, sum_a pi^2 (1 - beta) / beta e^2, which is the mean of rho^2 (1 - beta) e^2, and the whole of it where the
+policy is deterministic: there they are (1 - beta) / beta^2. Where it is not, they count errors that all actions share for more
+than these matter. Without the behaviour's probabilities (`log_behavior` of None, as for densities) they are rho^2, for the
+second moment of rho e, an upper bound of its variance.
 
 What is fitted is `mrdr_targets`, the importance-weighted return from each row on, whose mean given history and action is Q.
-
-`out_of_fold` fits the critics of a case by `mrdr_weights`: a log tells the propensity of what it did, and seldom those of all
-that it might have done, which the form needs. Both weights and targets are products along episodes, so these critics are for
-short ones.
+Both weights and targets are products along episodes, so these critics are for short ones.
 """
 
 from collections.abc import Callable
@@ -37,31 +32,17 @@ from deadreckon.ope.linear_sums import Critic, blocks
 from deadreckon.ope.sequences import cumulate, starts_of, times
 
 
-def mrdr_weights(
+def log_weights(
     log_ratios: np.ndarray, lengths: np.ndarray, discount: float, log_behavior: np.ndarray | None = None
 ) -> np.ndarray:
-    """(rows,) weights discount^{2t} rho_{0:t}^2 (1 - beta(a_t|s_t)) of squared errors, scaled to a mean of one.
+    """(rows,) logarithms of the weights discount^{2t} rho_{0:t}^2 (1 - beta(a_t|s_t)) of squared errors.
 
     Args:
         log_ratios: (rows,) log pi(a|s) / beta(a|s) of the logged actions.
         lengths: (episodes,) rows of each episode.
         discount: per step; 0 is a discount that only first steps survive.
         log_behavior: (rows,) log beta(a|s) for discrete actions; None leaves the factor 1 - beta out.
-
-    Raises:
-        UserError: no row with a weight: the policy takes no logged action, or the log is sure of all of them.
     """
-    logs = _log_weights(log_ratios, lengths, discount, log_behavior)
-    top = logs.max(initial=-np.inf)
-    if not np.isfinite(top):
-        raise UserError("no row has a weight: the policy takes none of the logged actions, or the log is sure of all of them")
-    weights = np.exp(logs - top)
-    return weights / weights.mean()
-
-
-def _log_weights(
-    log_ratios: np.ndarray, lengths: np.ndarray, discount: float, log_behavior: np.ndarray | None
-) -> np.ndarray:
     fade = discount ** times(lengths).astype(float)
     # Zeros are minus infinity without a warning, and products of many ratios may leave the range of numbers.
     with np.errstate(divide="ignore"):
@@ -94,53 +75,6 @@ def mrdr_targets(
         targets[row] = rewards[row] + discount * ahead[there]
         ahead[there] = np.where(rho[row] == 0.0, 0.0, rho[row] * targets[row])
     return targets
-
-
-def mrdr_past(log_ratios: np.ndarray, lengths: np.ndarray, discount: float) -> np.ndarray:
-    """(rows,) discount^{2t} rho_{0:t-1}^2: how much the variance at a row counts, before its own action."""
-    before = np.concatenate([np.zeros(1), np.asarray(log_ratios, float)[:-1]])
-    before[starts_of(lengths)] = 0.0
-    return np.exp(2 * cumulate(before, lengths)) * discount ** (2.0 * times(lengths))
-
-
-def mrdr_linear(
-    features: np.ndarray,
-    target: np.ndarray,
-    behavior: np.ndarray,
-    actions: np.ndarray,
-    targets: np.ndarray,
-    past: np.ndarray,
-    ridge: float = 1e-8,
-) -> np.ndarray:
-    """(features,) coefficients of the critic, linear in its features, that makes the doubly robust estimate least variable.
-
-    The mean over rows of past (d - y)' Omega (d - y), with d_a = pi(a|s) features(s, a)' theta, has its least value where the
-    gradient vanishes, and there y enters as E[rho_t R_t] at the logged action alone.
-
-    Args:
-        features: (rows, actions, features) of each row's state and every action.
-        target: (rows, actions) probabilities of the policy.
-        behavior: (rows, actions) probabilities of the log.
-        actions: (rows,) logged.
-        targets: (rows,) from `mrdr_targets`.
-        past: (rows,) from `mrdr_past`, times how often the row counts.
-        ridge: added to the diagonal, relative to its mean: features may depend on each other.
-
-    Raises:
-        UserError: actions that the policy takes and the log never does, which no critic can make up for.
-    """
-    if ((behavior <= 0) & (target > 0)).any():
-        raise UserError("the policy takes actions that the log never takes, and no critic can make up for that")
-    scale = np.divide(target, behavior, out=np.zeros_like(target), where=behavior > 0)
-    weighted = target[..., None] * features
-    mean = weighted.sum(1)  # (rows, features)
-    # D Omega D is diag(pi rho) - pi pi'.
-    flat = weighted.reshape(-1, weighted.shape[-1])
-    left = (features * (past[:, None] * scale)[..., None]).reshape(flat.shape).T @ flat - (mean * past[:, None]).T @ mean
-    at = np.arange(len(actions)), actions
-    right = (past * scale[at] * targets) @ (features[at] * scale[at][:, None] - mean)
-    left = left + ridge * np.trace(left) / len(left) * np.eye(len(left))
-    return np.linalg.solve(left, right)
 
 
 def out_of_fold(
@@ -189,7 +123,7 @@ def out_of_fold(
         out.settled[i] = np.isfinite(target).all()
         if not out.settled[i]:
             continue
-        logs = _log_weights(ratios, lengths, case.discount, behavior)
+        logs = log_weights(ratios, lengths, case.discount, behavior)
         top = np.full(steps, -np.inf)
         np.maximum.at(top, step, logs)
         # Relative to their mean at each step, so that a ridge counts rows. Where nothing has weight, none is as good as any.

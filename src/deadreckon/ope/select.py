@@ -99,8 +99,9 @@ def gains(found: Estimates, alpha: float = ALPHA, known: np.ndarray | None = Non
         assert found.bootstrap is not None
         middle = found.value - found.value[logged]
         draws = found.bootstrap - found.bootstrap[:, [logged]]
+        units = np.inf if found.units is None else found.units
         ends = [
-            percentile_interval(own, np.inf if found.ess is None else found.ess[i], each)
+            percentile_interval(own, units if found.ess is None else min(found.ess[i], units), each)
             if len(draws) >= BOOTSTRAP else ensemble_interval(own, each)
             for i, own in enumerate(draws.T)
         ]  # fmt: skip
@@ -197,8 +198,7 @@ def select(
             warnings.append(f"{names[i]}: {'; '.join(own)}")
     for each in estimates[1:]:
         if not _overlaps(each, best):
-            assert each.ess is not None
-            warnings.append(f"the weights of {name} in {each.method} rest on {each.ess[best]:.1f} episodes")
+            warnings.append(f"the weights of {name} in {each.method} rest on {_rest(each, best)[1]}")
         warnings += [f"{each.method}: {line}" for line in each.warnings if line not in warnings]
     keep = [i for i, each in enumerate(first.names) if each != LOGGED]
     return Choice(
@@ -236,8 +236,7 @@ def _lost_weights(found: Estimates, which: int) -> list[str]:
     """
     own, share = [], found.diagnostics.get("effective share")
     if not _overlaps(found, which):
-        assert found.ess is not None
-        own.append(f"its weights rest on {found.ess[which]:.1f} episodes, {FEW:g} are needed{MORE}")
+        own.append(f"its weights rest on {_rest(found, which)[1]}, {FEW:g} are needed{MORE}")
     elif share is not None and found.ess is not None and share[which] < SHARE and found.ess[which] < MANY:
         own.append(
             f"its weights, which are multiplied along an episode, rest on {found.ess[which]:.1f} episodes, {MANY:g} or "
@@ -255,15 +254,16 @@ def _lost_weights(found: Estimates, which: int) -> list[str]:
 def _unreliable(found: Estimates, which: int) -> list[str]:
     """Why no interval of an estimate of a policy can be believed, a phrase each."""
     own = []
-    if found.influence is not None and len(found.influence) < UNITS:
+    units = found.units if found.influence is None else len(found.influence)
+    if units is not None and units < UNITS:
         own.append(
-            f"there are only {len(found.influence)} episodes or clusters to judge by, {UNITS} are needed, or "
-            "--cross-fit where the log has as many"
+            f"there are only {units} episodes or clusters to judge by, {UNITS} are needed, or --cross-fit where the log has as "
+            "many"
         )
     own += _lost_weights(found, which)
     # Of weights that take few values, which are bounded, k may be anything: it counts where few episodes decide.
     low = found.diagnostics.get("pareto k low")
-    if low is not None and low[which] > HEAVY and (found.ess is None or found.ess[which] < MANY):
+    if low is not None and low[which] > HEAVY and (found.ess is None or _rest(found, which)[0] < MANY):
         own.append(
             f"its weights have too heavy a tail (Pareto k {found.diagnostics['pareto k'][which]:.2f}, above {low[which]:.2f} "
             f"with 95 % confidence, at most {HEAVY:g})"
@@ -291,8 +291,15 @@ def _model_based(found: Estimates, which: int, accepted: bool, support: Support 
 
 
 def _overlaps(found: Estimates, which: int) -> bool:
-    """Whether nothing is weighted, or the weights rest on enough episodes."""
-    return found.ess is None or bool(found.ess[which] >= FEW)
+    """Whether nothing is weighted, or the weights rest on enough episodes, and on enough clusters."""
+    return found.ess is None or _rest(found, which)[0] >= FEW
+
+
+def _rest(found: Estimates, which: int) -> tuple[float, str]:
+    """What the weights of a policy rest on, episodes or clusters, whichever are fewer, and in words; none of no weights."""
+    episodes = np.inf if found.ess is None else float(found.ess[which])
+    clusters = float(found.diagnostics.get("effective clusters", np.full(which + 1, np.inf))[which])
+    return min(episodes, clusters), f"{clusters:.1f} clusters" if clusters < episodes else f"{episodes:.1f} episodes"
 
 
 def _speaks(found: Estimates, which: int) -> bool:

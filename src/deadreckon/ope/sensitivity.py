@@ -21,9 +21,6 @@ from collections.abc import Callable
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.stats.interval import ALPHA
-
-CELLS = 4_000_000  # bootstrap samples by episodes that are held at a time
 
 
 def check_gamma(gamma: float) -> None:
@@ -60,13 +57,9 @@ def weight_box(
 
 
 def bounds(
-    outcomes: np.ndarray,
-    log_low: np.ndarray,
-    log_high: np.ndarray,
-    baseline: np.ndarray | float = 0.0,
-    counts: np.ndarray | None = None,
-) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) least and largest of mean(baseline) + sum w y / sum w over weights within the box.
+    outcomes: np.ndarray, log_low: np.ndarray, log_high: np.ndarray, baseline: np.ndarray | float = 0.0
+) -> tuple[float, float]:
+    """Least and largest of mean(baseline) + sum w y / sum w over weights within the box.
 
     With returns as outcomes these are the bounds of a value, and with a baseline of minus the logged return of each episode,
     which confounding does not touch, those of the gain over the log. With the errors r - Q(s, a) as outcomes and V(s) as
@@ -78,61 +71,33 @@ def bounds(
         log_low: (episodes,) logarithms of the least weights; minus infinity is a weight of zero.
         log_high: (episodes,) those of the largest.
         baseline: (episodes,), or one number for all.
-        counts: (n, episodes) how often each episode counts in each redrawn log; None takes each once, and n is one.
 
     Raises:
         UserError: no episode with a weight.
     """
-    y, base = np.asarray(outcomes, float), np.broadcast_to(np.asarray(baseline, float), np.shape(outcomes))
     top = np.max(log_high, initial=-np.inf)
     if not np.isfinite(top):
         raise UserError("no episode has a weight: the policy does nothing that is in the log")
-    order = np.argsort(y, kind="stable")
-    y, low, high = y[order], np.exp(log_low - top)[order], np.exp(log_high - top)[order]
-    counts = np.ones((1, len(y))) if counts is None else counts
-    found = []
-    for part in np.array_split(counts, max(1, -(-counts.size // CELLS))):
-        drawn = part[:, order].astype(float)
-        begin = (part @ base) / part.sum(1)
-        found.append([begin + _extreme(y, drawn, low, high, np.min), begin + _extreme(y, drawn, high, low, np.max)])
-    return tuple(np.concatenate(found, axis=1))
+    order = np.argsort(np.asarray(outcomes, float), kind="stable")
+    y, low, high = np.asarray(outcomes, float)[order], np.exp(log_low - top)[order], np.exp(log_high - top)[order]
+    begin = float(np.mean(baseline))
+    return begin + float(_ratios(y, low, high).min()), begin + float(_ratios(y, high, low).max())
 
 
-def _extreme(
-    y: np.ndarray, counts: np.ndarray, below: np.ndarray, above: np.ndarray, pick: Callable[..., np.ndarray]
-) -> np.ndarray:
-    """(n,) the extreme ratio over all thresholds in ascending y: where weights are `above` up to it and `below` beyond.
+def _ratios(y: np.ndarray, below: np.ndarray, above: np.ndarray) -> np.ndarray:
+    """The ratios of all thresholds in ascending y that leave some weight: weights are `above` up to it and `below` beyond.
 
     The least ratio has the large weights at the small outcomes, so `above` is then the upper end of the box, and inversely.
     """
-    numerator = _steps(counts * (below * y), counts * (above * y))
-    denominator = _steps(counts * below, counts * above)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = numerator / denominator
-    fallback = np.inf if pick is np.min else -np.inf
-    found = pick(np.where(denominator > 0, ratio, fallback), axis=1)
-    return np.where(np.isfinite(found), found, np.nan)  # a redrawn log in which nothing has a weight
+    numerator, denominator = _steps(below * y, above * y), _steps(below, above)
+    some = denominator > 0
+    return numerator[some] / denominator[some]
 
 
 def _steps(beyond: np.ndarray, until: np.ndarray) -> np.ndarray:
-    """(n, episodes + 1) sums of `until` up to each threshold and of `beyond` after it."""
-    zero = np.zeros((len(beyond), 1))
-    after = np.concatenate([np.cumsum(beyond[:, ::-1], 1)[:, ::-1], zero], 1)  # no differences, which would lose digits
-    return after + np.concatenate([zero, np.cumsum(until, 1)], 1)
-
-
-def interval(least: np.ndarray, most: np.ndarray, alpha: float = ALPHA) -> tuple[float, float]:
-    """From the alpha / 2 percentile of redrawn least values to the 1 - alpha / 2 percentile of the largest ones.
-
-    Zhao, Small and Bhattacharya 2019, theorem 1: whatever the true weights in the box are, the bootstrap's percentiles of their
-    estimate lie within.
-
-    Args:
-        least: (n,) lower bounds of redrawn logs; those without any weight, NaN, are left out.
-        most: (n,) upper bounds of the same.
-        alpha: chance that the interval fails.
-    """
-    return float(np.nanquantile(least, alpha / 2)), float(np.nanquantile(most, 1 - alpha / 2))
+    """(episodes + 1,) sums of `until` up to each threshold and of `beyond` after it."""
+    after = np.append(np.cumsum(beyond[::-1])[::-1], 0.0)  # no differences, which would lose digits
+    return after + np.append(0.0, np.cumsum(until))
 
 
 def tipping(lower: Callable[[float], float], most: float = 100.0, digits: int = 3) -> float:

@@ -1,28 +1,23 @@
 """Doubly robust estimates with shrunk weights (Su, Dimakopoulou, Krishnamurthy and Dudik 2020).
 
 Optimistic shrinkage takes w_lambda = lambda w / (w^2 + lambda), which minimises lambda (w' - w)^2 + w^2 w'^2 over w' and with
-it a bound of the squared error: it grows up to sqrt(lambda) / 2 at w = sqrt(lambda) and falls beyond. Pessimistic shrinkage
-clips: min(w, lambda). Both are plain weights for an endless lambda, and the critic alone for zero. For sequences the weight up
-to each decision is shrunk, which the paper, of one step, does not consider.
+it a bound of the squared error: it grows up to sqrt(lambda) / 2 at w = sqrt(lambda) and falls beyond. These are plain weights
+for an endless lambda, and the critic alone for zero. For sequences the weight up to each decision is shrunk, which the paper,
+of one step, does not consider.
 """
-
-from typing import Literal
 
 import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.ope.sequences import corrected, cumulate
 
-Kind = Literal["optimistic", "pessimistic"]
 
-
-def shrunk(log_weights: np.ndarray, strength: float, kind: Kind = "optimistic") -> np.ndarray:
+def shrunk(log_weights: np.ndarray, strength: float) -> np.ndarray:
     """The weights, shrunk: of the shape of their logarithms.
 
     Args:
         log_weights: logarithms of the weights; minus infinity is a weight of zero.
         strength: lambda, from 0 (no weight at all) to infinity (weights as they are).
-        kind: `optimistic` or `pessimistic`.
 
     Raises:
         UserError: a negative lambda.
@@ -31,8 +26,6 @@ def shrunk(log_weights: np.ndarray, strength: float, kind: Kind = "optimistic") 
         raise UserError(f"lambda of shrinkage must be 0 or more, got {strength:g}")
     if strength == 0:
         return np.zeros_like(log_weights)
-    if kind == "pessimistic":
-        return np.exp(np.minimum(log_weights, np.log(strength)))
     if np.isinf(strength):
         return np.exp(log_weights)
     # 1 / (1/w + w/lambda) in logarithms: w^2 may overflow where the result is ordinary.
@@ -46,7 +39,6 @@ def shrinkage_scores(
     lengths: np.ndarray,
     discount: float,
     strengths: np.ndarray,
-    kind: Kind = "optimistic",
 ) -> np.ndarray:
     """(strengths, episodes) scores, whose means over the episodes are the estimates.
 
@@ -57,10 +49,9 @@ def shrinkage_scores(
         lengths: (episodes,) rows of each episode.
         discount: per step.
         strengths: (strengths,) values of lambda.
-        kind: how weights are shrunk.
 
     Raises:
         UserError: a negative lambda.
     """
     log_rho = cumulate(log_ratios, lengths)
-    return np.stack([corrected(begin, shrunk(log_rho, s, kind), errors, lengths, discount) for s in strengths])
+    return np.stack([corrected(begin, shrunk(log_rho, s), errors, lengths, discount) for s in strengths])

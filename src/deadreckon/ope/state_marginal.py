@@ -25,9 +25,8 @@ from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.features import TABLE, Features
-from deadreckon.ope.importance import log_ratios
+from deadreckon.ope.importance import log_ratios, tails_of
 from deadreckon.ope.linear import LinearFQE
-from deadreckon.ope.pareto import diagnosed
 from deadreckon.ope.sequences import starts_of
 from deadreckon.training.hyperparameters import Count, static
 
@@ -100,8 +99,8 @@ class StateMarginal(Estimator):
               for name, share in zip(case.names, lost) if share > TAIL),
         ]  # fmt: skip
         return Estimates.of_influence(
-            self.label, case, np.asarray(values), np.stack(influence, 1), ess=ess, corrected=True,
-            warnings=tuple(warnings), diagnostics=diagnosed(tails) | {"lost": np.array(lost)},
+            self.label, case, np.asarray(values), np.stack(influence, 1), ess=ess, corrected=case.beyond <= TAIL,
+            warnings=tuple(warnings), diagnostics=tails_of(case, tails) | {"lost": np.array(lost)},
         )  # fmt: skip
 
 
@@ -176,7 +175,7 @@ def state_marginal(
         known_share = shares(s, each * known)
         flow = count[there] * ratio * known_share * reached[t][s]
         reached[t + 1] = per_state(after, flow * on)
-        over += float(flow[~on].sum())
+        over += float(flow[known & ~on].sum())
         gone = per_state(s, each * known) <= 0
         lost += float(reached[t][gone].sum())
     ahead = np.zeros(size)  # value of each state at the next step

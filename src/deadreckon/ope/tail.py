@@ -86,8 +86,11 @@ def lower_tail(log_weights: np.ndarray, returns: np.ndarray, share: float, least
     return Tail(value, quantile, weights * (each - value), ess)
 
 
-def tails(case: OPEInput, which: int, share: float, model: BehaviorModel, alpha: float = ALPHA) -> dict[str, Any]:
-    """The lower tail of one of a case's policies beside that of the behaviour policy, as JSON values.
+def tails(
+    case: OPEInput, which: int, share: float, model: BehaviorModel, alpha: float = ALPHA, wider: float = 0.0
+) -> dict[str, Any]:
+    """The lower tail of one of a case's policies, chosen among them by any rule, beside that of the behaviour policy, as JSON
+    values.
 
     The interval of the difference is Student's, of influences that are paired unit by unit.
 
@@ -96,7 +99,8 @@ def tails(case: OPEInput, which: int, share: float, model: BehaviorModel, alpha:
         which: of the policies.
         share: of the episodes, the worst of which are meant.
         model: how the behaviour policy is learned where propensities were not logged.
-        alpha: share of logs for which the interval may miss.
+        alpha: share of logs for which the interval of any of the policies may miss.
+        wider: added at both ends; see `select.Choice`.
 
     Raises:
         UserError: weights of whole episodes cannot tell.
@@ -109,6 +113,6 @@ def tails(case: OPEInput, which: int, share: float, model: BehaviorModel, alpha:
     weights = episodes.cumulate(log_ratios(case, "auto", model, None)[which])[case.data.ends]
     own, logged = lower_tail(weights, returns, share), lower_tail(np.zeros(len(returns)), returns, share)
     gain, pulls = own.value - logged.value, episodes.means(own.influence - logged.influence)[1]
-    low, high = inference.student(np.array([gain]), case.inflation[which] * pulls[:, None], alpha)
-    return {"share": share, "value": own.value, "logged": logged.value, "gain": gain, "low": float(low[0]),
-            "high": float(high[0]), "effective": own.ess}  # fmt: skip
+    low, high = inference.student(np.array([gain]), case.inflation[which] * pulls[:, None], alpha / len(case.policies))
+    return {"share": share, "value": own.value, "logged": logged.value, "gain": gain, "low": float(low[0]) - wider,
+            "high": float(high[0]) + wider, "effective": own.ess}  # fmt: skip

@@ -16,7 +16,7 @@ from scipy.special import expit
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
-from deadreckon.ope.sequences import cumulate
+from deadreckon.ope.sequences import cumulate, times
 from deadreckon.randomness import generator
 from deadreckon.stats.bootstrap import RESAMPLES, percentile_interval, resample_counts
 
@@ -99,7 +99,7 @@ class Episodes:
         self.lengths, self.count, self.discount = data.lengths, data.episodes, discount
         self.first = data.starts
         self.of = data.episode_of
-        self.time = np.arange(len(data)) - self.first[self.of]
+        self.time = times(data.lengths)
         self.ended = np.asarray(data.terminals)[data.ends]  # else cut off
         self.steps = int(self.lengths.max())
         # Whether nothing is cut off before the last step: then plain sums are means over episodes.

@@ -16,10 +16,11 @@ from deadreckon.errors import UserError
 from deadreckon.files import alone, digest, write_json
 from deadreckon.interrupts import resumable
 from deadreckon.ope.case import OPEInput
-from deadreckon.ope.decide import Decision, check, decide
+from deadreckon.ope.decide import Decision, automatic, check, decide
 from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.groups import Groups
-from deadreckon.ope.registry import as_estimators, fits_name, titled
+from deadreckon.ope.registry import Function, as_estimators, fits_name, titled
 from deadreckon.ope.select import Choice, gains, supported
 from deadreckon.ope.settings import DecisionSettings, EstimateSettings
 from deadreckon.provided import provided
@@ -31,6 +32,7 @@ from deadreckon.runs.settings import JudgeOptions, JudgeSettings
 from deadreckon.stats.interval import ALPHA, decimals, fixed, level_in_words
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
+from deadreckon.training.hyperparameters import described
 
 NAME = "estimates.json"
 
@@ -110,11 +112,13 @@ def judge_alone(
         **_with_fits_apart(settings).only(EstimateSettings),
     )  # fmt: skip
     check(case, settings, groups)  # what is refused is no look
-    if estimators != "auto":
-        estimators = as_estimators(estimators)
+    if isinstance(estimators, str) and estimators == "auto":
+        estimators = automatic(case, settings.model, settings.accept_model_based)
+    estimators = as_estimators(estimators)
     current = Look(1, ALPHA, len(candidates))
     if settings.counted:
-        digested = digest([case.manner, case.estimand.as_json()], 16)
+        # What the intervals of gains come of: another estimator, or other clusters, would be another try.
+        digested = digest([case.manner, case.estimand.as_json(), _told_apart(estimators[0]), cluster], 16)
         current = look(data.episode_ids[episodes.held], digested, len(candidates))
     decision = decide(
         case, estimators, seen=episodes.against, alpha=current.alpha, groups=groups, **settings.only(DecisionSettings)
@@ -144,6 +148,11 @@ def judge_alone(
 def _write(settings: JudgeSettings, results: dict[str, Any]) -> None:
     if settings.out is not None:
         write_json(Path(settings.out) / NAME, results)
+
+
+def _told_apart(estimator: Estimator) -> str:
+    """An estimator with all its settings; a function by its name, as where it lies in memory is another place each time."""
+    return estimator.label if isinstance(estimator, Function) else described(estimator)
 
 
 def _check_spaces(task: Task, data: Dataset) -> None:
