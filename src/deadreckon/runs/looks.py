@@ -3,7 +3,7 @@
 An interval that may miss in 5 % of logs does so for what it was computed for. Who judges twenty settings one after the other on
 the same episodes and keeps the best has looked twenty times. So each look spends half of what is left of the 5 %: 2.5 % the
 first, 1.25 % the second, ...; within a look all policies share its level (`stats.inference.simultaneous`). The same policies
-under the same estimand are one look, however often they are judged. This bounds the error for policies that were learned
+under the same estimand, judged by the same estimator and clusters, are one look, however often that is done. This bounds the error for policies that were learned
 without regard to earlier answers.
 """
 
@@ -60,7 +60,7 @@ def look(episodes: np.ndarray, policies: str, count: int) -> Look:
 
     Args:
         episodes: (n,) uint64 ids of the episodes that policies are judged on.
-        policies: digest of what is judged, the policies and the estimand.
+        policies: digest of what is judged and how: the policies, the estimand, the estimator and the clusters.
         count: of the policies.
 
     Raises:
