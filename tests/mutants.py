@@ -2336,6 +2336,62 @@ MUTANTS = (
         "blanks-make-levels", "mbo/design_table.py", "plain = compute.utf8_trim_whitespace(texts)", "plain = texts",
         "a blank at a text's end makes another level", ("mbo/test_design_tables.py",),
     ),
+    Mutant(
+        "resume-cuts-the-replay", "training/replay.py", "np.float32(value).data, cut=False)", "np.float32(value).data)",
+        "to mark an episode that could not be taken up again cuts off all later rows", ("training/test_replay.py",),
+    ),
+    Mutant(
+        "clone-of-raw-observations", "agents/bc.py", '("hidden", "batch_size", "standardise", "first_weights")',
+        '("hidden", "batch_size", "first_weights")',
+        "the model of the log's policy is fitted in other coordinates than it is used",
+        ("agents/test_actor_critics.py::test_a_clone_learns_from_what_its_agent_sees",),
+    ),
+    Mutant(
+        "share-without-groups", "runs/holdout.py", "return Holdout(share, by=group_of(log) or RANDOM)", "return Holdout(share)",
+        "rows of one patient are learned from and judged on",
+        ("runs/test_recommend.py::test_a_share_alone_holds_out_whole_groups_as_training_does",),
+    ),
+    Mutant(
+        "cost-that-never-occurred", "ope/costs.py", "supported(told, support) & [not why for why in unknown]",
+        "supported(told, support)",
+        "a cost that no judged episode had is certain to be rare", ("ope/test_costs.py",),
+    ),
+    Mutant(
+        "fqe-d-of-one-step", "ope/fqe_d.py", "share=1.0 / case.span", "share=1.0 - case.discount",
+        "the values of episodes of one step are too small",
+        ("ope/test_exact.py::test_distributions_of_one_step_have_its_mean_reward",),
+    ),
+    Mutant(
+        "groups-of-the-chosen", "ope/groups.py", "alpha / len(case.policies)", "alpha",
+        "intervals of groups do not know among how many policies theirs was chosen",
+        ("ope/test_demands.py::test_groups_and_tails_know_among_how_many_the_policy_was_chosen",),
+    ),
+    Mutant(
+        "front-of-forbidden-rows", "mbo/front.py", "point = reference_of(y, counts)",
+        "point = reference_of(y, np.ones(len(y), bool))",
+        "what a front gains is measured from rows that break the rules", ("mbo/test_front.py",),
+    ),
+    Mutant(
+        "calibrated-on-the-lucky", "mbo/gp.py", "if len(data) > self.max_rows:", "if False:",
+        "a process that learns from the best rows is judged on them, so that noise is praised", ("mbo/test_gp.py",),
+    ),
+    Mutant(
+        "agents-as-spelled", "bench/methods.py", 'given["agent"] = canonical_name(given["agent"])', "pass",
+        "another spelling of an agent is another agent, whose tuned logs decide claims", ("bench/test_suite.py",),
+    ),
+    Mutant(
+        "found-too-late", "bench/executor.py", "if event is None and over:", "if over:",
+        "what workers have found when the time ends is lost", ("bench/test_runner.py",),
+    ),
+    Mutant(
+        "collection-of-two-policies", "collect/in_task.py", '({} if content is None else {"policy_content": content})', "{}",
+        "a killed collection is gone on with by another policy of the same name", ("collect/test_rollouts.py",),
+    ),
+    Mutant(
+        "ends-that-are-extras", "data/formats/spread.py", "if not telling:", "if True:",
+        "a log whose ends are called terminated and truncated becomes one of single decisions",
+        ("data/formats/test_tables.py",),
+    ),
 )
 
 

@@ -90,7 +90,6 @@ def test_one_update_by_hand(learner, likelihood):
     assert any((a != b).any() for a, b in zip(jax.tree.leaves(after.actor), jax.tree.leaves(state.actor)))
 
 
-@pytest.mark.slow
 def test_the_temperature_minimises_the_dual_where_the_divergence_is_epsilon():
     agent = ABM(**FIELDS | {"epsilon": 0.3})
     rng = np.random.default_rng(0)

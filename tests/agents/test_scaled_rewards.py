@@ -70,7 +70,6 @@ def test_what_cannot_be_is_refused_in_one_line():
     pytest.param(name, id=kind.__name__, marks=() if kind is IQL else pytest.mark.slow)
     for name, kind in zip(("iql", "awac", "cql", "fql", "rebrac", "sac_n"), AGENTS, strict=True)
 ])  # fmt: skip
-@pytest.mark.slow
 def test_training_on_scaled_rewards_is_training_on_a_log_that_has_them(name):
     """The same log in two units: agents that scale the one learn the same networks as those that are given the other.
 

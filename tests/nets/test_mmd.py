@@ -76,7 +76,6 @@ def test_gradient_is_finite_where_samples_agree_and_points_home_where_not(kind):
     assert (np.asarray(grad(same + 1.0)) > 0).all()  # descending it moves every sample back towards the others
 
 
-@pytest.mark.slow
 def test_the_relative_mmd_is_zero_for_draws_of_the_model_and_below_for_narrower_ones():
     rng = np.random.default_rng(0)
     x, y, copies = rng.normal(size=(3, 4, 20_000, 3)).astype("f4")

@@ -54,7 +54,6 @@ def decided(limit, estimators="auto"):
     return decide(case(), estimators, cost_limit=limit, model=SMALL)
 
 
-@pytest.mark.slow
 def test_costs_are_estimated_beside_the_value():
     found = decided({"cost": 2.8}, [ImportanceSampling()])
     assert cost_columns(case().given) == ("cost",)  # energy is an extra like any other

@@ -99,7 +99,6 @@ def test_coverage_of_an_ensemble():
     assert 0.92 <= np.mean(inside) <= 0.98, np.mean(inside)
 
 
-@pytest.mark.slow
 def test_bounds_that_hold_for_every_number_of_episodes(logs):
     makers, exact = logs
     case = makers[0]()

@@ -58,7 +58,6 @@ def values_of(world):
 
 
 @pytest.mark.parametrize("estimator", [FQE_L2, pytest.param(LinearFQE(), marks=pytest.mark.slow)], ids=["fqe", "linear"])
-@pytest.mark.slow
 def test_fitted_values_are_those_of_the_world_in_the_log(estimator):
     """What policies give to illegal actions is drawn again; the world is the one that the log itself describes."""
     true, _, log, policies = masked()
@@ -112,7 +111,6 @@ def test_a_policy_of_illegal_actions_alone_is_refused():
         ImportanceSampling().on(OPEInput(log, [policy], discount=DISCOUNT))
 
 
-@pytest.mark.slow
 def test_the_behaviour_policy_is_learned_over_legal_actions():
     _, legal, log, _ = masked()
     chances = out_of_fold(case(), BehaviorModel(hidden=(16,), steps=300, lr=1e-2), 2).chances

@@ -381,7 +381,6 @@ def test_a_callback_may_raise_and_must_not_return_something_else(log, tmp_path):
         dr.train(agent(), log, out=tmp_path / "b", callback=lambda progress: 0.5, **SETTINGS)
 
 
-@pytest.mark.slow
 def test_runs_on_several_logs_are_told_of_apart_and_end_together(log, tmp_path):
     told: dict[str, Kept] = {}
     seen: dict[str, list[TrainingProgress]] = {}

@@ -154,7 +154,7 @@ def test_a_log_of_pictures_is_the_same_twice_and_in_its_file(tmp_path):
         read_hdf5(tmp_path / "packed.hdf5", mmap=True)
 
 
-@pytest.mark.parametrize(("matter", "asked", "shift"), [(False, None, 1), *slow((True, None, 0), (True, 3, 3))])
+@pytest.mark.parametrize(("matter", "asked", "shift"), [(True, None, 0), (False, None, 1), *slow((True, 3, 3))])
 def test_pictures_are_shifted_where_places_in_them_do_not_matter(matter, asked, shift, tmp_path):
     seen = Pixels.of(BASE, (16, 16), 1, "counting:pixels", places_matter=matter)
     log = collect_rollouts(

@@ -37,7 +37,7 @@ def rows():
     return {name: column.astype(np.float32) for name, column in columns.items()}
 
 
-@pytest.mark.parametrize(("n", "lanes"), [(4, 2), (1, 1), *slow((4, 1), (1, 2))])
+@pytest.mark.parametrize(("n", "lanes"), [(4, 1), (1, 2), *slow((4, 2), (1, 1))])
 def test_rewards_go_on_as_far_as_the_episode_and_the_rows(rows, lanes, n):
     layout = layout_of({name: (shape, np.dtype(np.float32)) for name, shape in FIELDS.items()})
     plan = Plan(layout, 16, 0, 0, resident=True, grows=True, n_step=n, stride=COPIES, gamma=GAMMA)
@@ -76,7 +76,6 @@ def acted(tmp_path_factory):
     return experience, folder / "0.bin"
 
 
-@pytest.mark.slow
 def test_what_is_learned_from_while_acting_is_what_the_log_of_it_gives(acted):
     experience, path = acted
     count, root = experience.count, jax.random.key(2)

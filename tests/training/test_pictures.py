@@ -160,7 +160,6 @@ def test_a_run_goes_on_where_it_was_killed(tmp_path):
 
 
 @pytest.mark.parametrize("name", one_fast(["bc", "td3_bc", "sac", "iql", "bear"], "iql"))
-@pytest.mark.slow
 def test_the_encoder_follows_the_slope_of_its_loss_alone(name):
     """One update by hand: Adam's first step has the sign of the slope, whatever the agent's other losses are."""
     agent = small(name)
