@@ -2367,7 +2367,7 @@ MUTANTS = (
         ("ope/test_demands.py::test_groups_and_tails_know_among_how_many_the_policy_was_chosen",),
     ),
     Mutant(
-        "front-of-forbidden-rows", "mbo/front.py", "point = reference_of(y, counts)",
+        "gains-beside-forbidden-rows", "mbo/front.py", "point = reference_of(y, counts)",
         "point = reference_of(y, np.ones(len(y), bool))",
         "what a front gains is measured from rows that break the rules", ("mbo/test_front.py",),
     ),
