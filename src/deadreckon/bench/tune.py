@@ -57,7 +57,8 @@ def candidates(
         seed: of the draw.
 
     Raises:
-        UserError: an unknown agent or field, an agent without a known space, a space without values, or no seed.
+        UserError: an unknown agent or field, an agent without a known space, a space without values, or a seed that is
+            out of range.
     """
     check_seed(seed)
     kind = agent_class(agent)

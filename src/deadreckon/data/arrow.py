@@ -201,9 +201,9 @@ def flags(name: str, table: pa.Table, column: str) -> np.ndarray:
 def log_probabilities(name: str, table: pa.Table, column: str, actions: np.ndarray) -> np.ndarray:
     """(rows,) logarithms of a column of probabilities in (0, 1], or of densities above 0 where `actions` are continuous."""
     values = numbers(name, table, column)
-    if actions.dtype.kind in "iub":
-        _refuse(name, column, values, (values <= 0) | (values > 1), "a probability in (0, 1]")
-    _refuse(name, column, values, values <= 0, "a density above 0")
+    discrete = actions.dtype.kind in "iub"
+    wrong = (values <= 0) | (discrete & (values > 1))
+    _refuse(name, column, values, wrong, "a probability in (0, 1]" if discrete else "a density above 0")
     return np.log(values).astype(np.float32)
 
 

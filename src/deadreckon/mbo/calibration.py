@@ -19,7 +19,6 @@ import numpy as np
 
 from deadreckon.stats.interval import LEVEL, NORMAL
 
-SHARE = LEVEL  # of truths that an interval should hold
 OWN = 0.5  # w of a model whose order of designs is distinguishable from chance
 
 
@@ -76,7 +75,7 @@ class Calibration:
         return self.a + self.b * mean, (self.scale / OWN**0.5 or 1.0) * off
 
 
-def conformal_factor(error: np.ndarray, share: float = SHARE) -> float:
+def conformal_factor(error: np.ndarray, share: float = LEVEL) -> float:
     """The factor on deviations with which intervals hold a share of the scaled errors, with the finite-sample correction."""
     rank = min(int(np.ceil((len(error) + 1) * share)), len(error))
     return float(np.sort(error)[rank - 1] / NORMAL)

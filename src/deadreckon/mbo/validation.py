@@ -13,11 +13,11 @@ from statistics import NormalDist
 
 import numpy as np
 
-from deadreckon.mbo.calibration import SHARE, Calibration
+from deadreckon.mbo.calibration import Calibration
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.variables import FEWEST
 from deadreckon.randomness import generator
-from deadreckon.stats.interval import NORMAL
+from deadreckon.stats.interval import LEVEL, NORMAL
 from deadreckon.stats.ranks import spearman
 
 FOLDS = 5
@@ -127,7 +127,7 @@ class Quality:
             return f"{self.method} out of fold: rank correlation {self.rank_correlation:.2f} (it predicts an order, not scores)"
         return (
             f"{self.method} out of fold: R2 {self.r2:.2f}, rank correlation {self.rank_correlation:.2f}, "
-            f"{self.coverage:.0%} of scores in the {SHARE:.0%} interval"
+            f"{self.coverage:.0%} of scores in the {LEVEL:.0%} interval"
         )
 
 

@@ -25,6 +25,7 @@ from deadreckon.ope.select import MANY, SHARE, Choice, select, unbounded_where_u
 from deadreckon.ope.settings import DecisionOptions, DecisionSettings
 from deadreckon.ope.support import Support, support
 from deadreckon.ope.tail import tails
+from deadreckon.ope.weights import effective
 from deadreckon.settings import check_kind
 from deadreckon.stats.interval import ALPHA
 
@@ -225,7 +226,6 @@ def automatic(case: OPEInput, model: BehaviorModel = PROPENSITIES, accept_model_
     ratios = log_ratios(case, "auto", model, None)[: len(case.policies)]
     last = np.stack([episodes.cumulate(row)[case.data.ends] for row in ratios[~degenerate]])
     weights = np.exp(last - last.max(1, keepdims=True).clip(min=-1e300))
-    ess = np.square(weights.sum(1)) / np.maximum(np.square(weights).sum(1), 1e-300)
-    if (ess >= min(SHARE * case.data.episodes, MANY)).all() or not (table or accept_model_based):
+    if (effective(weights) >= min(SHARE * case.data.episodes, MANY)).all() or not (table or accept_model_based):
         return [weighted, marginal]
     return [marginal, weighted]

@@ -29,7 +29,7 @@ from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fits import settled
 from deadreckon.ope.fqe import Scale
-from deadreckon.ope.weights import few
+from deadreckon.ope.weights import effective, few
 from deadreckon.randomness import keys
 from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitInterval, host, static
@@ -170,7 +170,7 @@ def estimates(case: OPEInput, label: str, ratios: np.ndarray, found: np.ndarray,
     low, high = ensemble_interval(found)
     rows = ratios.mean(0) * case.data.usable
     weight = np.stack([np.bincount(case.data.episode_of, own, case.data.episodes) for own in rows])
-    ess = np.square(weight.sum(1)) / np.maximum(np.square(weight).sum(1), 1e-300)
+    ess = effective(weight)
     return Estimates(
         label, case.names, found.mean(0), low, high, case.estimand, bootstrap=found, ess=ess,
         warnings=(*few(case.names, ess, case.data.episodes), *warnings), diagnostics=settled(case.count, warnings),

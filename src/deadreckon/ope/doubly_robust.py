@@ -35,7 +35,7 @@ from deadreckon.ope.mrdr import out_of_fold
 from deadreckon.ope.shrinkage import shrinkage_scores
 from deadreckon.ope.switch import beyond, switch_scores
 from deadreckon.ope.tuning import bias_bound, cross_fitted, least_bound
-from deadreckon.ope.weights import Sums, few
+from deadreckon.ope.weights import Sums, effective, few
 from deadreckon.randomness import generator
 from deadreckon.stats.bootstrap import jackknife, prediction
 from deadreckon.training.hyperparameters import Count, UnitInterval, static
@@ -302,7 +302,7 @@ class DoublyRobust(Estimator):
             values.append(value)
             influence.append(pulls)
             weights.append(weight)
-        ess = np.array([weight.sum() ** 2 / max(float(np.square(weight).sum()), 1e-300) for weight in weights])
+        ess = effective(np.stack(weights))
         warnings = [*few(case.names, ess, episodes.count), *self._convergence_warnings(case, nuisances)]
         means = {"mean ratio": nuisances.weights[:, case.followed].mean(1)}
         with np.errstate(divide="ignore"):

@@ -17,6 +17,7 @@ from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.pareto import diagnosed
+from deadreckon.ope.weights import effective
 from deadreckon.settings import check_kind
 from deadreckon.stats import inference, means
 from deadreckon.training.hyperparameters import Count, Positive, static
@@ -145,24 +146,26 @@ def check_range(log_ratios: tuple[float, float] | None) -> None:
 def tails_of(case: OPEInput, log_weights: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
     """Diagnostics of what is averaged: `pareto.diagnosed` of each policy's (episodes,) or (rows,) weights, in logarithms, and
     `effective_clusters`. Where episodes come in clusters, which are what is independent, both are of their sums."""
-    return diagnosed(_by_cluster(case, log_weights)) | effective_clusters(case, log_weights)
+    if not case.clustered:
+        return diagnosed(log_weights)
+    sums = _by_cluster(case, log_weights)
+    return diagnosed([*sums]) | _effective(sums)
 
 
 def effective_clusters(case: OPEInput, log_weights: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """The diagnostic `effective clusters`: how many the sums of weights over each amount to, (sum w)^2 / sum w^2; nothing
-    where each episode is one."""
-    if not case.clustered:
-        return {}
-    tops = [each.max() for each in log_weights]
-    weights = [np.exp(each - (top if np.isfinite(top) else 0.0)) for each, top in zip(_by_cluster(case, log_weights), tops)]
-    return {"effective clusters": np.array([w.sum() ** 2 / max(float(np.square(w).sum()), 1e-300) for w in weights])}
+    """The diagnostic `effective clusters`: how many the sums of weights over each amount to; nothing where each episode is
+    one."""
+    return _effective(_by_cluster(case, log_weights)) if case.clustered else {}
 
 
-def _by_cluster(case: OPEInput, log_weights: Sequence[np.ndarray]) -> Sequence[np.ndarray]:
-    """Logarithms of the sums over clusters; the weights themselves where each episode is one."""
-    if not case.clustered:
-        return log_weights
-    found = [np.full(int(case.cluster.max()) + 1, -np.inf) for _ in log_weights]
+def _effective(sums: np.ndarray) -> dict[str, np.ndarray]:
+    top = sums.max(1, keepdims=True)
+    return {"effective clusters": effective(np.exp(sums - np.where(np.isfinite(top), top, 0.0)))}
+
+
+def _by_cluster(case: OPEInput, log_weights: Sequence[np.ndarray]) -> np.ndarray:
+    """(policies, clusters) logarithms of sums of (episodes,) or (rows,) weights."""
+    found = np.full((len(log_weights), int(case.cluster.max()) + 1), -np.inf)
     for total, each in zip(found, log_weights):
         np.logaddexp.at(total, case.cluster if len(each) == len(case.cluster) else case.cluster[case.data.episode_of], each)
     return found

@@ -67,6 +67,11 @@ class Sums:
         return len(self.numerators) * _ratios(self.numerators - ratio * self.denominators, total[None])
 
 
+def effective(weights: np.ndarray) -> np.ndarray:
+    """How many equal ones the weights along the last axis amount to, (sum w)^2 / sum w^2; none where all are 0."""
+    return np.square(weights.sum(-1)) / np.maximum(np.square(weights).sum(-1), 1e-300)
+
+
 def few(names: tuple[str, ...], ess: np.ndarray, episodes: int) -> list[str]:
     """A warning where the weights of a policy amount to less than `FEW` of so many episodes, else nothing."""
     below = np.flatnonzero(ess < FEW)

@@ -116,8 +116,8 @@ class Predictor:
         found = self.encoder.encode(rows, outside=outside, legal=legal)
         if probabilities and not self.encoder.discrete:
             raise RowsError("probabilities are those of discrete actions, and this policy's are continuous")
-        rng = seed if isinstance(seed, np.random.Generator) else np.random.default_rng(seed or 0)
-        rng = self.drawing if seed is None and self.player.members else rng
+        goes_on = seed is None and self.player.members
+        rng = self.drawing if goes_on else np.random.default_rng(0 if seed is None else seed)
         remembers = self.steps > 1 or self.player.members
         episodes = _Episodes.of(self.encoder, found, self.steps) if remembers else None
         actions, probs = acted(self.player, found.observations, episodes, rng, greedy, probabilities)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deadreckon.mbo.calibration import SHARE
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.effects import Effect
@@ -14,6 +13,7 @@ from deadreckon.mbo.validation import Quality
 from deadreckon.report.design_edges import at_ends, at_rules
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.text import number, words
+from deadreckon.stats.interval import LEVEL
 
 TOGETHER = 0.9  # correlation from which on two variables are said to vary together
 MANY = 500  # variables beyond which their correlations are not looked at
@@ -97,7 +97,7 @@ def _of_calibration(quality: Quality) -> list[str]:
             "as scores scatter around that."
         ]
     lines = [
-        f"{quality.coverage:.0%} of these scores lie in their {SHARE:.0%} intervals. Of proposals, which are chosen for their "
+        f"{quality.coverage:.0%} of these scores lie in their {LEVEL:.0%} intervals. Of proposals, which are chosen for their "
         "predictions, fewer may."
     ]
     if calibration.b < TRUSTED:

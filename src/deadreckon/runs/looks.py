@@ -3,8 +3,8 @@
 An interval that may miss in 5 % of logs does so for what it was computed for. Who judges twenty settings one after the other on
 the same episodes and keeps the best has looked twenty times. So each look spends half of what is left of the 5 %: 2.5 % the
 first, 1.25 % the second, ...; within a look all policies share its level (`stats.inference.simultaneous`). The same policies
-under the same estimand, judged by the same estimator and clusters, are one look, however often that is done. This bounds the error for policies that were learned
-without regard to earlier answers.
+under the same estimand, judged by the same estimator and clusters, are one look, however often that is done. This bounds the
+error for policies that were learned without regard to earlier answers.
 """
 
 from pathlib import Path
