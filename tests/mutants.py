@@ -1060,6 +1060,15 @@ MUTANTS = (
         "a checkpoint of other folds is taken", ("ope/test_asked.py",),
     ),
     Mutant(
+        "beyond-log", "ope/case.py", "return max(self.beyond, float(most @ self.episodes.going_on(log_rho)))",
+        "return self.beyond",
+        "what lies beyond the recording is the log's share, whatever the policy does", ("ope/test_cut.py",),
+    ),
+    Mutant(
+        "apart-shown", "ope/case.py", "unseen = self.data._is_end | self.data.apart", "unseen = self.data._is_end",
+        "the log's policy does after a row what the next row says, whatever that follows", ("ope/test_cut.py",),
+    ),
+    Mutant(
         "held-negative", "ope/case.py", "found.min() < 0 or ", "", "a judged episode teaches under a negative index",
         ("ope/test_asked.py",),
     ),
@@ -1590,7 +1599,7 @@ MUTANTS = (
     ),
     Mutant(
         "layout-corl-breaks", "data/checks.py",
-        "np.append(_breaks(observations, following), True) & ~terminals",
+        "np.append(breaks(observations, following), True) & ~terminals",
         "np.append(np.zeros(rows - 1, bool), True) & ~terminals",
         "episodes of CORL end at terminals alone", ("data/formats/test_layouts.py",),
     ),

@@ -7,12 +7,15 @@ import pytest
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
+from deadreckon.errors import UserError
 from deadreckon.ope import OPEInput
-from deadreckon.ope.decide import automatic
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.decide import automatic, decide
 from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.features import Table
 from deadreckon.ope.fqe import FQE
+from deadreckon.ope.groups import Groups, by_group
 from deadreckon.ope.linear import Fit, LinearFQE
 from deadreckon.ope.registry import estimator
 from deadreckon.ope.select import gains, select
@@ -79,6 +82,69 @@ def test_estimators_are_chosen_by_how_much_lies_beyond(recorded):
     assert [each.label for each in automatic(within)] == ["DR-linear", "DRL"]
 
 
+def test_the_share_beyond_is_that_of_the_policys_episodes(recorded):
+    """Of the log's policy it is the log's own, whatever is cut off when; of one that never ends an episode what cuts leave."""
+    world, own, _, log = recorded
+    episodes = np.random.default_rng(2).permutation(len(log.ends))[:300]
+    log = log.select(np.sort(episodes))
+    for horizon in (None, 9):
+        case = OPEInput(log, [as_policy(own)], discount=DISCOUNT, horizon=horizon, logged=True)
+        assert case.beyond_of(np.zeros(len(log))) == pytest.approx(case.beyond, rel=1e-9)
+        most = np.full(len(log), 0.0)
+        most[log.ends[np.asarray(log.terminals)[log.ends]]] = -np.inf  # whoever ends an episode has no weight
+        left = DISCOUNT**STEPS if horizon is None else 1 - (1 - DISCOUNT**STEPS) / (1 - DISCOUNT**horizon)
+        assert case.beyond_of(most) == pytest.approx(left, rel=1e-9)
+
+
+def ending(episodes: int) -> Dataset:
+    """One state, where action 1 ends the episode. The log takes it four times out of five and is cut off after five steps."""
+    rng = np.random.default_rng(3)
+    actions = (rng.random((episodes, STEPS)) < 0.8).astype(int)
+    lengths = np.where(actions.any(1), actions.argmax(1) + 1, STEPS)
+    taken = np.concatenate([row[:n] for row, n in zip(actions, lengths)])
+    ends = np.zeros(len(taken), bool)
+    ends[np.cumsum(lengths) - 1] = True
+    return Dataset.from_arrays(
+        observations=np.ones((len(taken), 1), np.float32), actions=taken, rewards=rng.normal(1.0, 0.1, len(taken)),
+        terminals=ends & (taken == 1), timeouts=ends & (taken == 0), action_space=Discrete(2),
+        behavior_log_probs=np.log(np.where(taken == 1, 0.8, 0.2)),
+        final_observations=np.ones((episodes, 1), np.float32),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["dr-linear", "wis", "smis", "switch"])
+def test_a_policy_that_goes_on_where_the_log_ends_is_judged_beyond_the_recording(name):
+    """Three in ten thousand of the log's episodes are cut off, and nearly all of the policy's."""
+    log = ending(60_000)
+    policy = as_policy(np.array([[0.95, 0.05]]))
+    case = OPEInput(log, [policy], discount=DISCOUNT, horizon=None, logged=True, names=["patient"])
+    assert case.beyond < TAIL
+    found = estimator(name).on(case)
+    share = found.diagnostics["beyond"]
+    assert share == pytest.approx([(0.95 * DISCOUNT) ** STEPS, case.beyond], rel=0.05)
+    assert found.corrected
+    assert [found.corrects(i) for i in range(2)] == [False, True]
+    assert any("model-based only" in line for line in select([found]).objections[0])
+    if name != "wis" and name != "smis":
+        assert found.inflation == pytest.approx([1 / (1 - share[0]), 1.0])
+        assert any("of the discounted time of patient lies beyond" in line for line in found.warnings)
+
+
+def test_gains_by_group_are_less_certain_beyond_the_recording(monkeypatch):
+    log = ending(2_000)
+    case = OPEInput(log, [as_policy(np.array([[0.7, 0.3]]))], discount=DISCOUNT, horizon=None, logged=True)
+    groups = Groups("site", ("a", "b"), np.arange(log.episodes) % 2)
+    wide = by_group(case, 0, groups, BehaviorModel())
+    ratios = np.where(np.asarray(log.actions) == 1, np.log(0.3 / 0.8), np.log(0.7 / 0.2))
+    share = case.beyond_of(case.episodes.cumulate(ratios))
+    assert share > TAIL
+    monkeypatch.setattr(OPEInput, "beyond_of", lambda self, log_rho: 0.0)
+    narrow = by_group(case, 0, groups, BehaviorModel())
+    for one, other in zip(wide, narrow):
+        assert one["gain"] == other["gain"]
+        assert (one["high"] - one["low"]) / (other["high"] - other["low"]) == pytest.approx(1 / (1 - share), rel=1e-5)
+
+
 @pytest.mark.parametrize("name", ["is", "wis", "pdis", "smis"])
 def test_weights_correct_nothing_beyond_the_recording(recorded, name):
     """A policy that earns the same sooner would seem to be better, where what comes later is not counted."""
@@ -110,6 +176,49 @@ def test_what_the_behaviour_policy_would_do_next(recorded):
     known = FQE(steps=10).problem(case)[1].extra["known"]
     assert known[:, 0].all()
     assert (known[:, 1] == case.shown).all()
+
+
+def shuffled(log: Dataset) -> Dataset:
+    """The same transitions, each episode's in any order behind its first."""
+    rng = np.random.default_rng(5)
+    order = np.concatenate([[s, *(s + 1 + rng.permutation(n - 1))] for s, n in zip(log.starts, log.lengths)])
+    ends = np.zeros(len(log), bool)
+    ends[log.ends] = True
+    return Dataset.from_arrays(
+        observations=log.observations[order], actions=log.actions[order], rewards=log.rewards[order],
+        next_observations=log.next_observations[order], terminals=np.asarray(log.terminals)[order],
+        timeouts=ends & ~np.asarray(log.terminals)[order], action_space=log.action_space,
+        behavior_log_probs=log.extras["behavior_log_probs"][order], name="shuffled",
+    )  # fmt: skip
+
+
+def test_what_follows_a_row_may_not_be_the_next_row():
+    """The policy of such a log does what it usually does there, not what the next row says; where nobody knows, it is told."""
+    world = garnet(8, 3, 3, noise=0.3, seed=4)
+    own, other = tables(world, 2, 0.7)
+    log = shuffled(world.log(own, 500, 20, np.random.default_rng(0), "in order"))
+    assert log.apart.mean() > 0.5
+    case = OPEInput(log, [as_policy(other)], discount=DISCOUNT, horizon=None, logged=True, names=["other"])
+    states = log.next_observations.argmax(1)
+    assert np.abs(case.next_actions(1)[:, -1][log.apart] - own[states[log.apart]]).max() < 0.15
+    assert case.shown.all()
+    found = automatic(case)[0].on(case)
+    for value, table, pulls in zip(found.value, (other, own), found.influence.T):
+        assert abs(value - exact(world, table)) < 4 * pulls.std(ddof=1) / np.sqrt(len(pulls))
+
+    decision = decide(case, "auto", groups=Groups("site", ("a",), np.zeros(log.episodes, int)))
+    assert decision.estimates[0].method == "DRL"
+    assert "its rows do not follow each other" in decision.more["groups"]["refused"]
+    with pytest.raises(UserError, match="its rows do not follow each other"):
+        decide(case, "auto", confounding=2.0)
+    with pytest.raises(UserError, match="rows that follow each other"):
+        decide(case, "auto", guarantee=True, return_range=(-100.0, 100.0))
+
+    many = replace(
+        log, observations=log.observations + 1e-3 * np.random.default_rng(0).standard_normal(log.observations.shape)
+    )
+    with pytest.raises(UserError, match="give the rows in the order in which they were recorded"):
+        OPEInput(many, [as_policy(other)], discount=DISCOUNT, horizon=None, logged=True)
 
 
 @pytest.mark.parametrize("horizon", [STEPS, None])

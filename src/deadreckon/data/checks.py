@@ -51,7 +51,7 @@ def checked_columns(log: str, columns: Mapping[str, Any], action_space: Box | Di
     if "timeouts" in columns:
         timeouts = _flag(log, "timeouts", columns["timeouts"]).copy()
     elif following is not None:
-        timeouts = np.append(_breaks(observations, following), True) & ~terminals
+        timeouts = np.append(breaks(observations, following), True) & ~terminals
     else:
         timeouts = np.zeros(rows, bool)
     timeouts[-1] |= not terminals[-1]
@@ -220,10 +220,10 @@ def bounds_warnings(log: str, actions: np.ndarray, space: Box | Discrete, strict
 
 def if_needed(following: np.ndarray, observations: np.ndarray, ends: np.ndarray) -> np.ndarray | None:
     """`following`, or None where the next row says the same: one log has one form, and one fingerprint."""
-    return following if (_breaks(observations, following) & ~ends[:-1]).any() else None
+    return following if (breaks(observations, following) & ~ends[:-1]).any() else None
 
 
-def _breaks(observations: np.ndarray, following: np.ndarray) -> np.ndarray:
+def breaks(observations: np.ndarray, following: np.ndarray) -> np.ndarray:
     """(rows - 1,) bool: the next row's observation is not this row's next observation."""
     out = np.empty(len(observations) - 1, bool)
     for start in range(0, len(out), BLOCK):

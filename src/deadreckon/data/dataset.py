@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from deadreckon.data.checks import bounds_warnings, checked_columns, if_needed
+from deadreckon.data.checks import bounds_warnings, breaks, checked_columns, if_needed
 from deadreckon.data.columns import given_columns, in_memory, unmarked
 from deadreckon.data.episodes import content_ids, episode_returns, fingerprint, index_type, returns_to_go, rows_of
 from deadreckon.data.legal import check_masks, joined_masks
@@ -222,6 +222,14 @@ class Dataset(Shown):
         usable = np.ones(len(self), bool)
         usable[self.ends] = self.final_known | self.terminals[self.ends]
         return usable
+
+    @cached_property
+    def apart(self) -> np.ndarray:
+        """(rows,) bool: the row is followed by another observation than that of the next row of its episode."""
+        apart = np.zeros(len(self), bool)
+        if self.successors is not None:
+            apart[:-1] = breaks(self.observations, self.successors)
+        return apart & ~self._is_end
 
     @property
     def dropped(self) -> int:

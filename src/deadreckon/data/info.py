@@ -123,7 +123,7 @@ def describe(log: Dataset) -> Info:
         duplicate_rows=repeated.many,
         duplicates_together=repeated.together,
         sampled=sample.stop,
-        own_successors=_own_successors(log),
+        own_successors=int(log.apart.sum()),
         fingerprint=log.fingerprint,
     )
 
@@ -251,18 +251,6 @@ def _used(log: Dataset) -> np.ndarray:
 
 def _zeros(column: np.ndarray) -> int:
     return sum(int((column[start : start + _SAMPLE] == 0).sum()) for start in range(0, len(column), _SAMPLE))
-
-
-def _own_successors(log: Dataset) -> int:
-    if log.successors is None:
-        return 0
-    count = 0
-    for start in range(0, len(log) - 1, _SAMPLE):
-        rows = np.arange(start, min(start + _SAMPLE, len(log) - 1))
-        rows = np.setdiff1d(rows, log.ends)
-        differs = log.successors[rows] != log.observations[rows + 1]
-        count += int(differs.reshape(len(rows), -1).any(1).sum())
-    return count
 
 
 def _quantiles(values: np.ndarray) -> tuple[float, ...]:

@@ -2,7 +2,7 @@
 
 import dataclasses
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, Unpack
@@ -103,6 +103,8 @@ class OPEInput(Fits):
         if (largest := float(np.abs(data.rewards).max())) > LARGEST:
             told = f"{data.name}: rewards reach {largest:.3g} in size, and models of values square them in float32"
             raise UserError(f"{told}; divide the column until they are below {LARGEST:g}")
+        if logged:
+            check_order(data)
         self.discount = self.estimand.discount
         self.held = np.arange(data.episodes) if held is None else _different(held, data.episodes)
         if clusters is not None and np.shape(clusters) != (data.episodes,):
@@ -188,27 +190,44 @@ class OPEInput(Fits):
     def shown(self) -> np.ndarray:
         """(rows,) whether it is known what the behaviour policy did next: the log shows it, or how often it does so there, or
         nothing comes next."""
-        return ~self.data._is_end | self.ended | (self._habits is not None)
+        return ~(self.data._is_end | self.data.apart) | self.ended | (self._habits is not None)
 
     @cached_property
     def beyond(self) -> float:
-        """Share of the discounted time that is asked for and lies beyond the ends of the recording."""
+        """Share of the discounted time that is asked for and lies beyond the ends of the recording, in the log's episodes."""
         cut = ~np.asarray(self.data.terminals)[self.data.ends]
-        if not cut.any():
-            return 0.0
-        lengths, horizon = self.data.lengths, self.estimand.horizon
-        if horizon is None:
-            return float((self.discount**lengths * cut).mean())
-        done = np.array([discounted_steps(self.discount, steps) for steps in range(horizon + 1)])
-        return float((1.0 - done[lengths] / done[-1])[cut].sum() / len(cut))
+        return float((self._ahead[self.data.lengths - 1] * cut).mean())
+
+    def beyond_of(self, log_rho: np.ndarray) -> float:
+        """The same in a policy's episodes, whose weights tell how many of them end before they would be cut off; at least
+        `beyond`.
+
+        Args:
+            log_rho: (rows,) logarithms of the products of its ratios along each episode; see `Episodes.cumulate`.
+        """
+        most = -np.diff(self.episodes.kept) * self._ahead  # of episodes that do not end, by when they are cut off
+        if most.sum() <= self.beyond:
+            return self.beyond
+        return max(self.beyond, float(most @ self.episodes.going_on(log_rho)))
 
     @cached_property
-    def _habits(self) -> np.ndarray | None:
-        """(episodes, actions) probabilities of the behaviour policy at the final observations, where these are few and have
-        actions elsewhere in the log; None where they are many, or nothing is cut off."""
-        if self.data.terminals[self.data.ends].all() or (table := Table.of(self.log)) is None:
+    def _ahead(self) -> np.ndarray:
+        """(steps,) share of the discounted time that is asked for and lies after each step of the longest episode."""
+        steps, horizon = np.arange(1, int(self.data.lengths.max()) + 1), self.estimand.horizon
+        if horizon is None:
+            return self.discount**steps
+        done = np.array([discounted_steps(self.discount, step) for step in range(horizon + 1)])
+        return 1.0 - done[steps] / done[-1]
+
+    @cached_property
+    def _habits(self) -> Callable[[np.ndarray], np.ndarray] | None:
+        """Of (n, d) observations the (n, actions) probabilities of the behaviour policy, where observations are few and have
+        actions elsewhere in the log; None where they are many, or where nothing is cut off and each row follows the last."""
+        whole = self.data.terminals[self.data.ends].all() and not self.data.apart.any()
+        if whole or (table := Table.of(self.log)) is None:
             return None
-        return table.shares(self.log)[table.codes(np.asarray(self.data.final_observations))]
+        shares = table.shares(self.log)
+        return lambda observations: shares[table.codes(np.asarray(observations))]
 
     @cached_property
     def _uncut(self) -> tuple[np.ndarray, np.ndarray]:
@@ -325,9 +344,12 @@ class OPEInput(Fits):
                 taken = np.asarray(self.data.actions)[rows]
                 unit = Normalizer.of(self.data.spec).to_unit
                 own = np.eye(table.shape[-1])[taken] if table.ndim == 3 else unit(taken)[:, None]
+                if self._habits is not None and name == "final":
+                    own = self._habits(self.data.final_observations)
                 if self._habits is not None and name == "next":
-                    own[self.data.ends] = self._habits
-                table[:, -1] = own if self._habits is None or name != "final" else self._habits
+                    unseen = self.data._is_end | self.data.apart
+                    own[unseen] = self._habits(self.data.next_observations_at(np.flatnonzero(unseen)))
+                table[:, -1] = own
             return table
 
         # Probabilities are the same however many draws are asked for.
@@ -417,6 +439,20 @@ class OPEInput(Fits):
         One member alone counts every episode once.
         """
         return redrawn(int(self.cluster.max()) + 1, members, self.seed)[self.cluster]
+
+
+def check_order(log: Dataset) -> None:
+    """Refuses logs that do not show what their own policy did next, of which nobody knows the value then.
+
+    Raises:
+        UserError: most rows are followed by another observation than that of the next row, and observations are many.
+    """
+    inside, apart = len(log) - log.episodes, int(log.apart.sum())
+    if 2 * apart > inside and Table.of(log) is None:
+        raise UserError(
+            f"{log.name}: {apart:,} of {inside:,} rows inside of episodes are followed by another observation than that of "
+            "the next row, so it does not show what its policy did next; give the rows in the order in which they were recorded"
+        )
 
 
 def _different(held: Any, episodes: int) -> np.ndarray:

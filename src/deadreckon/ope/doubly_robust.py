@@ -16,6 +16,7 @@ Kallus and Uehara 2020): those of one fold of the judged episodes come from the 
 judged.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar, Literal
 
@@ -95,7 +96,7 @@ class DoublyRobust(Estimator):
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         nuisances, begins = self.nuisances(case)
         begin, errors = nuisances.begins, nuisances.errors
-        values, ess, bootstrap, influence, tails, average, left, shifts = [], [], [], [], [], [], [], []
+        values, ess, bootstrap, influence, tails, average, left, shifts, share = [], [], [], [], [], [], [], [], []
         learned = self.behavior == "learned" or (self.behavior == "auto" and "behavior_log_probs" not in case.data.extras)
         for i, row in enumerate(ratios):
             log_rho = episodes.cumulate(row)
@@ -116,9 +117,11 @@ class DoublyRobust(Estimator):
             ess.append(sums.ess)
             tails.append(episodes.typical(log_rho, whole=False))
             average.append(episodes.average(log_rho))
+            share.append(case.beyond_of(log_rho))
         ess, redrawn = np.asarray(ess), np.stack(bootstrap, 1)
-        warnings = self._warnings(case, ess, nuisances)
+        warnings = self._warnings(case, ess, nuisances, share)
         diagnostics = self._diagnostics(case, nuisances) | tails_of(case, tails) | multiplied(case, ess, average)
+        diagnostics["beyond"] = np.array(share)
         nuisance = None
         if left:
             diagnostics["uncorrected"] = uncorrected = np.array(left)
@@ -131,7 +134,7 @@ class DoublyRobust(Estimator):
         return Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), bootstrap=redrawn, ess=ess, nuisance=nuisance,
             corrected=case.beyond <= TAIL and max(left, default=0.0) <= TAIL, warnings=tuple(warnings),
-            inflation=_beyond(case), diagnostics=diagnostics,
+            inflation=stretched(share), diagnostics=diagnostics,
         )  # fmt: skip
 
     def nuisances(self, case: OPEInput) -> tuple[OutOfFold, np.ndarray | None]:
@@ -193,7 +196,7 @@ class DoublyRobust(Estimator):
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         nuisances, _ = self.nuisances(case)
         kept, span = np.exp(episodes.log_kept), self._span(case)
-        values, influence, ess, tails, average, left = [], [], [], [], [], []
+        values, influence, ess, tails, average, left, share = [], [], [], [], [], [], []
         for i, row in enumerate(ratios):
             log_rho = episodes.cumulate(row)
             grid = TRUSTED[-1:] if case.names[i] == LOGGED else TRUSTED
@@ -214,24 +217,26 @@ class DoublyRobust(Estimator):
             tails.append(episodes.typical(log_rho, whole=False))
             average.append(episodes.average(log_rho))
             left.append(over[chosen].mean() / case.span)
+            share.append(case.beyond_of(log_rho))
         ess = np.asarray(ess)
         warnings = [
-            *self._warnings(case, ess, nuisances),
+            *self._warnings(case, ess, nuisances, share),
             f"the interval of {self.label} knows the variance and not the bias of weights that are not trusted",
         ]  # fmt: skip
         return Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), ess=ess, corrected=case.beyond <= TAIL,
-            warnings=tuple(warnings), inflation=_beyond(case),
-            diagnostics=self._diagnostics(case, nuisances) | tails_of(case, tails) | {"untrusted": np.array(left)}
-            | multiplied(case, ess, average),
+            warnings=tuple(warnings), inflation=stretched(share),
+            diagnostics=self._diagnostics(case, nuisances) | tails_of(case, tails) | multiplied(case, ess, average)
+            | {"untrusted": np.array(left), "beyond": np.array(share)},
         )  # fmt: skip
 
-    def _warnings(self, case: OPEInput, ess: np.ndarray, nuisances: OutOfFold) -> list[str]:
-        found = case.episodes.warnings(case.names, ess, beyond=True)
-        if case.beyond > TAIL:
+    def _warnings(self, case: OPEInput, ess: np.ndarray, nuisances: OutOfFold, share: Sequence[float]) -> list[str]:
+        found, worst = case.episodes.warnings(case.names, ess, beyond=True), int(np.argmax(share))
+        if share[worst] > TAIL:
+            whose = f"of {case.names[worst]} " if share[worst] > case.beyond else ""
             found.append(
-                f"{100 * case.beyond:.0f} % of the discounted time lies beyond the ends of the recording, where nothing "
-                "corrects the critics; a horizon asks for what was recorded"
+                f"{100 * share[worst]:.0f} % of the discounted time {whose}lies beyond the ends of the recording, where "
+                "nothing corrects the critics; a horizon asks for what was recorded"
             )
         return found + self._convergence_warnings(case, nuisances)
 
@@ -376,11 +381,14 @@ class DoublyRobust(Estimator):
         return begin + float(x @ partial), drawn + redrawn @ x, pulls, float(uncorrected)
 
 
-def _beyond(case: OPEInput) -> np.ndarray | None:
+def stretched(share: Sequence[float]) -> np.ndarray | None:
     """(policies,) by which errors are multiplied where the recording ends early; None: by one.
 
-    A share b of the discounted time lies beyond it, where the critics are believed. Their errors there are those of the same
-    critics that the recorded part shows, which the influence function of the corrections does not see: they add up, and
-    1 / (1 - b) times the error of the recorded part is that of the whole.
+    A share b of a policy's discounted time lies beyond it (`OPEInput.beyond_of`), where the critics are believed. Their errors
+    there are those of the same critics that the recorded part shows, which the influence function of the corrections does not
+    see: they add up, and 1 / (1 - b) times the error of the recorded part is that of the whole.
     """
-    return np.full(case.count, 1.0 / max(1.0 - case.beyond, 1e-3)) if case.beyond > TAIL else None
+    beyond = np.asarray(share)
+    if (beyond <= TAIL).all():
+        return None
+    return np.where(beyond > TAIL, 1.0 / np.maximum(1.0 - beyond, 1e-3), 1.0)

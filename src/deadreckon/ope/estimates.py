@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from deadreckon.ope.estimand import Estimand
+from deadreckon.ope.estimand import TAIL, Estimand
 from deadreckon.provided import Shown
 from deadreckon.stats import inference
 from deadreckon.stats.interval import PERCENT, decimals, fixed
@@ -34,7 +34,7 @@ class Estimates(Shown):
         ess: (policies,) effective sample size of the weights, (sum w)^2 / sum w^2 in episodes; None where nothing is
             weighted.
         corrected: whether logged rewards, weighted by how likely the policy is to act as logged, decide the estimate. Otherwise
-            it is model-based: an error of the fitted model is not corrected by anything.
+            it is model-based: an error of the fitted model is not corrected by anything. Of single policies: `corrects`.
         warnings: why not to trust it, one line each.
         seconds: it took, without what was there already for another estimator.
         diagnostics: further numbers about the estimate by name, each (policies,); the checks of a decision read them.
@@ -95,6 +95,10 @@ class Estimates(Shown):
     def unbounded(self, where: np.ndarray) -> "Estimates":
         """The same with intervals that have no bounds for the policies `where` (policies,) is true."""
         return replace(self, low=np.where(where, -np.inf, self.low), high=np.where(where, np.inf, self.high))
+
+    def corrects(self, which: int) -> bool:
+        """Whether logged rewards decide the estimate of one policy: not if it goes on beyond the ends of the recording."""
+        return self.corrected and self.diagnostics.get("beyond", np.zeros(which + 1))[which] <= TAIL
 
     @property
     def average(self) -> np.ndarray:

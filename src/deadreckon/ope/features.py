@@ -38,7 +38,9 @@ class Table:
         some = np.unique(np.asarray(log.observations[:: max(1, len(log) // 2000)]), axis=0)
         if len(some) > most:
             return None
-        found = np.unique(np.concatenate([np.unique(np.asarray(log.observations), axis=0), log.final_observations]), axis=0)
+        several = [log.observations, *([] if log.successors is None else [log.successors])]
+        found = [np.unique(np.asarray(each), axis=0) for each in several]
+        found = np.unique(np.concatenate([*found, log.final_observations]), axis=0)
         return cls(found) if len(found) <= most else None
 
     def codes(self, observations: np.ndarray) -> np.ndarray:

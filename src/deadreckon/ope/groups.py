@@ -16,7 +16,8 @@ from deadreckon.data.split import groups as groups_of
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import WEIGHTLESS, OPEInput
-from deadreckon.ope.doubly_robust import DoublyRobust
+from deadreckon.ope.doubly_robust import DoublyRobust, stretched
+from deadreckon.ope.importance import log_ratios
 from deadreckon.ope.linear import LinearFQE
 from deadreckon.stats import inference
 from deadreckon.stats.interval import ALPHA
@@ -92,7 +93,9 @@ def by_group(
     own = np.array([len(np.unique(cluster[code == g])) for g in range(len(size))])
     known = own >= UNITS
     factor = inference.simultaneous(influence[:, known], alpha / len(case.policies), case.seed)
-    half = case.inflation[which] * inference.errors(influence) * factor + wider
+    beyond = stretched([case.beyond_of(case.episodes.cumulate(log_ratios(case, "auto", model, None)[which]))])
+    more = case.inflation[which] * (1.0 if beyond is None else beyond[0])
+    half = more * inference.errors(influence) * factor + wider
     return [
         {"name": name, "episodes": int(size[g]), "gain": float(mean[g]) if size[g] else None,
          "low": float(mean[g] - half[g]) if known[g] else None, "high": float(mean[g] + half[g]) if known[g] else None}

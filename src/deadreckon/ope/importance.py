@@ -60,7 +60,7 @@ class ImportanceSampling(Estimator):
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         rewards = np.asarray(case.data.rewards, np.float64)
         bounds = self._bounds(case, rewards)
-        values, lows, highs, ess, bootstrap, influence, tails, average = [], [], [], [], [], [], [], []
+        values, lows, highs, ess, bootstrap, influence, tails, average, share = [], [], [], [], [], [], [], [], []
         for row in ratios:
             log_rho = episodes.cumulate(row)
             if self.kind == "trajectory":
@@ -80,6 +80,7 @@ class ImportanceSampling(Estimator):
             ess.append(sums.ess)
             tails.append(episodes.typical(log_rho, whole=self.kind == "trajectory"))
             average.append(episodes.average(log_rho))
+            share.append(case.beyond_of(log_rho))
         ess, values = np.asarray(ess), np.asarray(values)
         warnings = episodes.warnings(case.names, ess, whole=self.kind == "trajectory")
         if not np.isfinite(values).all():
@@ -87,7 +88,7 @@ class ImportanceSampling(Estimator):
         found = Estimates.of_influence(
             self.label, case, values, np.stack(influence, 1), bootstrap=np.stack(bootstrap, 1), ess=ess,
             corrected=case.beyond <= TAIL, warnings=tuple(warnings),
-            diagnostics=tails_of(case, tails) | multiplied(case, ess, average),
+            diagnostics=tails_of(case, tails) | multiplied(case, ess, average) | {"beyond": np.array(share)},
         )  # fmt: skip
         return replace(found, low=np.asarray(lows), high=np.asarray(highs)) if lows else found
 

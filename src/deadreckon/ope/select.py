@@ -285,7 +285,7 @@ def _moved(found: Estimates, known: np.ndarray) -> tuple[int, float]:
 
 def _model_based(found: Estimates, which: int, accepted: bool, support: Support | None) -> list[str]:
     degenerate = support is not None and bool(support.degenerate[which])
-    if accepted or (found.corrected and not degenerate):
+    if accepted or (found.corrects(which) and not degenerate):
         return []
     return ["its estimate is model-based only: nothing that was logged corrects an error of the model"]
 
@@ -304,7 +304,7 @@ def _rest(found: Estimates, which: int) -> tuple[float, str]:
 
 def _speaks(found: Estimates, which: int) -> bool:
     """Whether an estimate counts as evidence against a policy."""
-    return found.corrected and _overlaps(found, which)
+    return found.corrects(which) and _overlaps(found, which)
 
 
 def _standing(found: Estimates, told: np.ndarray) -> tuple[bool, float]:

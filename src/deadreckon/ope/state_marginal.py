@@ -81,7 +81,7 @@ class StateMarginal(Estimator):
                 "does not have; bin its observations, or use dr-linear or drl"
             )
         states, rewards = features.table.codes(data.observations), np.asarray(data.rewards, np.float64)
-        values, influence, ess, tails, lost = [], [], [], [], []
+        values, influence, ess, tails, lost, share = [], [], [], [], [], []
         for row in log_ratios(case, self.behavior, self.model, None, self.folds):
             found = state_marginal(
                 states, row, rewards, data.lengths, episodes.ended, case.discount, normalised=self.normalised
@@ -91,16 +91,17 @@ class StateMarginal(Estimator):
             ess.append(episodes.quartile(found.ess))
             tails.append(row)  # of single steps: these are what is averaged
             lost.append(found.lost)
+            share.append(case.beyond_of(episodes.cumulate(row)))
         ess = np.asarray(ess)
         warnings = [
             *episodes.warnings(case.names, ess),
             "SMIS assumes that states are Markov (they hold all that matters), which its interval does not know",
-            *(f"{100 * share:.0f} % of what {name} does leads to states in which nothing is known of what it does there"
-              for name, share in zip(case.names, lost) if share > TAIL),
+            *(f"{100 * part:.0f} % of what {name} does leads to states in which nothing is known of what it does there"
+              for name, part in zip(case.names, lost) if part > TAIL),
         ]  # fmt: skip
         return Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), ess=ess, corrected=case.beyond <= TAIL,
-            warnings=tuple(warnings), diagnostics=tails_of(case, tails) | {"lost": np.array(lost)},
+            warnings=tuple(warnings), diagnostics=tails_of(case, tails) | {"lost": np.array(lost), "beyond": np.array(share)},
         )  # fmt: skip
 
 

@@ -99,8 +99,7 @@ class Episodes:
     """The shape of a log's episodes, and how they are redrawn: alike for all policies and estimators of a case."""
 
     def __init__(self, data: Dataset, discount: float, seed: int, units: np.ndarray):
-        if data.successors is not None:
-            raise UserError(f"{data.name}: its rows do not follow each other, so ratios cannot be multiplied along them")
+        self.apart = data.name if data.successors is not None else None  # its rows do not follow each other
         self.lengths, self.count, self.discount = data.lengths, data.episodes, discount
         self.first = data.starts
         self.of = data.episode_of
@@ -110,7 +109,7 @@ class Episodes:
         # Whether nothing is cut off before the last step: then plain sums are means over episodes.
         self.even = bool((self.ended | (self.lengths == self.steps)).all())
         self.kept = self._kept()
-        self.log_kept = np.log(self.kept)[self.time]  # (rows,)
+        self.log_kept = np.log(self.kept[:-1])[self.time]  # (rows,)
         self.seed = seed
         self.group = units  # (episodes,)
         self.groups = int(units.max()) + 1
@@ -128,16 +127,30 @@ class Episodes:
         return mean, self.groups * (total - mean * size) / self.count, (self.counts @ total) / (self.counts @ size)
 
     def _kept(self) -> np.ndarray:
-        """(steps,) chance that an episode that does not end is still not cut off at each step, by Kaplan and Meier."""
+        """(steps + 1,) chance that an episode that does not end is not cut off within so many steps, by Kaplan and Meier."""
         cut = np.bincount(self.lengths[~self.ended], minlength=self.steps + 1)
         over = np.bincount(self.lengths, minlength=self.steps + 1)
         # After s steps those can be cut off that go on beyond, and those that are.
         beyond = self.count - np.cumsum(over)
         at_risk = np.maximum(beyond + cut, 1)
-        return np.cumprod(1.0 - cut / at_risk)[: self.steps]
+        return np.cumprod(1.0 - cut / at_risk)
+
+    def check_order(self) -> None:
+        """Refuses episodes along which ratios cannot be multiplied.
+
+        Raises:
+            UserError: the log's rows do not follow each other.
+        """
+        if self.apart is not None:
+            raise UserError(f"{self.apart}: its rows do not follow each other, so ratios cannot be multiplied along them")
 
     def cumulate(self, log_ratios: np.ndarray) -> np.ndarray:
-        """(rows,) log of rho_t: sums of the log-ratios over each episode so far."""
+        """(rows,) log of rho_t: sums of the log-ratios over each episode so far.
+
+        Raises:
+            UserError: the log's rows do not follow each other.
+        """
+        self.check_order()
         return cumulate(log_ratios, self.lengths)
 
     def sums(self, log_rho: np.ndarray, x: np.ndarray, *, normalised: bool, alive_only: bool = False) -> Sums:
