@@ -1069,6 +1069,10 @@ MUTANTS = (
         "the log's policy does after a row what the next row says, whatever that follows", ("ope/test_cut.py",),
     ),
     Mutant(
+        "average-first", "bench/claims.py", "if cell in cells and step > 0:", "if cell in cells:",
+        "the mean of a learning curve counts the score before it has learned", ("bench/test_claims.py",),
+    ),
+    Mutant(
         "held-negative", "ope/case.py", "found.min() < 0 or ", "", "a judged episode teaches under a negative index",
         ("ope/test_asked.py",),
     ),

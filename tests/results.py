@@ -7,13 +7,14 @@ from deadreckon.bench.jobs import Job
 from deadreckon.bench.store import JobResult, Store
 
 
-def keep(store: Store, job: Job, scores: Sequence[float], **more: Sequence[float]) -> None:
+def keep(store: Store, job: Job, scores: Sequence[float], curves: Sequence[dict] = (), **more: Sequence[float]) -> None:
     """Keeps a job's scores: if there are fewer than seeds, those of the first seeds.
 
     Args:
         store: that is to have them.
         job: whose they are.
         scores: one a seed.
+        curves: points of learning curves, of all seeds.
         **more: further numbers, one a seed.
     """
     told = {"raw": 0.0, "steps": 100, "seconds": 1.0, "failure": "", "versions": "{}"}
@@ -21,4 +22,4 @@ def keep(store: Store, job: Job, scores: Sequence[float], **more: Sequence[float
         {"seed": seed, "score": score, "more": json.dumps({name: values[i] for name, values in more.items()}), **told}
         for i, (seed, score) in enumerate(zip(job.seeds, scores))
     ]
-    store.keep(job, JobResult(rows, []))
+    store.keep(job, JobResult(rows, list(curves)))

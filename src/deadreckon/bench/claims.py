@@ -20,7 +20,7 @@ task over that between seeds (`stats.comparison.variance_ratio`). Tasks with one
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -39,6 +39,7 @@ from deadreckon.stats.interval import ALPHA, Interval
 from deadreckon.tasks.registry import of_log
 
 State = Literal["holds", "contradicted", "open"]
+AVERAGE = "average score"  # of the evaluations along a run, but for the one before it has learned: its learning curve's mean
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class Test:
         method: of the suite; of several the mean is taken, run by run.
         than: methods of the suite, or a number; nothing where there is `beside` or `among`.
         on: logs, tasks, problems or cases of the suite.
-        metric: a column of results, or a name in their `more`.
+        metric: a column of results, a name in their `more`, or `AVERAGE`.
         less: whether less is better.
         margin: the gain that is claimed.
         each: whether it is claimed of each of `on`, not of their mean.
@@ -237,6 +238,9 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
     paths = dict.fromkeys(path for test in claim.tests for path in test.suites)
     plans = {path: plan(read(path, full and read(path).full)) for path in paths}
     rows = {row["cell"]: row for row in store.of([job for jobs in plans.values() for job in jobs]).to_pylist()}
+    if any(each.metric == AVERAGE for test in claim.tests for each in (test, test.again) if each is not None):
+        for cell, average in _averages(store, rows).items():
+            rows[cell][AVERAGE] = average
     out = []
     for test, rival, on in pairs:
         first = _compared(test, rival, on, plans, rows, ALPHA, len(pairs))
@@ -245,6 +249,15 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
             first = replace(first, again=_compared(test.again, rival, on, plans, rows, ALPHA / 2, len(pairs)))
         out.append(first)
     return Verdict(claim, tuple(out))
+
+
+def _averages(store: Store, cells: Collection[str]) -> dict[str, float]:
+    """The mean score of each cell's evaluations but the one before it has learned; of cells that were evaluated since."""
+    points: dict[str, list[float]] = {}
+    for cell, step, score in zip(*(store.curves()[name].to_pylist() for name in ("cell", "step", "score"))):
+        if cell in cells and step > 0:
+            points.setdefault(cell, []).append(math.nan if score is None else score)
+    return {cell: float(np.mean(scores)) for cell, scores in points.items()}
 
 
 def _check_metric(test: Test, suite: Path, jobs: Sequence[Job], rows: Mapping[str, dict[str, Any]]) -> None:
