@@ -36,9 +36,7 @@ def to_close(found: Verdict, cost: Mapping[str, Forecast | None]) -> str:
         return f"{scores}, {time}{'' if time == 'not measured' else ' core-hours'}"
     if found.undefined:
         return "not estimated: a score is not finite"
-    left = [one for one in found.comparisons if one.state == "open"]
-    if any(one.again is not None for one in left):
-        return "both stages leave it open"
+    left = [one.stages[-1] for one in found.comparisons if one.state == "open"]
     if any(one.test.beside is not None or one.test.among or not isinstance(one.gain, Difference) for one in left):
         return "not estimated: more than seeds vary"
     if any(one.constant for one in left):
@@ -57,7 +55,7 @@ def to_close(found: Verdict, cost: Mapping[str, Forecast | None]) -> str:
 
 
 def _seeds(one: Comparison, comparisons: int) -> int | None:
-    """How many fresh seeds of a second stage would decide it (`bench.claims`); None where the difference is the margin."""
+    """How many fresh seeds of a further stage would decide it (`bench.claims`); None where the difference is the margin."""
     # Of several comparisons each contradicts the claim at a level for as many.
     below = one.gain.value < one.test.margin
     interval, miss = (one.strict, (1.0 - one.level) / comparisons) if below else (one.gain, 1.0 - one.level)

@@ -255,9 +255,10 @@ def _waiting() -> list[_Waiting]:
 
 TO_CLOSE = (
     "*To close* is what the CPU size lacks: core-hours of the scores that are missing (the marks are those of "
-    "[what has not been run](PENDING.md)), or, where all are there, fresh seeds of a second stage, if mean and spread stay as "
-    "they are; they would have to be declared before they are run. There is no third stage."
+    "[what has not been run](PENDING.md)), or, where all are there, fresh seeds of a further stage, if mean and spread stay as "
+    "they are; they would have to be declared before they are run."
 )
+STAGES = ("", ", again", ", third stage", ", fourth stage")
 
 
 def claimed(name: str, files: dict[str, bytes]) -> str:
@@ -273,7 +274,7 @@ def claimed(name: str, files: dict[str, bytes]) -> str:
         told = _reads(own), to_close(own, cost), full if claim.tests else ""
         rows.append(f"| {' | '.join([claim.id, claim.says, claim.place, *told])} |")
         for one in own.comparisons:
-            details += [f"- {claim.id}{where}, {_effect(each)}" for each, where in zip(one.stages, ("", ", again"))]
+            details += [f"- {claim.id}{STAGES[i]}, {_effect(each)}" for i, each in enumerate(one.stages)]
         if claim.note:
             details.append(f"- {claim.id}: {claim.note}")
     return "\n".join([*rows, "", TO_CLOSE, "", *details, ""])

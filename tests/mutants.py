@@ -126,13 +126,13 @@ MUTANTS = (
         ("bench/test_filling.py::test_the_service_is_started_and_stopped_only_where_it_does_not_run",),
     ),
     Mutant(
-        "second-stage-at-the-level-of-the-first", "bench/claims.py", "plans, rows, ALPHA / 2, len(pairs)",
-        "plans, rows, ALPHA, len(pairs)",
+        "second-stage-at-the-level-of-the-first", "bench/claims.py", "staged(test.again, rival, on, alpha / 2)",
+        "staged(test.again, rival, on, alpha)",
         "the second stage of a claim is at the level of the first",
         ("bench/test_claims_again.py::test_fresh_seeds_alone_decide_what_the_first_ones_left_open",),
     ),
     Mutant(
-        "second-stage-of-seen-seeds", "bench/claims_file.py", "own.first_seed < suite.first_seed + suite.seeds and",
+        "second-stage-of-seen-seeds", "bench/claims_file.py", "one.first_seed < suite.first_seed + suite.seeds and",
         "False and",
         "seeds that the first stage of a claim has seen decide again",
         ("bench/test_claims_again.py::test_wrong_second_stages_are_refused_in_one_line",),

@@ -79,6 +79,31 @@ def test_fresh_seeds_alone_decide_what_the_first_ones_left_open():
     assert one.gain == paired({"hopper": np.array(OPEN["TD3"])}, {"hopper": np.array(OPEN["BC"])}, 0.95)
 
 
+def third(folder, first_seed=9):
+    (folder / "third.toml").write_text(SUITE.replace("seeds = 4", f"seeds = 6\nfirst_seed = {first_seed}"))
+    (folder / "claims.toml").write_text(CLAIMS.replace('"again.toml" }', '"again.toml", again = { suite = "third.toml" } }'))
+
+
+def test_a_third_stage_decides_at_a_quarter_of_the_level_what_two_left_open(folder):
+    third(folder)
+    kept("suite.toml", OPEN)
+    store = kept("again.toml", {name: [*values, 30.0] for name, values in OPEN.items()})
+    assert (said(store).state, said(store).missing) == ("open", 12)
+    fresh = {"BC": [10.0, 20.0, 30.0, 40.0, 50.0, 60.0], "TD3": [21.0, 32.0, 41.0, 52.0, 61.0, 69.0]}
+    found = said(kept("third.toml", fresh))
+    assert (found.state, found.missing) == ("holds", 0)
+    (one,) = found.comparisons
+    assert [each.level for each in one.stages] == [0.95, 0.975, 0.9875]
+    assert one.stages[-1].gain == paired({"hopper": np.array(fresh["TD3"])}, {"hopper": np.array(fresh["BC"])}, 0.9875)
+
+
+def test_a_third_stage_has_seeds_of_neither_before(folder):
+    for seed in (2, 6):
+        third(folder, seed)
+        with pytest.raises(UserError, match=r"third.toml has seeds of (suite|again).toml; its first_seed must be 9 or more"):
+            claims("claims.toml")
+
+
 def test_they_contradict_as_well():
     kept("suite.toml", OPEN)
     assert said(kept("again.toml", WORSE)).state == "contradicted"

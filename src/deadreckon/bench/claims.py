@@ -8,9 +8,10 @@ the `range` of its metric, such logs widen the interval instead (`stats.comparis
 comparisons hold. It is contradicted where one of its k comparisons is, of level 1 - alpha / k then (Bonferroni).
 
 Where a test has `again`, a second suite with fresh seeds, and is open with all its cells, all of them finite, the comparison
-is made there, of those cells alone, with intervals of 1 - alpha / 2 and 1 - alpha / 2k, and what it says counts. As the two
-stages share no run, at most a share of alpha + alpha / 2 of the comparisons whose true gain is the margin, in each stage on its
-own scale, is decided.
+is made there, of those cells alone, with intervals of 1 - alpha / 2 and 1 - alpha / 2k, and what it says counts. It may have an
+`again` of its own, a third stage with alpha / 4, and so on. As stages share no run, at most a share of alpha + alpha / 2 +
+alpha / 4 + ... of the comparisons whose true gain is the margin, in each stage on its own scale, is decided: less than 2 alpha,
+however many stages there are, and also if later ones are declared when earlier ones are known.
 
 Where a test has `beside`, another suite, the same methods are compared on its logs: the gain is the difference of means over
 tasks, which are taken as samples, with Welch's interval (`stats.comparison.between`). Logs of one task are averaged first.
@@ -87,7 +88,7 @@ class Test:
 
     @property
     def suites(self) -> tuple[Path, ...]:
-        """Whose cells it needs, those of a second stage included."""
+        """Whose cells it needs, those of later stages included."""
         return self.compared if self.again is None else (*self.compared, *self.again.suites)
 
 
@@ -147,17 +148,17 @@ class Comparison:
 
     @property
     def state(self) -> State:
-        """What it says, its second stage included."""
+        """What it says, its later stages included."""
         return self.alone if self.again is None else self.again.state
 
     @property
     def stages(self) -> "tuple[Comparison, ...]":
-        """Itself, and its second stage where there is one."""
-        return (self,) if self.again is None else (self, self.again)
+        """Itself, and its later stages where there are some."""
+        return (self,) if self.again is None else (self, *self.again.stages)
 
     @property
     def alone(self) -> State:
-        """What it says by itself, without a second stage."""
+        """What it says by itself, without later stages."""
         doubtful = bool(self.constant) and self.test.range is None
         if self.missing or self.undefined or doubtful or not self.gain.low < self.gain.high:  # also where they are NaN
             return "open"
@@ -224,7 +225,7 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
     Args:
         claim: the claim.
         store: the results.
-        full: at the full size of those of its suites that have one, else at their own; without second stages.
+        full: at the full size of those of its suites that have one, else at their own; without later stages.
 
     Raises:
         UserError: as `plan` does, or there are results and none has the metric of a test.
@@ -238,17 +239,18 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
     paths = dict.fromkeys(path for test in claim.tests for path in test.suites)
     plans = {path: plan(read(path, full and read(path).full)) for path in paths}
     rows = {row["cell"]: row for row in store.of([job for jobs in plans.values() for job in jobs]).to_pylist()}
-    if any(each.metric == AVERAGE for test in claim.tests for each in (test, test.again) if each is not None):
+    if any(test.metric == AVERAGE for test in claim.tests):
         for cell, average in _averages(store, rows).items():
             rows[cell][AVERAGE] = average
-    out = []
-    for test, rival, on in pairs:
-        first = _compared(test, rival, on, plans, rows, ALPHA, len(pairs))
-        whole = not first.missing and not first.undefined
-        if test.again is not None and whole and first.state == "open" and not (full and read(test.suite).full):
-            first = replace(first, again=_compared(test.again, rival, on, plans, rows, ALPHA / 2, len(pairs)))
-        out.append(first)
-    return Verdict(claim, tuple(out))
+
+    def staged(test: Test, rival: str | None, on: tuple[str, ...], alpha: float) -> Comparison:
+        found = _compared(test, rival, on, plans, rows, alpha, len(pairs))
+        whole = not found.missing and not found.undefined
+        if test.again is None or not whole or found.state != "open" or (full and read(test.suite).full):
+            return found
+        return replace(found, again=staged(test.again, rival, on, alpha / 2))
+
+    return Verdict(claim, tuple(staged(*pair, ALPHA) for pair in pairs))
 
 
 def _averages(store: Store, cells: Collection[str]) -> dict[str, float]:

@@ -24,7 +24,8 @@
     range = [0.0, 1.0]                      # least and greatest number that the metric can have: logs on which all seeds differ
                                             # by the same then widen the interval, instead of leaving the test open
     again = { suite = "fresh.toml" }        # a suite of the same methods and logs and other seeds (`first_seed`), which decides
-                                            # where this one is open with all its cells; it may have a `log` of its own
+                                            # where this one is open with all its cells; it may have a `log` of its own, and
+                                            # an `again`, which decides where it is open too
 """
 
 import math
@@ -169,7 +170,7 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
         given |= {"beside": places[names[1]], "beside_on": other} if "beside" in test else {}
         again = given.pop("again", None)
         first = Test(**given)
-        tests.append(first if again is None else replace(first, again=_again(path, where, first, again, suite, suites)))
+        tests.append(first if again is None else replace(first, again=_again(path, where, first, again, (suite,), suites)))
     return Claim(said["id"], said["says"], said["place"], tuple(tests), said.get("note", ""))
 
 
@@ -190,11 +191,11 @@ def _rising(value: Any) -> bool:
 
 
 def _again(
-    path: Path, where: str, first: Test, said: dict[str, Any], own: Suite, suites: dict[str, Suite]
+    path: Path, where: str, first: Test, said: dict[str, Any], before: tuple[Suite, ...], suites: dict[str, Suite]
 ) -> Test:  # fmt: skip
-    """The second stage of a test, which shares no run with the first."""
-    where = f"{where}, again"
-    _check_keys(where, said, {"suite", "log"}, ("suite",))
+    """The next stage of a test, which shares no run with those before, whose suites are given."""
+    where, own = f"{where}, again", before[-1]
+    _check_keys(where, said, {"suite", "log", "again"}, ("suite",))
     for key, value in said.items():
         wanted, kind = _KINDS[key]
         if not isinstance(value, wanted):
@@ -219,12 +220,15 @@ def _again(
     other = [key for key in _PROTOCOL if getattr(own, key) != getattr(suite, key)]
     other += [key for key in _PLACED for on in first.on if getattr(own, key).get(on) != getattr(suite, key).get(on)]
     if other:
-        raise UserError(f"{where}: {other[0]} of {file} and of {first.suite.name} differ, so it is no second stage of it")
-    if own.first_seed < suite.first_seed + suite.seeds and suite.first_seed < own.first_seed + own.seeds:
-        raise UserError(
-            f"{where}: {file} has seeds of {first.suite.name}; its first_seed must be {own.first_seed + own.seeds} or more"
-        )
-    return replace(first, suite=place, log=said.get("log", first.log))
+        raise UserError(f"{where}: {other[0]} of {file} and of {first.suite.name} differ, so it is no further stage of it")
+    for one in before:
+        if one.first_seed < suite.first_seed + suite.seeds and suite.first_seed < one.first_seed + one.seeds:
+            least = max(each.first_seed + each.seeds for each in before)
+            raise UserError(f"{where}: {file} has seeds of {one.name}.toml; its first_seed must be {least} or more")
+    found = replace(first, suite=place, log=said.get("log", first.log))
+    if "again" not in said:
+        return found
+    return replace(found, again=_again(path, where, found, said["again"], (*before, suite), suites))
 
 
 def _check_keys(where: str, said: dict[str, Any], known: set[str], needed: Sequence[str]) -> None:
