@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.support import Support
 from deadreckon.ope.weights import FEW
@@ -287,7 +288,11 @@ def _model_based(found: Estimates, which: int, accepted: bool, support: Support 
     degenerate = support is not None and bool(support.degenerate[which])
     if accepted or (found.corrects(which) and not degenerate):
         return []
-    return ["its estimate is model-based only: nothing that was logged corrects an error of the model"]
+    beyond = found.diagnostics.get("beyond", np.zeros(which + 1))[which]
+    why = "nothing that was logged corrects an error of the model"
+    if beyond > TAIL and not degenerate:
+        why = f"{100 * beyond:.0f} % of the discounted time lies beyond the ends of the recording, unless there is a horizon"
+    return [f"its estimate is model-based only: {why}"]
 
 
 def _overlaps(found: Estimates, which: int) -> bool:
