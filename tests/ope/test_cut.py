@@ -124,7 +124,8 @@ def test_a_policy_that_goes_on_where_the_log_ends_is_judged_beyond_the_recording
     assert share == pytest.approx([(0.95 * DISCOUNT) ** STEPS, case.beyond], rel=0.05)
     assert found.corrected
     assert [found.corrects(i) for i in range(2)] == [False, True]
-    assert any(f"model-based only: {100 * share[0]:.0f} % of the discounted time" in line for line in select([found]).objections[0])
+    told = f"model-based only: {100 * share[0]:.0f} % of the discounted time"
+    assert any(told in line for line in select([found]).objections[0])
     if name != "wis" and name != "smis":
         assert found.inflation == pytest.approx([1 / (1 - share[0]), 1.0])
         assert any("of the discounted time of patient lies beyond" in line for line in found.warnings)
