@@ -1060,17 +1060,17 @@ MUTANTS = (
         "a checkpoint of other folds is taken", ("ope/test_asked.py",),
     ),
     Mutant(
-        "beyond-log", "ope/case.py", "return max(self.beyond, float(most @ self.episodes.going_on(log_rho)))",
-        "return self.beyond",
+        "beyond-log", "ope/case.py", "share = float(most @ going_on())",
+        "share = self.beyond",
         "what lies beyond the recording is the log's share, whatever the policy does", ("ope/test_cut.py",),
     ),
     Mutant(
-        "apart-shown", "ope/case.py", "unseen = self.data._is_end | self.data.apart", "unseen = self.data._is_end",
+        "apart-shown", "ope/case.py", "unseen = self.data._is_end | self._apart", "unseen = self.data._is_end",
         "the log's policy does after a row what the next row says, whatever that follows", ("ope/test_cut.py",),
     ),
     Mutant(
-        "average-first", "bench/claims.py", "if cell in cells and step > 0:", "if cell in cells:",
-        "the mean of a learning curve counts the score before it has learned", ("bench/test_claims.py",),
+        "average-first", "bench/claims.py", "weights=np.diff(steps, prepend=0)", "weights=None",
+        "the evaluation as a run ends counts as much in its learning curve as others", ("bench/test_claims.py",),
     ),
     Mutant(
         "held-negative", "ope/case.py", "found.min() < 0 or ", "", "a judged episode teaches under a negative index",

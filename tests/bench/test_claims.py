@@ -222,18 +222,18 @@ def test_a_metric_that_no_result_has_is_refused(folder):
 
 
 def test_the_average_score_is_the_mean_of_a_runs_curve_once_it_has_learned(folder):
-    """And not of the score before that."""
+    """And not of the score before that; the last evaluation, which comes as the run ends, counts as long as its interval."""
     (folder / "claims.toml").write_text(CLAIMS.replace("than = 20.0", 'metric = "average score", than = 20.0'))
     claim, store = claims("claims.toml")[2], kept({})
-    curves = [[0.0, 10.0, 14.0], [0.0, 11.0, 11.0], [0.0, 13.0, 13.0], [0.0, 10.0, 14.0]]
+    curves = [[0.0, 10.0, 14.0, 22.0], [0.0, 11.0, 11.0, 21.0], [0.0, 13.0, 13.0, 23.0], [0.0, 10.0, 14.0, 22.0]]
     job = next(each for each in plan(read("suite.toml")) if (each.method, each.on) == ("TD3", "walker2d-medium-v2"))
     points = [
-        {"cell": cell, "step": 50 * i, "score": score, "raw": 0.0, "spread": 0.0}
-        for cell, curve in zip(job.cells, curves) for i, score in enumerate(curve)
+        {"cell": cell, "step": step, "score": score, "raw": 0.0, "spread": 0.0}
+        for cell, curve in zip(job.cells, curves) for step, score in zip((0, 45, 90, 100), curve)
     ]  # fmt: skip
     keep(store, job, [99.0] * 4, curves=points)
     found = verdict(claim, store)
-    assert (found.state, found.comparisons[0].gain.value) == ("holds", pytest.approx(20.0 - 12.0))
+    assert (found.state, found.comparisons[0].gain.value) == ("holds", pytest.approx(20.0 - (0.9 * 12.0 + 0.1 * 22.0)))
 
 
 def test_the_full_size_of_a_claim_is_that_of_the_suites_that_have_one(folder):

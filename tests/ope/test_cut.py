@@ -10,7 +10,7 @@ from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
 from deadreckon.ope import OPEInput
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.decide import automatic, decide
+from deadreckon.ope.decide import automatic
 from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.features import Table
@@ -124,7 +124,7 @@ def test_a_policy_that_goes_on_where_the_log_ends_is_judged_beyond_the_recording
     assert share == pytest.approx([(0.95 * DISCOUNT) ** STEPS, case.beyond], rel=0.05)
     assert found.corrected
     assert [found.corrects(i) for i in range(2)] == [False, True]
-    told = f"model-based only: {100 * share[0]:.0f} % of the discounted time"
+    told = f"model-based only: {100 * share[0]:.0f} % of its discounted time"
     assert any(told in line for line in select([found]).objections[0])
     if name != "wis" and name != "smis":
         assert found.inflation == pytest.approx([1 / (1 - share[0]), 1.0])
@@ -197,23 +197,20 @@ def test_what_follows_a_row_may_not_be_the_next_row():
     """The policy of such a log does what it usually does there, not what the next row says; where nobody knows, it is told."""
     world = garnet(8, 3, 3, noise=0.3, seed=4)
     own, other = tables(world, 2, 0.7)
-    log = shuffled(world.log(own, 500, 20, np.random.default_rng(0), "in order"))
+    log = shuffled(world.log(own, 2_000, 20, np.random.default_rng(0), "in order"))
     assert log.apart.mean() > 0.5
     case = OPEInput(log, [as_policy(other)], discount=DISCOUNT, horizon=None, logged=True, names=["other"])
     states = log.next_observations.argmax(1)
     assert np.abs(case.next_actions(1)[:, -1][log.apart] - own[states[log.apart]]).max() < 0.15
     assert case.shown.all()
-    found = automatic(case)[0].on(case)
-    for value, table, pulls in zip(found.value, (other, own), found.influence.T):
-        assert abs(value - exact(world, table)) < 4 * pulls.std(ddof=1) / np.sqrt(len(pulls))
-
-    decision = decide(case, "auto", groups=Groups("site", ("a",), np.zeros(log.episodes, int)))
-    assert decision.estimates[0].method == "DRL"
-    assert "its rows do not follow each other" in decision.more["groups"]["refused"]
-    with pytest.raises(UserError, match="its rows do not follow each other"):
-        decide(case, "auto", confounding=2.0)
-    with pytest.raises(UserError, match="rows that follow each other"):
-        decide(case, "auto", guarantee=True, return_range=(-100.0, 100.0))
+    found = estimator("fqe-linear").on(case)
+    for value, table in zip(found.value, (other, own)):
+        assert value == pytest.approx(exact(world, table), rel=0.05)
+    assert [each.label for each in automatic(case)] == ["FQE"]
+    for name in ("drl", "wis", "dr-linear"):
+        with pytest.raises(UserError, match="shuffled: its rows do not follow each other"):
+            estimator(name).on(case)
+    assert np.isnan(estimator(lambda data, policies, discount: [1.0]).on(case).value[-1])
 
     many = replace(
         log, observations=log.observations + 1e-3 * np.random.default_rng(0).standard_normal(log.observations.shape)

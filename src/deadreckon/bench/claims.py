@@ -40,7 +40,7 @@ from deadreckon.stats.interval import ALPHA, Interval
 from deadreckon.tasks.registry import of_log
 
 State = Literal["holds", "contradicted", "open"]
-AVERAGE = "average score"  # of the evaluations along a run, but for the one before it has learned: its learning curve's mean
+AVERAGE = "average score"  # of a run: the mean of its learning curve, but for the evaluation before it has learned
 
 
 @dataclass(frozen=True)
@@ -254,12 +254,17 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
 
 
 def _averages(store: Store, cells: Collection[str]) -> dict[str, float]:
-    """The mean score of each cell's evaluations but the one before it has learned; of cells that were evaluated since."""
-    points: dict[str, list[float]] = {}
-    for cell, step, score in zip(*(store.curves()[name].to_pylist() for name in ("cell", "step", "score"))):
-        if cell in cells and step > 0:
-            points.setdefault(cell, []).append(math.nan if score is None else score)
-    return {cell: float(np.mean(scores)) for cell, scores in points.items()}
+    """The mean of each cell's learning curve, of cells that were evaluated since it began to learn: each evaluation counts as
+    long as the time since the one before it, as the last comes when the run ends."""
+    points: dict[str, dict[int, float]] = {}
+    for point in store.curves().to_pylist():
+        if point["cell"] in cells and point["step"] > 0:
+            points.setdefault(point["cell"], {})[point["step"]] = math.nan if point["score"] is None else point["score"]
+    found = {}
+    for cell, scores in points.items():
+        steps = sorted(scores)
+        found[cell] = float(np.average([scores[step] for step in steps], weights=np.diff(steps, prepend=0)))
+    return found
 
 
 def _check_metric(test: Test, suite: Path, jobs: Sequence[Job], rows: Mapping[str, dict[str, Any]]) -> None:

@@ -14,7 +14,7 @@
     than = ["BC", "TD3"]                    # methods of the suite; or one number
     on = ["walker2d-medium-v2"]             # of the suite's logs, tasks, problems or cases; all where it is absent
     metric = "score"                        # a column of results, a name in their `more`, or "average score": the mean of a
-                                            # run's evaluations, but for the one before it has learned
+                                            # learning curve, but for the evaluation before the run has learned
     less = false                            # whether less is better
     margin = 0.0                            # the gain that is claimed; below zero where it is "no worse"
     each = false                            # whether it is claimed of each log by itself, and not of their mean

@@ -190,7 +190,14 @@ class OPEInput(Fits):
     def shown(self) -> np.ndarray:
         """(rows,) whether it is known what the behaviour policy did next: the log shows it, or how often it does so there, or
         nothing comes next."""
-        return ~(self.data._is_end | self.data.apart) | self.ended | (self._habits is not None)
+        return ~(self.data._is_end | self._apart) | self.ended | (self._habits is not None)
+
+    @cached_property
+    def _apart(self) -> np.ndarray:
+        """(rows,) `Dataset.apart` of the log as it was given: features of one picture differ by how they are computed."""
+        if self.data.successors is None:
+            return np.zeros(len(self.data), bool)
+        return self.given.select(self.held).apart  # no horizon cuts such a log
 
     @cached_property
     def beyond(self) -> float:
@@ -200,15 +207,24 @@ class OPEInput(Fits):
 
     def beyond_of(self, log_rho: np.ndarray) -> float:
         """The same in a policy's episodes, whose weights tell how many of them end before they would be cut off; at least
-        `beyond`.
+        `beyond`. An estimate, of which nobody says how certain it is: weights that rest on few episodes may miss those that
+        are cut off, and are told of by themselves.
 
         Args:
             log_rho: (rows,) logarithms of the products of its ratios along each episode; see `Episodes.cumulate`.
         """
+        return self._beyond_if(lambda: self.episodes.going_on(log_rho))
+
+    def beyond_if(self, going_on: np.ndarray) -> float:
+        """The same of a policy of whose episodes the share `going_on` (steps,) goes on after each step."""
+        return self._beyond_if(lambda: going_on)
+
+    def _beyond_if(self, going_on: Callable[[], np.ndarray]) -> float:
         most = -np.diff(self.episodes.kept) * self._ahead  # of episodes that do not end, by when they are cut off
         if most.sum() <= self.beyond:
             return self.beyond
-        return max(self.beyond, float(most @ self.episodes.going_on(log_rho)))
+        share = float(most @ going_on())
+        return share if share > self.beyond * (1 + 1e-9) else self.beyond
 
     @cached_property
     def _ahead(self) -> np.ndarray:
@@ -216,14 +232,14 @@ class OPEInput(Fits):
         steps, horizon = np.arange(1, int(self.data.lengths.max()) + 1), self.estimand.horizon
         if horizon is None:
             return self.discount**steps
-        done = np.array([discounted_steps(self.discount, step) for step in range(horizon + 1)])
-        return 1.0 - done[steps] / done[-1]
+        done = np.array([discounted_steps(self.discount, step) for step in steps])
+        return 1.0 - done / discounted_steps(self.discount, horizon)
 
     @cached_property
     def _habits(self) -> Callable[[np.ndarray], np.ndarray] | None:
         """Of (n, d) observations the (n, actions) probabilities of the behaviour policy, where observations are few and have
         actions elsewhere in the log; None where they are many, or where nothing is cut off and each row follows the last."""
-        whole = self.data.terminals[self.data.ends].all() and not self.data.apart.any()
+        whole = self.data.terminals[self.data.ends].all() and not self._apart.any()
         if whole or (table := Table.of(self.log)) is None:
             return None
         shares = table.shares(self.log)
@@ -347,7 +363,7 @@ class OPEInput(Fits):
                 if self._habits is not None and name == "final":
                     own = self._habits(self.data.final_observations)
                 if self._habits is not None and name == "next":
-                    unseen = self.data._is_end | self.data.apart
+                    unseen = self.data._is_end | self._apart
                     own[unseen] = self._habits(self.data.next_observations_at(np.flatnonzero(unseen)))
                 table[:, -1] = own
             return table

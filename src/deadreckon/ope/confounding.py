@@ -87,12 +87,10 @@ def possible(case: OPEInput) -> None:
     """Refuses cases without bounds.
 
     Raises:
-        UserError: weights that mean nothing, rows that do not follow each other, or episodes that are cut off at different
-            steps.
+        UserError: weights that mean nothing, or episodes that are cut off at different steps.
     """
     if case.degenerate.any():
         raise UserError(f"bounds for confounding {WEIGHTLESS}")
-    case.episodes.check_order()
     if not case.episodes.even:
         raise UserError(f"{case.data.name}: bounds for confounding need whole episodes; give a horizon that all reach")
 

@@ -193,13 +193,13 @@ def automatic(case: OPEInput, model: BehaviorModel = PROPENSITIES, accept_model_
 
     - All policies are deterministic with continuous actions, or do not tell their probabilities: weights are degenerate or not
       known, and what is left is model-based (`fqe`); of cross-fitted policies nothing, as critics of all folds know what taught
-      them.
+      them. The same where the log's rows do not follow each other, so that there are no ratios of episodes.
     - One step, cross-fitted policies, or weights of whole episodes that for every policy amount to a fifth of the episodes or
       to fifty (`select.SHARE`, `select.MANY`): doubly robust with linear critics (`dr-linear`).
-    - Else, or where what is asked for lies beyond the ends of the recording, and observations take few values: doubly robust by
-      ratios of occupancies (`drl`), whose variance does not grow with the product of the weights, with `dr-linear` as evidence.
-      With other observations `drl` rests on its features being right, which nothing corrects, so it is evidence alone unless
-      model-based estimates are accepted.
+    - Else, or where what is asked for of any policy lies beyond the ends of the recording, and observations take few values:
+      doubly robust by ratios of occupancies (`drl`), whose variance does not grow with the product of the weights, with
+      `dr-linear` as evidence. With other observations `drl` rests on its features being right, which nothing corrects, so it is
+      evidence alone unless model-based estimates are accepted.
 
     Args:
         case: log and policies.
@@ -214,17 +214,18 @@ def automatic(case: OPEInput, model: BehaviorModel = PROPENSITIES, accept_model_
     if degenerate.all() or (accept_model_based and degenerate.any()):
         return [FQE()]
     if case.data.successors is not None:
-        return [DoublyRobust(kind="marginal", fqe=LinearFQE())]
+        return [FQE()]
     if case.data.lengths.max() == 1:
         return [weighted, ImportanceSampling(model=model)]
     critics = LinearFQE()
     marginal = DoublyRobust(kind="marginal", fqe=critics)
     table = Fit(critics, case).features.table is not None
-    if table and case.beyond > TAIL:
-        return [marginal, weighted]
     episodes = case.episodes
     ratios = log_ratios(case, "auto", model, None)[: len(case.policies)]
-    last = np.stack([episodes.cumulate(row)[case.data.ends] for row in ratios[~degenerate]])
+    along = [episodes.cumulate(row) for row in ratios[~degenerate]]
+    if table and max(map(case.beyond_of, along)) > TAIL:
+        return [marginal, weighted]
+    last = np.stack([row[case.data.ends] for row in along])
     weights = np.exp(last - last.max(1, keepdims=True).clip(min=-1e300))
     if (effective(weights) >= min(SHARE * case.data.episodes, MANY)).all() or not (table or accept_model_based):
         return [weighted, marginal]

@@ -93,7 +93,9 @@ def by_group(
     own = np.array([len(np.unique(cluster[code == g])) for g in range(len(size))])
     known = own >= UNITS
     factor = inference.simultaneous(influence[:, known], alpha / len(case.policies), case.seed)
-    beyond = stretched([case.beyond_of(case.episodes.cumulate(log_ratios(case, "auto", model, None)[which]))])
+    # What lies beyond the recording is that of all groups together.
+    along = case.episodes.cumulate(log_ratios(case, "auto", model, None)[which])
+    beyond = stretched([case.beyond_of(along)])
     more = case.inflation[which] * (1.0 if beyond is None else beyond[0])
     half = more * inference.errors(influence) * factor + wider
     return [

@@ -42,8 +42,6 @@ def refuse(case: OPEInput, return_range: tuple[float, float] | None) -> None:
         lacks.append("policies that draw their actions and tell how likely these are")
     if not episodes.ended.all():
         lacks.append(f"whole episodes: {(~episodes.ended).sum():,} are cut off; give a horizon that all of them reach")
-    if episodes.apart is not None:
-        lacks.append("rows that follow each other, as ratios are multiplied along them")
     if case.clustered:
         lacks.append("independent episodes: those of a cluster are not")
     if case.crossed:

@@ -151,7 +151,8 @@ class Function(Estimator):
         if values.shape != (len(case.policies),):
             raise UserError(f"the estimator function gave values of shape {values.shape} for {len(case.policies)} policies")
         if case.logged:
-            values = np.append(values, case.data.returns(case.discount).mean())
+            ordered = case.data.successors is None  # else a sum along its rows is no return
+            values = np.append(values, case.data.returns(case.discount).mean() if ordered else np.nan)
         nothing = np.full(len(values), np.nan)
         return Estimates(self.name, case.names, values, nothing, nothing, case.estimand, bootstrap=values[None])
 

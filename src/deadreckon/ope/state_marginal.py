@@ -43,6 +43,7 @@ class Marginal:
         lost: probability that went, before the last step, into states that all episodes in them were cut off at.
         ess: (steps,) episodes that the weights d_t(s) n rho_t / n_t(s) of each step amount to, (sum w)^2 / sum w^2, where
             the policy's whole probability is still in states that the log knows.
+        going_on: (steps,) probability that no terminal has ended the episode after each step; what is lost goes on.
     """
 
     value: float
@@ -50,6 +51,7 @@ class Marginal:
     states: np.ndarray
     lost: float
     ess: np.ndarray
+    going_on: np.ndarray
 
 
 class StateMarginal(Estimator):
@@ -91,7 +93,7 @@ class StateMarginal(Estimator):
             ess.append(episodes.quartile(found.ess))
             tails.append(row)  # of single steps: these are what is averaged
             lost.append(found.lost)
-            share.append(case.beyond_of(episodes.cumulate(row)))
+            share.append(case.beyond_if(found.going_on))
         ess = np.asarray(ess)
         warnings = [
             *episodes.warnings(case.names, ess),
@@ -162,7 +164,7 @@ def state_marginal(
 
     reached = np.zeros((steps, size))
     reached[0] = per_state(states[first], count) / all_of_them
-    lost, scores, ess = 0.0, np.zeros(len(lengths)), np.zeros(steps)
+    lost, scores, ess, going_on = 0.0, np.zeros(len(lengths)), np.zeros(steps), np.ones(steps)
     over = 0.0  # probability of having ended
     for t in range(steps):
         there, s, ratio, _, known, on, after = at(t)
@@ -171,12 +173,14 @@ def state_marginal(
         sure = weight.sum() + all_of_them * over
         ess[t] = sure**2 / max(np.square(weight).sum() + all_of_them * over, 1e-300)
         if t == steps - 1:
+            going_on[t] = 1.0 - over - weight[ended[there]].sum() / all_of_them
             break
         each = count[there] * (ratio if normalised else 1.0)
         known_share = shares(s, each * known)
         flow = count[there] * ratio * known_share * reached[t][s]
         reached[t + 1] = per_state(after, flow * on)
         over += float(flow[known & ~on].sum())
+        going_on[t] = 1.0 - over
         gone = per_state(s, each * known) <= 0
         lost += float(reached[t][gone].sum())
     ahead = np.zeros(size)  # value of each state at the next step
@@ -192,4 +196,4 @@ def state_marginal(
         scores[there] += all_of_them * discount**t * reached[t][s] * pull
         ahead = now + then
     value = float(reached[0] @ ahead)
-    return Marginal(value, scores + ahead[states[first]], reached, lost, ess)
+    return Marginal(value, scores + ahead[states[first]], reached, lost, ess, going_on)

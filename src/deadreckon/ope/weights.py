@@ -99,7 +99,8 @@ class Episodes:
     """The shape of a log's episodes, and how they are redrawn: alike for all policies and estimators of a case."""
 
     def __init__(self, data: Dataset, discount: float, seed: int, units: np.ndarray):
-        self.apart = data.name if data.successors is not None else None  # its rows do not follow each other
+        if data.successors is not None:
+            raise UserError(f"{data.name}: its rows do not follow each other, so ratios cannot be multiplied along them")
         self.lengths, self.count, self.discount = data.lengths, data.episodes, discount
         self.first = data.starts
         self.of = data.episode_of
@@ -135,22 +136,8 @@ class Episodes:
         at_risk = np.maximum(beyond + cut, 1)
         return np.cumprod(1.0 - cut / at_risk)
 
-    def check_order(self) -> None:
-        """Refuses episodes along which ratios cannot be multiplied.
-
-        Raises:
-            UserError: the log's rows do not follow each other.
-        """
-        if self.apart is not None:
-            raise UserError(f"{self.apart}: its rows do not follow each other, so ratios cannot be multiplied along them")
-
     def cumulate(self, log_ratios: np.ndarray) -> np.ndarray:
-        """(rows,) log of rho_t: sums of the log-ratios over each episode so far.
-
-        Raises:
-            UserError: the log's rows do not follow each other.
-        """
-        self.check_order()
+        """(rows,) log of rho_t: sums of the log-ratios over each episode so far."""
         return cumulate(log_ratios, self.lengths)
 
     def sums(self, log_rho: np.ndarray, x: np.ndarray, *, normalised: bool, alive_only: bool = False) -> Sums:

@@ -33,7 +33,6 @@ from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
 from deadreckon.files import write_json
 from deadreckon.ope.behavior_model import PROPENSITIES
-from deadreckon.ope.case import check_order
 from deadreckon.ope.costs import limits_of
 from deadreckon.ope.features import Features
 from deadreckon.ope.fqe import FQE
@@ -166,7 +165,8 @@ class Attempt:
         if len(log.spec.observation_shape) != 1:
             seen = f"{log.name} has shape {log.spec.observation_shape}"
             raise UserError(f"recommend learns from flat observations, {seen}; use train and ope")
-        check_order(log)
+        if log.successors is not None:  # the rules for decisions need ratios of episodes
+            raise UserError(f"{log.name}: its rows do not follow each other, which recommend needs; use train and ope")
         given = self.settings.holdout
         holdout = usual(log) if given is None else given if isinstance(given, Holdout) else of_share(log, given)
         held = len(holdout.parts(log).held)  # what cannot be held out is told before anything is learned
