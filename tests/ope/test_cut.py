@@ -206,7 +206,7 @@ def test_what_follows_a_row_may_not_be_the_next_row():
     found = estimator("fqe-linear").on(case)
     for value, table in zip(found.value, (other, own)):
         assert value == pytest.approx(exact(world, table), rel=0.05)
-    assert [each.label for each in automatic(case)] == ["FQE"]
+    assert [each.label for each in automatic(case)] == ["FQE-L2"]
     for name in ("drl", "wis", "dr-linear"):
         with pytest.raises(UserError, match="shuffled: its rows do not follow each other"):
             estimator(name).on(case)

@@ -232,7 +232,7 @@ class OPEInput(Fits):
         steps, horizon = np.arange(1, int(self.data.lengths.max()) + 1), self.estimand.horizon
         if horizon is None:
             return self.discount**steps
-        done = np.array([discounted_steps(self.discount, step) for step in steps])
+        done = np.array([discounted_steps(self.discount, int(step)) for step in steps])
         return 1.0 - done / discounted_steps(self.discount, horizon)
 
     @cached_property
