@@ -17,7 +17,7 @@ from deadreckon.ope.features import Table
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.groups import Groups, by_group
 from deadreckon.ope.linear import Fit, LinearFQE
-from deadreckon.ope.registry import estimator
+from deadreckon.ope.registry import as_estimators, estimator
 from deadreckon.ope.select import gains, select
 from deadreckon.theory.tabular import garnet
 from tests.ope.worlds import as_policy, tables
@@ -210,7 +210,8 @@ def test_what_follows_a_row_may_not_be_the_next_row():
     for name in ("drl", "wis", "dr-linear"):
         with pytest.raises(UserError, match="shuffled: its rows do not follow each other"):
             estimator(name).on(case)
-    assert np.isnan(estimator(lambda data, policies, discount: [1.0]).on(case).value[-1])
+    (mine,) = as_estimators([lambda data, policies, discount: [1.0]])
+    assert np.isnan(mine.on(case).value[-1])
 
     many = replace(
         log, observations=log.observations + 1e-3 * np.random.default_rng(0).standard_normal(log.observations.shape)
