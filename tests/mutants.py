@@ -1060,7 +1060,7 @@ MUTANTS = (
         "a checkpoint of other folds is taken", ("ope/test_asked.py",),
     ),
     Mutant(
-        "beyond-log", "ope/case.py", "share = float(most @ going_on())",
+        "beyond-log", "ope/case.py", "share = float(self._endless @ going_on)",
         "share = self.beyond",
         "what lies beyond the recording is the log's share, whatever the policy does", ("ope/test_cut.py",),
     ),
@@ -1069,7 +1069,7 @@ MUTANTS = (
         "the log's policy does after a row what the next row says, whatever that follows", ("ope/test_cut.py",),
     ),
     Mutant(
-        "average-first", "bench/claims.py", "weights=np.diff(steps, prepend=0)", "weights=None",
+        "average-unweighted", "bench/claims.py", "weights=np.diff(steps, prepend=0)", "weights=None",
         "the evaluation as a run ends counts as much in its learning curve as others", ("bench/test_claims.py",),
     ),
     Mutant(

@@ -257,8 +257,9 @@ def _averages(store: Store, cells: Collection[str]) -> dict[str, float]:
     """The mean of each cell's learning curve, of cells that were evaluated since it began to learn: each evaluation counts as
     long as the time since the one before it, as the last comes when the run ends."""
     points: dict[str, dict[int, float]] = {}
-    for point in store.curves().to_pylist():
-        if point["cell"] in cells and point["step"] > 0:
+    curves = store.curves()
+    for point in curves.filter(np.isin(curves["cell"].to_numpy(), list(cells))).to_pylist():
+        if point["step"] > 0:
             points.setdefault(point["cell"], {})[point["step"]] = math.nan if point["score"] is None else point["score"]
     found = {}
     for cell, scores in points.items():

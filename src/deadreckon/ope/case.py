@@ -11,6 +11,7 @@ import numpy as np
 
 from deadreckon.data.batch import TransitionSource, redrawn
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.episodes import rows_of
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior_model import BehaviorModel
@@ -197,7 +198,8 @@ class OPEInput(Fits):
         """(rows,) `Dataset.apart` of the log as it was given: features of one picture differ by how they are computed."""
         if self.data.successors is None:
             return np.zeros(len(self.data), bool)
-        return self.given.select(self.held).apart  # no horizon cuts such a log
+        given = self.given  # no horizon cuts such a log
+        return given.apart[rows_of(given.starts[self.held], given.lengths[self.held])]
 
     @cached_property
     def beyond(self) -> float:
@@ -213,18 +215,19 @@ class OPEInput(Fits):
         Args:
             log_rho: (rows,) logarithms of the products of its ratios along each episode; see `Episodes.cumulate`.
         """
-        return self._beyond_if(lambda: self.episodes.going_on(log_rho))
+        if self._endless.sum() <= self.beyond:  # no policy has more
+            return self.beyond
+        return self.beyond_if(self.episodes.going_on(log_rho))
 
     def beyond_if(self, going_on: np.ndarray) -> float:
         """The same of a policy of whose episodes the share `going_on` (steps,) goes on after each step."""
-        return self._beyond_if(lambda: going_on)
-
-    def _beyond_if(self, going_on: Callable[[], np.ndarray]) -> float:
-        most = -np.diff(self.episodes.kept) * self._ahead  # of episodes that do not end, by when they are cut off
-        if most.sum() <= self.beyond:
-            return self.beyond
-        share = float(most @ going_on())
+        share = float(self._endless @ going_on)
         return share if share > self.beyond * (1 + 1e-9) else self.beyond
+
+    @cached_property
+    def _endless(self) -> np.ndarray:
+        """(steps,) the share beyond the recording of episodes that do not end, by the step after which they are cut off."""
+        return -np.diff(self.episodes.kept) * self._ahead
 
     @cached_property
     def _ahead(self) -> np.ndarray:
