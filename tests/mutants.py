@@ -1043,7 +1043,7 @@ MUTANTS = (
     Mutant(
         "gains-nuisance", "ope/select.py", "if found.nuisance is not None:", "if False:",
         "gains take critics for true that nothing corrects",
-        ("ope/test_exact.py::test_magics_gains_have_the_error_of_its_critics",),
+        ("ope/test_exact.py::test_magic_with_critics_of_folds_lies_within_its_interval_as_often_as_promised",),
     ),
     Mutant(
         "magic-going-on", "ope/weights.py", "goes[ends[self.ended]] = False", "goes[ends] = False",

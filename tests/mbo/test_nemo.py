@@ -319,7 +319,7 @@ def test_designs_travel_no_further_than_they_may(bowl):
     started = bowl.x[bowl.best(4)]
     travelled = np.abs(found.x - started) / bowl.coordinates.std
     assert travelled.max() == pytest.approx(0.25, abs=1e-4)
-    free = far.replace(max_travel=None).propose(bowl, 4, distinct=False)
+    free = far.replace(max_travel=100.0).propose(bowl, 4, distinct=False)
     assert (np.abs(free.x - started) / bowl.coordinates.std).max() > 0.5
     level = Variable("c", "categorical", levels=tuple("xyz"))
     rng = np.random.default_rng(0)
