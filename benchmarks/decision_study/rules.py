@@ -19,9 +19,9 @@ from scipy import special
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
 from deadreckon.ope import OPEInput
+from deadreckon.ope.basis import UNITS
 from deadreckon.ope.case import CrossFitted
 from deadreckon.ope.decide import decide
-from deadreckon.ope.select import UNITS
 from deadreckon.stats.means import student
 from decision_study.fqe import fqe
 from decision_study.learn import learned

@@ -8,7 +8,7 @@ import pytest
 import deadreckon as dr
 from deadreckon.agents.bc import BC
 from deadreckon.cli.main import main
-from deadreckon.cli.ope import use
+from deadreckon.cli.ope import usage, use
 from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.ope import ESTIMATORS, LinearFQE
 from deadreckon.runs.train import train
@@ -78,6 +78,9 @@ def test_what_is_deployed_is_used_as_it_was_judged(made):
     assert use({"file": file}, [], False) == f"{plain}, rng, greedy=False)"
     assert use({"file": "dope.pkl"}, [], True) == "deadreckon.policies.load_dope('dope.pkl')(observations)"
     assert use({"file": None, "run": "hopper snapshot-01", "seed": None}, ["hopper"], True) is None
+    results = {"policies": [{"name": "a", "file": "dope.pkl"}, {"name": "b", "file": file}], "estimand": {"greedy": False}}
+    assert usage(results | {"choice": {"name": "b", "deploy": True}}, []) == f"  use it: {plain}, rng, greedy=False)\n"
+    assert usage(results | {"choice": {"name": None, "deploy": False}, "estimand": None}, []) == ""
 
 
 @pytest.mark.slow
@@ -87,7 +90,7 @@ def test_a_policy_of_a_table_is_used_by_predict(tmp_path):
     run = dr.train(dr.agents.BC(hidden=(4,), batch_size=8), log, steps=2, task=False, out=tmp_path / "a run")
     file = str(run.path / "policies" / "seed0.npz")
     command, call = use({"file": file}, [], False).split(", in Python ")
-    assert command == f"deadreckon predict '{file}' TABLE --out actions.csv --sampled"
+    assert command == f"deadreckon predict '{file}' TABLE --out actions.csv --sampled True"
     assert call == f"deadreckon.load_policy({file!r}).predict(rows, greedy=False)"
     assert set(eval(call, {"deadreckon": dr, "rows": {"x": [1.0, 2.0]}})) <= {"mail", "call", "none"}
 

@@ -8,7 +8,7 @@ import pytest
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
-from deadreckon.ope import OPEInput
+from deadreckon.ope import ImportanceSampling, OPEInput
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.decide import automatic
 from deadreckon.ope.doubly_robust import DoublyRobust
@@ -133,14 +133,14 @@ def test_a_policy_that_goes_on_where_the_log_ends_is_judged_beyond_the_recording
 
 def test_gains_by_group_are_less_certain_beyond_the_recording(monkeypatch):
     log = ending(2_000)
-    case = OPEInput(log, [as_policy(np.array([[0.7, 0.3]]))], discount=DISCOUNT, horizon=None, logged=True)
+    case = OPEInput(log, [as_policy(np.array([[0.5, 0.5]]))], discount=DISCOUNT, horizon=None, logged=True)
     groups = Groups("site", ("a", "b"), np.arange(log.episodes) % 2)
-    wide = by_group(case, 0, groups, BehaviorModel())
-    ratios = np.where(np.asarray(log.actions) == 1, np.log(0.3 / 0.8), np.log(0.7 / 0.2))
+    wide = by_group(case, 0, groups, BehaviorModel(hidden=(8,), steps=50))
+    ratios = np.where(np.asarray(log.actions) == 1, np.log(0.5 / 0.8), np.log(0.5 / 0.2))
     share = case.beyond_of(case.episodes.cumulate(ratios))
     assert share > TAIL
     monkeypatch.setattr(OPEInput, "beyond_of", lambda self, log_rho: 0.0)
-    narrow = by_group(case, 0, groups, BehaviorModel())
+    narrow = by_group(case, 0, groups, BehaviorModel(hidden=(8,), steps=50))
     for one, other in zip(wide, narrow):
         assert one["gain"] == other["gain"]
         assert (one["high"] - one["low"]) / (other["high"] - other["low"]) == pytest.approx(1 / (1 - share), rel=1e-5)
@@ -277,3 +277,18 @@ def test_the_behaviour_policy_has_its_last_step_where_the_horizon_ends_episodes(
         assert (errors[-1, 1::2] != 0.0).all()
     assert np.allclose(found[0], found[1], atol=0.3)
     assert abs(found[0][1] - found[0][0]) < 0.5
+
+
+def test_what_is_still_to_come_is_told_of_what_is_asked_for():
+    """With a horizon of 40 steps, episodes that are cut off after 38 of them lack a twentieth and not all of their time."""
+    world = garnet(states=3, actions=2)
+    both = np.full((3, 2), 0.5)
+    parts = world.log(both, 5, 38, np.random.default_rng(0)), world.log(both, 55, 40, np.random.default_rng(1))
+    columns = ("observations", "actions", "rewards", "terminals", "timeouts", "final_observations")
+    log = Dataset.from_arrays(
+        **{key: np.concatenate([getattr(part, key) for part in parts]) for key in columns}, action_space=Discrete(2),
+        behavior_log_probs=np.full(sum(map(len, parts)), np.log(0.5)),
+    )  # fmt: skip
+    case = OPEInput(log, [as_policy(both)], discount=1.0, horizon=40, logged=True)
+    assert case.cut_ahead == pytest.approx(0.05)
+    assert any("where 5 % of the discounted time is still to come" in line for line in ImportanceSampling().on(case).warnings)

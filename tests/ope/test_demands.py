@@ -1,5 +1,6 @@
 """What a decision may be asked for beyond a gain: a guarantee, confounding, groups and tails."""
 
+import dataclasses
 from dataclasses import replace
 
 import numpy as np
@@ -16,9 +17,11 @@ from deadreckon.ope.decide import UNSEEN, decide
 from deadreckon.ope.groups import Groups, by_group
 from deadreckon.ope.guarantee import guaranteed, refuse
 from deadreckon.ope.registry import estimator, with_fields
+from deadreckon.ope.select import MOVED, gains
 from deadreckon.ope.support import Support
 from deadreckon.ope.tail import tails
 from deadreckon.policies import BlackBoxPolicy
+from deadreckon.runs.offline import groups
 from deadreckon.theory import garnet
 from tests.ope.test_case import linear, lqr
 from tests.ope.test_corrected import one_step
@@ -259,3 +262,64 @@ def test_the_tail_beside_that_of_the_log():
     for ask in (lambda: tails(draws_nothing, 0, 0.1, MODEL), lambda: Confounding(draws_nothing, MODEL)):
         with pytest.raises(UserError, match="need weights, which mean nothing for policies of continuous actions"):
             ask()
+
+
+def test_a_group_that_the_log_does_not_show_has_no_interval():
+    """At the second site the policy always does what was never done there: 5 % of all rows, and all of that group's."""
+    rng = np.random.default_rng(0)
+    site = np.repeat([0, 1], [950, 50])
+    log = trials(1000, rng)
+    seen = np.column_stack([log.observations, site]).astype(np.float32)
+    arm, told = np.where(site == 1, 0, log.actions), np.where(site == 1, 0.0, np.log(0.5))
+    log = replace(log, observations=seen, final_observations=seen, actions=arm, extras={"behavior_log_probs": told})
+    second = BlackBoxPolicy(
+        lambda seen, rng: np.ones(len(seen), int), action_probs=lambda seen: np.tile([0.0, 1.0], (len(seen), 1))
+    )
+    case = OPEInput(log, [second], discount=0.0, horizon=1, logged=True)
+    shown, lost = by_group(case, 0, Groups("site", ("a", "b"), site), MODEL)
+    assert shown["low"] < 0.5 * 0.3 < shown["high"]
+    assert shown["why"] is None
+    assert (lost["low"], lost["high"]) == (None, None)
+    assert lost["why"].startswith("its weights rest on 0.0 episodes")
+    assert "its importance weights average 0.00 per step instead of 1" in lost["why"]
+    words = groups({"choice": {"name": "second", "level": 0.95, "groups": {"column": "site", "values": [shown, lost]}}})
+    assert "  b        50 episodes  " in words
+    assert "without an interval: its weights rest on 0.0 episodes" in words
+
+
+def test_what_rests_on_whole_episodes_needs_enough_of_them():
+    """Products of forty weights rest on a few of the episodes, whatever the estimator that decides rests on."""
+    world = garnet(states=3, actions=2, noise=0.5)
+    log = world.log(np.full((3, 2), 0.5), 200, 40, np.random.default_rng(0))
+    case = OPEInput(log, [as_policy(np.tile([0.9, 0.1], (3, 1)))], discount=0.9, horizon=40, logged=True)
+    drl = estimator("drl")
+    choice = decide(case, [drl], model=MODEL, confounding=1.2, tail=0.2)
+    assert np.isfinite(choice.choice.low)
+    assert choice.more["confounding"]["bounds"] is None
+    assert not choice.choice.deploy
+    assert any("is not known: by whole episodes its weights rest on" in line for line in choice.choice.evidence)
+    assert choice.more["tail"]["refused"].startswith("by whole episodes its weights rest on")
+    assert Confounding(case, MODEL).gain(0, 1.0) == (-np.inf, np.inf)
+    endless = OPEInput(log, [as_policy(np.full((3, 2), 0.5))], discount=0.99, horizon=None, logged=True)
+    with pytest.raises(UserError, match="tails need whole episodes"):  # all are cut off, at one length
+        tails(endless, 0, 0.5, MODEL)
+
+
+@pytest.mark.parametrize("name", ["switch", "dros", "pdis", "dr-linear"])
+def test_learned_propensities_that_do_not_fit_widen_what_does_not_normalise(name):
+    """Arms that depend on whether two numbers are alike, by a model that cannot know it."""
+    rng = np.random.default_rng(0)
+    seen = rng.choice([-1.0, 1.0], (800, 2))
+    arm = (rng.random(800) < np.where(seen.prod(1) > 0, 0.8, 0.2)).astype(int)
+    log = replace(one_step(seen, arm, rng.normal(1.0 + arm), np.full(800, 0.5)), extras={})
+    alike = BlackBoxPolicy(
+        lambda seen, rng: (seen.prod(1) > 0).astype(int), action_probs=lambda seen: np.eye(2)[(seen.prod(1) > 0).astype(int)]
+    )
+    blind = BehaviorModel(hidden=(), steps=1)
+    case = OPEInput(log, [alike], discount=0.0, horizon=1, logged=True)
+    found = dataclasses.replace(estimator(name), model=blind).on(case)
+    moved = found.diagnostics["normalising"]
+    assert abs(moved[0]) > 1e-3
+    more = {key: each for key, each in found.diagnostics.items() if key != "normalising"}
+    plain = gains(replace(found, diagnostics=more))
+    assert gains(found)[0, 2] - plain[0, 2] == pytest.approx(MOVED * np.abs(moved).max())

@@ -13,6 +13,7 @@ import pytest
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.ope import DICE, FQE, FQED, VPM, DoublyRobust, ImportanceSampling, LinearFQE, OPEInput
+from deadreckon.ope.decide import decide
 from deadreckon.ope.estimates import LOGGED
 from deadreckon.ope.select import gains
 from deadreckon.stats.interval import ALPHA
@@ -270,6 +271,22 @@ def test_magic_with_critics_of_folds_lies_within_its_interval_as_often_as_promis
         truth = np.array([*exact, exact[1] - exact[0]])
         inside.append((low <= truth) & (truth <= high))
     assert (np.mean(inside, 0) >= 0.85).all()
+
+
+@pytest.mark.parametrize(("discount", "horizon", "shown"), [(0.95, None, 0.05 * 0.96 / (1 - 0.95 * 0.96)), (1.0, 20, 0.96**20)])
+def test_occupancy_ratios_tell_how_much_of_a_policy_the_log_shows(discount, horizon, shown):
+    """An action that the log lacks, one time in 25: rare enough at each step, and most of what follows is not known."""
+    world = garnet(states=6, actions=3, noise=0.5, seed=1)
+    log = world.log(np.tile([0.5, 0.5, 0.0], (6, 1)), 150, 40, np.random.default_rng(0))
+    policies = [as_policy(np.tile(each, (6, 1))) for each in ([0.8, 0.16, 0.04], [0.8, 0.2, 0.0])]
+    case = OPEInput(log, policies, discount=discount, horizon=horizon, logged=True)
+    drl = DoublyRobust(kind="marginal", fqe=LinearFQE())
+    found = drl.on(case)
+    np.testing.assert_allclose(found.diagnostics["mass"], [shown, 1.0, 1.0], atol=0.01)
+    assert found.ess[0] > 50  # which does not tell
+    choice = decide(case, [drl]).choice
+    assert "its occupancy ratios amount to" in choice.objections[0][0]
+    assert not any("occupancy" in line for line in choice.objections[1])
 
 
 def test_what_critics_share_falls_out_of_magics_differences():

@@ -27,5 +27,5 @@ def keep_nuisances(case, estimator, begins: np.ndarray, errors: np.ndarray) -> N
     """Tells a doubly robust estimator of one fold what its critics say: (members, policies, episodes) and (policies, rows)."""
     assert estimator.folds == 1
     settled = np.ones(len(errors), bool)
-    told = OutOfFold(begins.mean(0), errors, None, None, settled, np.square(errors).mean(1))
+    told = OutOfFold(begins.mean(0), errors, None, None, None, settled, np.square(errors).mean(1))
     case.once(("errors", estimator.fqe, estimator.samples), lambda: (told, begins))

@@ -40,6 +40,7 @@ def place(tmp_path_factory):
     """A run on a table, with estimates that promise exactly what is true."""
     folder = tmp_path_factory.mktemp("monitor")
     table(300, 0).to_csv(folder / "log.csv", index=False)
+    table(300, 4).to_csv(folder / "first.csv", index=False)  # of the first weeks in use
     table(250, 1).to_csv(folder / "same.csv", index=False)
     table(250, 2, shift=12.0).to_csv(folder / "older.csv", index=False)
     table(250, 3, worse=0.3).to_csv(folder / "worse.csv", index=False)
@@ -54,7 +55,7 @@ def promise(folder, low, **policy):
 
 
 def of_reference(place, name, **options):
-    return monitor(place / "run", place / name, reference=place / "log.csv", estimates=place, **options)
+    return monitor(place / "run", place / name, reference=place / "first.csv", estimates=place, **options)
 
 
 @pytest.mark.slow
@@ -119,7 +120,7 @@ def test_a_value_below_the_estimate_is_an_alarm_and_stays_one(place):
     assert isinstance(found.value, Realised)
     assert found.value.below_at is not None
     log = dr.read(place / "worse.csv", action="action", reward="reward")
-    options = {"reference": place / "log.csv", "estimates": place}
+    options = {"reference": place / "first.csv", "estimates": place}
     before = monitor(place / "run", log.select(np.arange(found.value.below_at - 1)), **options)
     at = monitor(place / "run", log.select(np.arange(found.value.below_at)), **options)
     assert not before.alarm
@@ -134,7 +135,7 @@ def test_a_log_of_the_policy_in_use_needs_no_propensities_and_estimates_lie_besi
     dr.train(BC, log, steps=2, task=False, out=tmp_path / "runs" / "run")
     (tmp_path / "runs" / "run-ope").mkdir()
     promise(tmp_path / "runs" / "run-ope", 0.4, file=str(tmp_path / "runs" / "run" / "policies" / "seed0.npz"))
-    found = monitor(tmp_path / "runs" / "run", tmp_path / "same.csv", reference=log)
+    found = monitor(tmp_path / "runs" / "run", tmp_path / "same.csv", reference=table(300, 4))
     assert not found.alarm
     assert isinstance(found.value, Realised)
 
@@ -238,7 +239,7 @@ def test_a_new_level_is_outside_the_log_and_a_new_action_is_refused(place):
 
 
 def test_exit_codes_and_the_page(place, capsys):
-    ask = ["monitor", str(place / "run"), "--reference", str(place / "log.csv"), "--estimates", str(place)]
+    ask = ["monitor", str(place / "run"), "--reference", str(place / "first.csv"), "--estimates", str(place)]
     assert main([*ask[:2], str(place / "same.csv"), *ask[2:], "--html", str(place / "page.html")]) == 0
     page = (place / "page.html").read_text()
     assert all(text in page for text in ("Nothing was found", "Realised value", "lower end of the estimate", "age"))
@@ -321,7 +322,7 @@ def test_a_log_that_is_gone_or_has_changed_is_not_compared_with(place, tmp_path)
     unnamed = dr.train(BC, log, steps=1, task=False, out=tmp_path / "unnamed")
     with pytest.raises(UserError, match="cannot be read again, so name it with --reference"):
         monitor(unnamed, place / "same.csv")
-    assert monitor(unnamed, place / "same.csv", reference=log).compared.startswith("compared: all rows and logged")
+    assert monitor(unnamed, place / "same.csv", reference=log).compared.startswith("compared: all rows; actions with the pol")
     (tmp_path / "log.csv").unlink()
     with pytest.raises(UserError, match="is not at .* any more; name it with --reference"):
         monitor(run, place / "same.csv")
@@ -345,3 +346,40 @@ def test_a_run_from_elsewhere_cannot_have_any_file_quoted(place, tmp_path, kind)
         monitor(tmp_path / "run", place / "same.csv")
     assert caught.value.__suppress_context__ or caught.value.__context__ is None  # nor in what a traceback shows
     assert not any(word in str(caught.value) for word in ("swordfish", "\n", "\x1b"))
+
+
+def test_the_log_that_the_policy_learned_from_was_not_made_by_it(place, tmp_path):
+    """Wherever it lies: what is named because it is not where it was is no log of the policy in use."""
+    moved = shutil.copy(place / "log.csv", tmp_path / "moved.csv")
+    said = [monitor(place / "run", place / "same.csv", reference=each, estimates=place).compared for each in (None, moved)]
+    assert said[0] == said[1] == "compared: all rows; actions with the policy's greedy ones in the reference"
+    assert of_reference(place, "same.csv").compared == "compared: all rows and logged actions"
+    by_another = of_reference(place, "worse.csv", made_by="reference")
+    assert by_another.value == "not compared: the new log was not made by the policy of the run"
+    assert not by_another.alarm
+
+
+def test_episodes_of_one_user_are_no_independent_ones():
+    """A hundred episodes of two poor patients say little of all patients."""
+    columns = {"x": np.zeros(100), "patient": np.repeat([0, 1], 50), "action": np.arange(100) % 2, "reward": np.zeros(100)}
+    log = dr.Dataset.from_frame(columns, action="action", reward="reward", group="patient")
+    told = decision([{"name": "a"}], [{"value": [0.5, 0.4], "low": [0.4, 0.3], "high": [0.6, 0.5]}])
+    found = realised(log, log, (told, 0), (0.0, 1.0), 0.025)
+    assert found == (
+        "not compared: the 100 episodes come from 2 values of patient, and the interval needs independent ones; give one "
+        "episode of each"
+    )
+
+
+def test_the_estimate_of_one_of_many_is_taken_as_that_of_the_chosen():
+    """Its interval holds for all of them at once."""
+    log = dr.Dataset.from_arrays(
+        observations=np.zeros((20, 1)), actions=np.zeros((20, 1)), rewards=np.tile([0.0, 1.0], 10), terminals=np.ones(20, bool)
+    )
+    result = {"value": [0.5] * 7, "low": [0.4] * 7, "high": [0.6] * 7}
+    told = decision([{"name": name} for name in "abcdef"], [result])
+    found = realised(log, log, (told, 0), (0.0, 1.0), 0.025)
+    assert found.among == 6
+    # The quantiles of a normal distribution at 1 - 0.05 / 12 and at 0.975.
+    assert found.estimated.low == pytest.approx(0.5 - 0.1 * 2.638257 / 1.959964, abs=1e-6)
+    assert found.estimated.high == pytest.approx(0.5 + 0.1 * 2.638257 / 1.959964, abs=1e-6)

@@ -78,14 +78,27 @@ def ope(args: Sequence[str]) -> None:
     print(f"{supports(judged.results)}\n")
     if options.select:
         print(judged.choice)
-        policy = next(each for each in judged.results["policies"] if each["name"] == judged.choice.name)
-        if judged.choice.deploy and (how := use(policy, options.policies, options.settings.greedy)):
-            print(f"  use it: {how}")
+        print(usage(judged.results, options.policies), end="")
     if options.settings.by_group:
         print(f"\n{groups(judged.results)}")
     if options.task:
         print(f"checked: {checked(judged.results)}")
     return None
+
+
+def usage(results: Mapping[str, Any], given: Sequence[str]) -> str:
+    """A line with the command or call that gives the actions of the policy to deploy; empty where there is none.
+
+    Args:
+        results: what is in `estimates.json`.
+        given: folders and files that policies were taken from.
+    """
+    choice = results["choice"]
+    if not choice["deploy"]:
+        return ""
+    policy = next(each for each in results["policies"] if each["name"] == choice["name"])
+    how = use(policy, given, results["estimand"]["greedy"])
+    return f"  use it: {how}\n" if how else ""
 
 
 def use(policy: Mapping[str, Any], given: Sequence[str], greedy: bool) -> str | None:
@@ -110,7 +123,7 @@ def use(policy: Mapping[str, Any], given: Sequence[str], greedy: bool) -> str | 
         return f"{call}(observations)" if greedy else f"{call}, whose act(step, carry, key, greedy=False) samples actions"
     tree = portable.read(file)[0]
     if "schema" in tree["meta"].get("log", {}).get("extra", {}):  # of a table: rows by names of columns
-        command = f"deadreckon predict {shlex.quote(file)} TABLE --out actions.csv{'' if greedy else ' --sampled'}"
+        command = f"deadreckon predict {shlex.quote(file)} TABLE --out actions.csv{'' if greedy else ' --sampled True'}"
         return f"{command}, in Python deadreckon.load_policy({file!r}).predict(rows{'' if greedy else ', greedy=False'})"
     more = "" if greedy else ", rng, greedy=False"
     if tree["policy"]["inner"]["kind"] in ("Mixture", "History"):

@@ -26,7 +26,9 @@ class Predict:
     """table with the columns of the log's observations: CSV, Parquet, a spreadsheet or a database"""
     out: Annotated[str, tyro.conf.arg(metavar="FILE")]  # file to write, .csv or .parquet; an old one is replaced
     probabilities: bool = False  # whether to write the probability of every discrete action as well
-    sampled: bool = False  # whether to sample actions instead of taking the deterministic (greedy) ones
+    sampled: bool | None = None
+    """whether to sample actions instead of taking the deterministic (greedy) ones; None: as the decision judged them, else
+    no"""
     seed: int = 0  # random seed of sampled actions
     outside: Literal["raise", "flag"] = "raise"
     """how to treat rows with unknown levels or values out of range: refuse the table (raise), or mark them (flag) in a column
@@ -60,22 +62,24 @@ def predict(args: Sequence[str]) -> None:
     policy = predictor(found.file, options.table)
     if policy.encoder.schema is None:
         raise UserError(
-            f"{found.words} keeps no schema of its log, because it learned from arrays, pictures, online, or under an earlier "
-            "version: train it again from a table, or give arrays or pictures to its policy in Python"
+            f"{found.words} keeps no schema of its log, because it learned from arrays, pictures, online, from a table whose "
+            "columns it was not given (then train it again with --action and --reward), or under an earlier version: train it "
+            "again from a table, or give arrays or pictures to its policy in Python"
         )
     ways = {key: value for key, value in vars(options.file).items() if value is not None}
     schema = Schema.from_json(policy.encoder.schema, str(found.file)).read_as(own)
     kept: dict[str, Any] = dict.fromkeys(options.keep)  # which reading fills in
     table, told = read_rows(source, schema, plain=kept, **(own or {}) | ways)
-    if found.sampled and not options.sampled:
-        told = ["the decision was about sampled actions, and these are the deterministic (greedy) ones: add --sampled", *told]
+    sampled = found.sampled if options.sampled is None else options.sampled
+    if found.sampled and not sampled:
+        told = ["the decision was about sampled actions, and these are the deterministic (greedy) ones", *told]
     for line in told:
         print(f"! {line}", file=sys.stderr)
     for column in options.keep:
         if column not in table.column_names:
             raise UserError(f"--keep: {unknown('column', column, table.column_names)}")
     done = policy.predict(
-        table, probabilities=options.probabilities, greedy=not options.sampled, seed=options.seed, outside=options.outside
+        table, probabilities=options.probabilities, greedy=not sampled, seed=options.seed, outside=options.outside
     )
     columns = policy.columns(done)
     if twice := [column for column in options.keep if column in columns]:

@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 
+from deadreckon.cli.ope import usage
 from deadreckon.cli.parse import parse
 from deadreckon.cli.progress import Watch
 from deadreckon.cli.train import columns_of, holdout_of
@@ -28,6 +29,7 @@ def recommend(args: Sequence[str]) -> None:
                 "columns": columns_of(options.map, settings.holdout_by),
             },
         )  # fmt: skip
-    print(f"\n{result}\n\ntook {in_words(result.seconds)} of {options.budget}; report: {result.path / recommended.PAGE}")
+    print(f"\n{result}\n{usage(result.results, [])}")
+    print(f"took {in_words(result.seconds)} of {options.budget}; report: {result.path / recommended.PAGE}")
     if result.failed:
         raise SystemExit(1)

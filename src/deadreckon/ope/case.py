@@ -15,7 +15,7 @@ from deadreckon.data.episodes import rows_of
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.estimand import discounted_steps
+from deadreckon.ope.estimand import TAIL, discounted_steps
 from deadreckon.ope.estimates import LOGGED
 from deadreckon.ope.features import Table
 from deadreckon.ope.fits import Fits
@@ -202,13 +202,25 @@ class OPEInput(Fits):
         return given.apart[rows_of(given.starts[self.held], given.lengths[self.held])]
 
     @cached_property
+    def complete(self) -> bool:
+        """Whether the log shows the return of each episode: all are over at the same step, if not before, and hardly anything
+        of what is asked for lies beyond."""
+        return self.episodes.even and self.beyond <= TAIL
+
+    @cached_property
     def beyond(self) -> float:
         """Share of the discounted time that is asked for and lies beyond the ends of the recording, in the log's episodes."""
         cut = ~np.asarray(self.data.terminals)[self.data.ends]
         return float((self._ahead[self.data.lengths - 1] * cut).mean())
 
+    @cached_property
+    def cut_ahead(self) -> float:
+        """The same in those of them that are cut off; 0 where none is."""
+        cut = ~np.asarray(self.data.terminals)[self.data.ends]
+        return float(self._ahead[self.data.lengths[cut] - 1].mean()) if cut.any() else 0.0
+
     def beyond_of(self, log_rho: np.ndarray) -> float:
-        """The same in a policy's episodes, whose weights tell how many of them end before they would be cut off; at least
+        """`beyond` in a policy's episodes, whose weights tell how many of them end before they would be cut off; at least
         `beyond`. An estimate, of which nobody says how certain it is: weights that rest on few episodes may miss those that
         are cut off, and are told of by themselves.
 

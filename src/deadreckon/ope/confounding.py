@@ -14,6 +14,7 @@ order it adds no variance, and the influence of an episode on a bound is that of
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.ope.basis import Basis
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import WEIGHTLESS, OPEInput
 from deadreckon.ope.doubly_robust import DoublyRobust
@@ -34,6 +35,9 @@ class Confounding:
         alpha: share of logs for which one of the intervals may miss.
         wider: added at both ends; see `select.Choice`.
 
+    Attributes:
+        lost: for each policy why its weights of whole episodes rest on too little for any bound, a phrase each.
+
     Raises:
         UserError: weights that mean nothing, or episodes that are cut off at different steps.
     """
@@ -49,7 +53,8 @@ class Confounding:
             self.outcomes, self.baseline = found.errors, found.begins - returns
         else:
             self.outcomes, self.baseline = (np.broadcast_to(x, (case.count, len(returns))) for x in (returns, -returns))
-        every = range(len(case.policies))
+        every, whole = range(len(case.policies)), np.ones(case.data.episodes, bool)
+        self.lost = [Basis.of_weights(case, row, whole, whole=True).lost for row in self.ratios]
         # As sure as the gains: a factor for all policies at once, of their lower bounds without confounding.
         influence = np.stack([self._one(i, 1.0)[1][0] for i in every], 1)
         known = influence.std(0) > 0
@@ -57,6 +62,8 @@ class Confounding:
 
     def gain(self, which: int, gamma: float) -> tuple[float, float]:
         """The ends of one policy's gain, if odds are off by up to `gamma`: those of its bounds, with their intervals."""
+        if self.lost[which]:
+            return -np.inf, np.inf
         ends, influence = self._one(which, gamma)
         error = self.case.inflation[which] * inference.errors(influence.T) * self.factor
         return float(ends[0] - error[0] - self.wider), float(ends[1] + error[1] + self.wider)
@@ -91,7 +98,7 @@ def possible(case: OPEInput) -> None:
     """
     if case.degenerate.any():
         raise UserError(f"bounds for confounding {WEIGHTLESS}")
-    if not case.episodes.even:
+    if not case.complete:
         raise UserError(f"{case.data.name}: bounds for confounding need whole episodes; give a horizon that all reach")
 
 

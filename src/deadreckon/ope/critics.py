@@ -150,6 +150,8 @@ class OutOfFold:
         weighted: (policies, rows) the same summed over the steps of an episode, weighted by the ratio of the policy's occupancy
             over the log's rows; None where that was not asked for.
         weights: (policies, rows) these ratios, whose mean over rows is one; likewise.
+        mass: (policies, rows) what each row adds to the mass of the policy's occupancy, whose mean over rows is one where the
+            log shows all that the policy does (the flow into an end, or into what is discounted away); likewise.
         settled: (policies,) whether the critics' backup converged.
         fitted: (policies,) mean square of the errors on rows that taught the critics: what `errors` are compared with.
         by_fold: gives (folds, policies) mean values of all initial observations by the critics that have not seen each fold;
@@ -161,6 +163,7 @@ class OutOfFold:
     errors: np.ndarray
     weighted: np.ndarray | None
     weights: np.ndarray | None
+    mass: np.ndarray | None
     settled: np.ndarray
     fitted: np.ndarray
     by_fold: Callable[[], np.ndarray] | None = None
@@ -171,7 +174,7 @@ class OutOfFold:
         """Room for them."""
         more = lambda: np.zeros((policies, rows)) if marginal else None  # noqa: E731
         begins, errors, fitted = np.zeros((policies, episodes)), np.zeros((policies, rows)), np.zeros(policies)
-        return cls(begins, errors, more(), more(), np.ones(policies, bool), fitted)
+        return cls(begins, errors, more(), more(), more(), np.ones(policies, bool), fitted)
 
     @classmethod
     def of_values(cls, case: Any, begins: np.ndarray, now: np.ndarray, last: np.ndarray, chosen: np.ndarray) -> "OutOfFold":

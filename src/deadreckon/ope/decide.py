@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, Unpack
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.ope.basis import MANY, SHARE
 from deadreckon.ope.behavior_model import PROPENSITIES, BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.confounding import Confounding, one_step, possible
@@ -18,10 +19,10 @@ from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.groups import Groups, by_group
 from deadreckon.ope.guarantee import guaranteed, refuse
-from deadreckon.ope.importance import ImportanceSampling, log_ratios
+from deadreckon.ope.importance import ImportanceSampling, learns, log_ratios
 from deadreckon.ope.linear import Fit, LinearFQE
 from deadreckon.ope.registry import as_estimators
-from deadreckon.ope.select import MANY, SHARE, Choice, select, unbounded_where_unsupported
+from deadreckon.ope.select import MOVED, Choice, moved_most, select, supported, unbounded_where_unsupported
 from deadreckon.ope.settings import DecisionOptions, DecisionSettings
 from deadreckon.ope.support import Support, support
 from deadreckon.ope.tail import tails
@@ -99,17 +100,18 @@ def decide(
     if settings.guarantee:
         more["guarantee"] = bound = guaranteed(case, which, settings.return_range, alpha)
         choice = _demanded(choice, bound, f"for any number of episodes, not only many, its gain is at least {bound:+.4g}")
-    more["confounding"], choice = _confounded(case, choice, model, alpha, settings.confounding)
+    wider = _wider(case, estimates[0], checked, model, choice)
+    more["confounding"], choice = _confounded(case, choice, model, alpha, settings.confounding, wider)
     endless = None if np.isfinite(choice.low) else f"the card's own interval is endless: {'; '.join(choice.objections[which])}"
     if groups is not None:
         try:
             if endless is not None:
                 raise UserError(endless)
-            more["groups"] = {"column": groups.column, "values": by_group(case, which, groups, model, alpha, choice.wider)}
+            more["groups"] = {"column": groups.column, "values": by_group(case, which, groups, model, alpha, wider)}
         except UserError as error:
             more["groups"] = {"column": groups.column, "refused": str(error)}
     if settings.tail is not None:
-        more["tail"], line = _tail(case, which, settings.tail, model, alpha, choice.wider, endless)
+        more["tail"], line = _tail(case, which, settings.tail, model, alpha, wider, endless)
         choice = replace(choice, evidence=(*choice.evidence, line))
     return Decision([unbounded_where_unsupported(each, checked) for each in estimates], checked, choice, more)
 
@@ -142,8 +144,18 @@ def _demanded(choice: Choice, bound: float, words: str) -> Choice:
     return replace(choice, deploy=False, reason=f"{choice.name} has {choice.reason}, but {words}")
 
 
+def _wider(case: OPEInput, first: Estimates, checked: Support, model: BehaviorModel, choice: Choice) -> float:
+    """By how much what rests on products of weights is wider because learned propensities do not fit: as the gains are, or
+    where the estimator that decides does not depend on that, as those of `dr-linear` would be."""
+    depends = "normalising" in first.diagnostics
+    if depends or not learns(case, "auto") or case.degenerate.any() or case.data.successors is not None:
+        return choice.wider
+    plain = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model).on(case)
+    return MOVED * moved_most(plain, supported(plain, checked))[1]
+
+
 def _confounded(
-    case: OPEInput, choice: Choice, model: BehaviorModel, alpha: float, gamma: float | None
+    case: OPEInput, choice: Choice, model: BehaviorModel, alpha: float, gamma: float | None, wider: float
 ) -> tuple[dict[str, Any], Choice]:
     """Bounds under unmeasured odds as JSON values, and the choice that knows them; without a factor, what is cheap to tell."""
     values: dict[str, Any] = {"gamma": gamma, "bounds": None, "tipping": None}
@@ -151,11 +163,14 @@ def _confounded(
     try:
         if gamma is None and not one_step(case):
             return values, alone
-        bounds = Confounding(case, model, alpha, choice.wider)
+        bounds = Confounding(case, model, alpha, wider)
     except UserError:
         if gamma is not None:
             raise
         return values, alone
+    if lost := "; ".join(bounds.lost[which]):
+        words = f"what its gain is if odds of logged actions are off is not known: by whole episodes {lost}"
+        return values, alone if gamma is None else _demanded(alone, -np.inf, words)
     tipping = bounds.tipping(which) if np.isfinite(choice.low) else np.nan
     values["tipping"] = None if np.isnan(tipping) else min(tipping, MOST)
     undone = f"its gain is no longer sure where odds of logged actions are off by {tipping:.3g}"
@@ -166,8 +181,9 @@ def _confounded(
     choice = replace(choice, evidence=(*choice.evidence, f"{UNSEEN}; {undone}"))
     if gamma is None:
         return values, choice
-    values["bounds"] = [list(bounds.gain(i, gamma)) for i in range(len(case.policies))]
-    low, high = values["bounds"][which]
+    found = [bounds.gain(i, gamma) for i in range(len(case.policies))]
+    values["bounds"] = [[end if np.isfinite(end) else None for end in ends] for ends in found]
+    low, high = found[which]
     words = f"if odds of logged actions are off by up to {gamma:g}, its gain is [{low:+.4g}, {high:+.4g}]"
     return values, _demanded(choice, low, words)
 

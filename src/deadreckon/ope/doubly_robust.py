@@ -30,7 +30,7 @@ from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import FQE
-from deadreckon.ope.importance import check_range, effective_clusters, log_ratios, logged_probs, multiplied, tails_of
+from deadreckon.ope.importance import check_range, effective_clusters, learns, log_ratios, logged_probs, multiplied, tails_of
 from deadreckon.ope.linear import Fit, LinearFQE
 from deadreckon.ope.mrdr import out_of_fold
 from deadreckon.ope.shrinkage import shrinkage_scores
@@ -38,6 +38,7 @@ from deadreckon.ope.switch import beyond, switch_scores
 from deadreckon.ope.tuning import bias_bound, cross_fitted, least_bound
 from deadreckon.ope.weights import Sums, effective, few
 from deadreckon.randomness import generator
+from deadreckon.stats import inference
 from deadreckon.stats.bootstrap import jackknife, prediction
 from deadreckon.training.hyperparameters import Count, UnitInterval, static
 
@@ -97,7 +98,7 @@ class DoublyRobust(Estimator):
         nuisances, begins = self.nuisances(case)
         begin, errors = nuisances.begins, nuisances.errors
         values, ess, bootstrap, influence, tails, average, left, shifts, share = [], [], [], [], [], [], [], [], []
-        learned = self.behavior == "learned" or (self.behavior == "auto" and "behavior_log_probs" not in case.data.extras)
+        learned = learns(case, self.behavior)
         for i, row in enumerate(ratios):
             log_rho = episodes.cumulate(row)
             sums = episodes.sums(log_rho, errors[i], normalised=not plain, alive_only=self.alive_only)
@@ -120,7 +121,7 @@ class DoublyRobust(Estimator):
             share.append(case.beyond_of(log_rho))
         ess, redrawn = np.asarray(ess), np.stack(bootstrap, 1)
         warnings = self._warnings(case, ess, nuisances, share)
-        diagnostics = self._diagnostics(case, nuisances) | tails_of(case, tails) | multiplied(case, ess, average)
+        diagnostics = self._diagnostics(case, nuisances) | tails_of(case, tails) | multiplied(case.episodes, ess, average)
         diagnostics["beyond"] = np.array(share)
         nuisance = None
         if left:
@@ -196,7 +197,7 @@ class DoublyRobust(Estimator):
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         nuisances, _ = self.nuisances(case)
         kept, span = np.exp(episodes.log_kept), self._span(case)
-        values, influence, ess, tails, average, left, share = [], [], [], [], [], [], []
+        values, influence, ess, tails, average, left, share, shifts = [], [], [], [], [], [], [], []
         for i, row in enumerate(ratios):
             log_rho = episodes.cumulate(row)
             grid = TRUSTED[-1:] if case.names[i] == LOGGED else TRUSTED
@@ -213,12 +214,16 @@ class DoublyRobust(Estimator):
             value, pulls, _ = episodes.means(each)
             values.append(value)
             influence.append(pulls)
-            ess.append(episodes.sums(log_rho, nuisances.errors[i], normalised=False).ess)
+            whole, same = (episodes.sums(log_rho, nuisances.errors[i], normalised=each) for each in (False, True))
+            ess.append(whole.ess)
+            shifts.append(same.value() - whole.value())
             tails.append(episodes.typical(log_rho, whole=False))
             average.append(episodes.average(log_rho))
             left.append(over[chosen].mean() / case.span)
             share.append(case.beyond_of(log_rho))
-        ess = np.asarray(ess)
+        ess, more = np.asarray(ess), {"untrusted": np.array(left), "beyond": np.array(share)}
+        if learns(case, self.behavior):
+            more["normalising"] = np.array(shifts)
         warnings = [
             *self._warnings(case, ess, nuisances, share),
             f"the interval of {self.label} knows the variance and not the bias of weights that are not trusted",
@@ -226,12 +231,11 @@ class DoublyRobust(Estimator):
         return Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), ess=ess, corrected=case.beyond <= TAIL,
             warnings=tuple(warnings), inflation=stretched(share),
-            diagnostics=self._diagnostics(case, nuisances) | tails_of(case, tails) | multiplied(case, ess, average)
-            | {"untrusted": np.array(left), "beyond": np.array(share)},
+            diagnostics=self._diagnostics(case, nuisances) | tails_of(case, tails) | multiplied(episodes, ess, average) | more,
         )  # fmt: skip
 
     def _warnings(self, case: OPEInput, ess: np.ndarray, nuisances: OutOfFold, share: Sequence[float]) -> list[str]:
-        found, worst = case.episodes.warnings(case.names, ess, beyond=True), int(np.argmax(share))
+        found, worst = case.episodes.warnings(case.names, ess), int(np.argmax(share))
         if share[worst] > TAIL:
             whose = f"of {case.names[worst]} " if share[worst] > case.beyond else ""
             found.append(
@@ -284,11 +288,20 @@ class DoublyRobust(Estimator):
         nuisances, _ = self.nuisances(case)
         assert nuisances.weighted is not None
         assert nuisances.weights is not None
+        assert nuisances.mass is not None
         episodes = case.episodes
         of_row = episodes.group[episodes.of]
         whole = bool(np.asarray(case.data.terminals)[case.data.ends].all())  # also where the horizon ends them
-        values, influence, weights = [], [], []
+        values, influence, weights, masses = [], [], [], []
+
+        def mean_of(x: np.ndarray, known: np.ndarray) -> tuple[float, np.ndarray]:
+            """Mean over the rows that are `known`, and its (groups,) influence function."""
+            rows, total = (np.bincount(of_row[known], each, episodes.groups) for each in (None, x[known]))
+            mean = total.sum() / rows.sum()
+            return mean, episodes.groups * (total - mean * rows) / rows.sum()
+
         for i, name in enumerate(case.names):
+            masses.append(mean_of(nuisances.mass[i], case.followed))
             if name == LOGGED and whole:
                 returns = case.data.returns(case.discount)
                 value, pulls, _ = episodes.means(returns)
@@ -298,18 +311,17 @@ class DoublyRobust(Estimator):
                 # Ratios are of occupancies over the rows whose successor is known, and of the behaviour policy also what it
                 # did.
                 known = case.followed & case.shown if name == LOGGED else case.followed
-                rows = np.bincount(of_row[known], minlength=episodes.groups)
-                total = np.bincount(of_row[known], nuisances.weighted[i][known], episodes.groups)
-                mean = total.sum() / rows.sum()
-                value = start + mean
-                pulls = pulls + episodes.groups * (total - mean * rows) / rows.sum()
+                mean, pulled = mean_of(nuisances.weighted[i], known)
+                value, pulls = start + mean, pulls + pulled
                 weight = np.maximum(np.bincount(episodes.of, nuisances.weights[i], episodes.count), 0.0)
             values.append(value)
             influence.append(pulls)
             weights.append(weight)
         ess = effective(np.stack(weights))
         warnings = [*few(case.names, ess, episodes.count), *self._convergence_warnings(case, nuisances)]
-        means = {"mean ratio": nuisances.weights[:, case.followed].mean(1)}
+        mass = np.array([mean for mean, _ in masses])
+        high = inference.student(mass, np.stack([pulled for _, pulled in masses], 1), 2 * inference.SURE)[1]
+        means = {"mass": mass, "mass high": high}
         with np.errstate(divide="ignore"):
             means |= effective_clusters(case, [np.log(weight) for weight in weights])
         exact = Fit(self.fqe, case).features.table is not None

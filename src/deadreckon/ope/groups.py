@@ -14,15 +14,15 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.split import groups as groups_of
 from deadreckon.errors import UserError
+from deadreckon.ope.basis import Basis
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import WEIGHTLESS, OPEInput
 from deadreckon.ope.doubly_robust import DoublyRobust, stretched
 from deadreckon.ope.importance import log_ratios
 from deadreckon.ope.linear import LinearFQE
+from deadreckon.ope.support import Support, mean_weights, missing_by_row
 from deadreckon.stats import inference
 from deadreckon.stats.interval import ALPHA
-
-UNITS = 20  # episodes or clusters of a group below which it has no interval
 
 
 class Groups(NamedTuple):
@@ -65,7 +65,10 @@ def by_group(
     case: OPEInput, which: int, groups: Groups, model: BehaviorModel, alpha: float = ALPHA, wider: float = 0.0
 ) -> list[dict[str, Any]]:
     """The gain of one of a case's policies, chosen among them by any rule, in each group, as JSON values: an end that nobody
-    knows is None.
+    knows is None, and `why` says why.
+
+    Of each group is asked what `select` asks of all episodes: that there are enough, that the weights rest on enough of them,
+    and that the log shows what the policy does there.
 
     Args:
         case: log and policies, with the log's own as the last.
@@ -89,17 +92,36 @@ def by_group(
     # The influence of a unit on a group is that of its episodes which are in it.
     influence = np.zeros((units, len(groups.names)))
     np.add.at(influence, (unit, code), units * (score - mean[code]) / size[code])
-    cluster = case.clusters[case.held]
-    own = np.array([len(np.unique(cluster[code == g])) for g in range(len(size))])
-    known = own >= UNITS
+    row = log_ratios(case, "auto", model, None)[which]
+    missing = missing_by_row(case, model)[:, which] if case.data.spec.discrete else None
+    why = ["; ".join(_doubts(case, row, missing, code == g)) if size[g] else None for g in range(len(size))]
+    known = np.array([line == "" for line in why])
     factor = inference.simultaneous(influence[:, known], alpha / len(case.policies), case.seed)
     # What lies beyond the recording is that of all groups together.
-    along = case.episodes.cumulate(log_ratios(case, "auto", model, None)[which])
+    along = case.episodes.cumulate(row)
     beyond = stretched([case.beyond_of(along)])
     more = case.inflation[which] * (1.0 if beyond is None else beyond[0])
     half = more * inference.errors(influence) * factor + wider
     return [
         {"name": name, "episodes": int(size[g]), "gain": float(mean[g]) if size[g] else None,
-         "low": float(mean[g] - half[g]) if known[g] else None, "high": float(mean[g] + half[g]) if known[g] else None}
+         "low": float(mean[g] - half[g]) if known[g] else None, "high": float(mean[g] + half[g]) if known[g] else None,
+         "why": why[g] or None}
         for g, name in enumerate(groups.names)
     ]  # fmt: skip
+
+
+def _doubts(case: OPEInput, log_ratios: np.ndarray, missing: np.ndarray | None, some: np.ndarray) -> list[str]:
+    """Why a policy's gain in a group cannot be told from its episodes, a phrase each.
+
+    Args:
+        case: log and policies.
+        log_ratios: (rows,) log of pi(a|s) / beta(a|s) of each logged action.
+        missing: (rows,) share of what the policy does there that has no support; None where actions are continuous.
+        some: (episodes,) bool, the group.
+    """
+    rows = some[case.data.episode_of]
+    unit = np.unique(case.units[case.data.episode_of[rows]], return_inverse=True)[1]
+    ratio, high = mean_weights(log_ratios[None, rows], unit)
+    share = np.array([np.nan if missing is None else missing[rows].mean()])
+    shown = Support(share, ratio, high, np.zeros(1, bool))
+    return [*Basis.of_weights(case, log_ratios, some, whole=False).unreliable, *shown.objections(0)]

@@ -5,6 +5,7 @@ Precup, Sutton and Singh 2000. What is summed, and how ended and cut-off episode
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -17,7 +18,7 @@ from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.pareto import diagnosed
-from deadreckon.ope.weights import effective
+from deadreckon.ope.weights import Episodes, effective
 from deadreckon.settings import check_kind
 from deadreckon.stats import inference, means
 from deadreckon.training.hyperparameters import Count, Positive, static
@@ -60,13 +61,17 @@ class ImportanceSampling(Estimator):
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         rewards = np.asarray(case.data.rewards, np.float64)
         bounds = self._bounds(case, rewards)
-        values, lows, highs, ess, bootstrap, influence, tails, average, share = [], [], [], [], [], [], [], [], []
+        plain = not self.normalised and learns(case, self.behavior)
+        values, lows, highs, ess, bootstrap, influence, tails, average, share, shifts = [], [], [], [], [], [], [], [], [], []
         for row in ratios:
             log_rho = episodes.cumulate(row)
             if self.kind == "trajectory":
-                sums = episodes.whole(log_rho, rewards, normalised=self.normalised)
+                summed = partial(episodes.whole, log_rho, rewards)
             else:
-                sums = episodes.sums(log_rho, rewards, normalised=self.normalised, alive_only=self.alive_only)
+                summed = partial(episodes.sums, log_rho, rewards, alive_only=self.alive_only)
+            sums = summed(normalised=self.normalised)
+            if plain:
+                shifts.append(summed(normalised=True).value() - sums.value())
             values.append(sums.value())
             influence.append(sums.influence())
             bootstrap.append(sums.redraw(episodes.counts))
@@ -82,13 +87,15 @@ class ImportanceSampling(Estimator):
             average.append(episodes.average(log_rho))
             share.append(case.beyond_of(log_rho))
         ess, values = np.asarray(ess), np.asarray(values)
-        warnings = episodes.warnings(case.names, ess, whole=self.kind == "trajectory")
+        warnings = episodes.warnings(case.names, ess, whole=self.kind == "trajectory", ahead=case.cut_ahead)
         if not np.isfinite(values).all():
             warnings.append("weights overflow; normalised=True keeps them finite")
+        diagnostics = tails_of(case, tails) | multiplied(episodes, ess, average) | {"beyond": np.array(share)}
+        if shifts:
+            diagnostics["normalising"] = np.array(shifts)
         found = Estimates.of_influence(
             self.label, case, values, np.stack(influence, 1), bootstrap=np.stack(bootstrap, 1), ess=ess,
-            corrected=case.beyond <= TAIL, warnings=tuple(warnings),
-            diagnostics=tails_of(case, tails) | multiplied(case, ess, average) | {"beyond": np.array(share)},
+            corrected=case.beyond <= TAIL, warnings=tuple(warnings), diagnostics=diagnostics,
         )  # fmt: skip
         return replace(found, low=np.asarray(lows), high=np.asarray(highs)) if lows else found
 
@@ -172,11 +179,11 @@ def _by_cluster(case: OPEInput, log_weights: Sequence[np.ndarray]) -> np.ndarray
     return found
 
 
-def multiplied(case: OPEInput, ess: np.ndarray, average: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
+def multiplied(episodes: Episodes, ess: np.ndarray, average: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
     """Diagnostics of weights that are multiplied along episodes.
 
     Args:
-        case: log and policies.
+        episodes: of the log.
         ess: (policies,) episodes that they amount to.
         average: for each policy the (episodes,) means of their weights (`Episodes.average`).
 
@@ -184,12 +191,17 @@ def multiplied(case: OPEInput, ess: np.ndarray, average: Sequence[np.ndarray]) -
         The share of the episodes that they amount to, their mean, which should be one, and the upper end of its one-sided 99 %
         interval; nothing for episodes of one step.
     """
-    if case.data.lengths.max() == 1:
+    if episodes.steps == 1:
         return {}
-    found = [case.episodes.means(each)[:2] for each in average]
+    found = [episodes.means(each)[:2] for each in average]
     mean, influence = np.array([value for value, _ in found]), np.stack([pulls for _, pulls in found], 1)
     high = inference.student(mean, influence, 2 * inference.SURE)[1]
-    return {"effective share": ess / case.data.episodes, "mean weight": mean, "mean weight high": high}
+    return {"effective share": ess / episodes.count, "mean weight": mean, "mean weight high": high}
+
+
+def learns(case: OPEInput, behavior: Literal["auto", "logged", "learned"]) -> bool:
+    """Whether propensities are those of a fitted model."""
+    return behavior == "learned" or (behavior == "auto" and "behavior_log_probs" not in case.data.extras)
 
 
 def log_ratios(
@@ -210,6 +222,6 @@ def logged_probs(
     case: OPEInput, behavior: Literal["auto", "logged", "learned"], model: BehaviorModel, folds: int = 5
 ) -> np.ndarray:
     """(rows,) log beta(a|s) of the logged actions; learned ones are those of `folds` folds."""
-    if folds > 1 and behavior != "logged" and (behavior == "learned" or "behavior_log_probs" not in case.data.extras):
+    if folds > 1 and learns(case, behavior):
         return out_of_fold(case, model, folds).log_probs
     return case.behavior_log_probs(behavior, model)

@@ -366,6 +366,7 @@ class Fit:
             if marginal:
                 weight = phi @ critic.ratios.T
                 found |= {"weighted": weight[:, 0] * error, "weights": weight[:, 0] / case.span}
+                found["mass"] = weight[:, 0] * (1.0 - discount * goes_on)
             return found
         time, rows, last = case.time[part], np.arange(len(part)), self.horizon - 1
         every_q = self.std * q  # with 1, 2, ... steps to go
@@ -380,6 +381,7 @@ class Fit:
             every = rewards[:, None] + discount * every_v - every_q  # by steps to go
             total = (weight * every[:, ::-1]).sum(1)
             found |= {"weighted": np.where(known, total, 0.0), "weights": weight.sum(1) / case.span}
+            found["mass"] = weight[:, :-1].sum(1) * (1.0 - discount * goes_on) + weight[:, -1]
         return found
 
     def _factor(self, gram: np.ndarray, ridge: float, rows: bytes, logged: bool) -> Any:

@@ -99,10 +99,10 @@ def out_of_fold(
     sources = [case] if teach is None else [case, teach]
     folds = int(fold.max()) + 1
     for each in sources:
-        cut = each.data.lengths[~each.episodes.ended]
-        if len(cut) and float((case.discount**cut).mean()) > TAIL:
+        if each.cut_ahead > TAIL:
+            cut = (~each.episodes.ended).sum()
             raise UserError(
-                f"{case.data.name}: mrdr learns from returns, and {len(cut):,} episodes are cut off before theirs is known; "
+                f"{case.data.name}: mrdr learns from returns, and {cut:,} episodes are cut off before theirs is known; "
                 "give a horizon, or use dr-linear or drl"
             )
     join = lambda of: np.concatenate([np.asarray(of(each)) for each in sources])  # noqa: E731

@@ -11,22 +11,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.ope.basis import Basis
 from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.support import Support
-from deadreckon.ope.weights import FEW
 from deadreckon.provided import Shown
 from deadreckon.stats import inference
 from deadreckon.stats.bootstrap import ensemble_interval, percentile_interval
 from deadreckon.stats.interval import ALPHA, decimals, fixed, level_in_words
 
 BOOTSTRAP = 100  # bootstrap samples from which their percentiles are an interval; fewer are members of an ensemble
-MORE = "; more episodes, or a policy nearer the behaviour policy, would tell more"
-UNITS = 20  # episodes or clusters below which no interval is believed
-HEAVY = 0.7  # Pareto k of the weights above which their mean is not reliable (Vehtari et al. 2024)
-# Weights that are multiplied along an episode must amount to this share of the episodes, or to so many. With less, so much of
-# their mass lies in episodes that the log happens not to show that no interval by those it shows covers.
-SHARE, MANY = 0.2, 50.0
 # Times by which intervals are widened by what normalising the weights changes most, where propensities are learned: right ones
 # average one, and normalising them changes nothing. Those that miss what actions depend on bias gains by up to about this.
 MOVED = 2.0
@@ -109,7 +103,7 @@ def gains(found: Estimates, alpha: float = ALPHA, known: np.ndarray | None = Non
         low, high = np.array([[float(low), float(high)] for low, high in ends]).T
     if found.inflation is not None:
         low, high = middle - found.inflation * (middle - low), middle + found.inflation * (high - middle)
-    wider = MOVED * _moved(found, known)[1]
+    wider = MOVED * moved_most(found, known)[1]
     low, high = np.where(known, low - wider, -np.inf), np.where(known, high + wider, np.inf)
     out = np.stack([middle, low, high], 1)
     out[logged] = 0.0
@@ -150,9 +144,7 @@ def select(
         raise UserError(f"support must have a number for each of {len(names)} policies, got {len(support.missing)}")
     if seen is not None and len(seen) != len(names):
         raise UserError(f"seen must have an entry for each of {len(names)} policies, got {len(seen)}")
-    unknown = [
-        _unreliable(first, i) + ([] if support is None else support.objections(i)) for i in range(len(names))
-    ]
+    unknown = [Basis.of(first, i).unreliable + ([] if support is None else support.objections(i)) for i in range(len(names))]
     known = np.ones(len(first.names), bool)
     known[[first.names.index(name) for name in names]] = [not own for own in unknown]
     every = gains(first, alpha, known)
@@ -186,7 +178,7 @@ def select(
         agrees = agrees if len(names) > 1 and np.isfinite(told[best, 1]) else ""
         evidence.append(f"{each.method}: {_signed(told[best])}{agrees}")
     warnings = list(first.warnings)
-    which, moved = _moved(first, known)
+    which, moved = moved_most(first, known)
     if moved > ALARMING * max(high - low, 0.0):
         warnings.append(
             f"the learned propensities do not fit the log: normalised weights, which should change nothing, move the gain of "
@@ -198,8 +190,8 @@ def select(
         if i != best and own:
             warnings.append(f"{names[i]}: {'; '.join(own)}")
     for each in estimates[1:]:
-        if not _overlaps(each, best):
-            warnings.append(f"the weights of {name} in {each.method} rest on {_rest(each, best)[1]}")
+        if not (basis := Basis.of(each, best)).overlaps:
+            warnings.append(f"the weights of {name} in {each.method} rest on {basis.rest[1]}")
         warnings += [f"{each.method}: {line}" for line in each.warnings if line not in warnings]
     keep = [i for i, each in enumerate(first.names) if each != LOGGED]
     return Choice(
@@ -226,55 +218,11 @@ def unbounded_where_unsupported(found: Estimates, support: Support | None) -> Es
     """An estimate whose intervals are unbounded for policies that the log cannot speak for, or not by these weights."""
     lost = ~supported(found, support)
     for i, name in enumerate(found.names):
-        lost[i] |= name != LOGGED and bool(_lost_weights(found, i))
+        lost[i] |= name != LOGGED and bool(Basis.of(found, i).lost)
     return found.unbounded(lost)
 
 
-def _lost_weights(found: Estimates, which: int) -> list[str]:
-    """Why weights miss so much of a policy that no interval by the episodes that are there covers its value, a phrase each.
-
-    In dm_control's cheetah-run and fish-swim, where weights rest on one episode, 4 of 13 such intervals covered it.
-    """
-    own, share = [], found.diagnostics.get("effective share")
-    if not _overlaps(found, which):
-        own.append(f"its weights rest on {_rest(found, which)[1]}, {FEW:g} are needed{MORE}")
-    elif share is not None and found.ess is not None and share[which] < SHARE and found.ess[which] < MANY:
-        own.append(
-            f"its weights, which are multiplied along an episode, rest on {found.ess[which]:.1f} episodes, {MANY:g} or "
-            f"{100 * SHARE:g} % of all are needed{MORE}"
-        )
-    high = found.diagnostics.get("mean weight high")
-    if high is not None and high[which] < 1.0:
-        own.append(
-            f"its weights average {found.diagnostics['mean weight'][which]:.2f} instead of 1 (at most {high[which]:.2f} with "
-            "99 % confidence): the log does not show the episodes that weigh most"
-        )
-    return own
-
-
-def _unreliable(found: Estimates, which: int) -> list[str]:
-    """Why no interval of an estimate of a policy can be believed, a phrase each."""
-    own = []
-    units = found.units if found.influence is None else len(found.influence)
-    if units is not None and units < UNITS:
-        own.append(
-            f"there are only {units} episodes or clusters to judge by, {UNITS} are needed, or --cross-fit where the log has as "
-            "many"
-        )
-    own += _lost_weights(found, which)
-    # Of weights that take few values, which are bounded, k may be anything: it counts where few episodes decide.
-    low = found.diagnostics.get("pareto k low")
-    if low is not None and low[which] > HEAVY and (found.ess is None or _rest(found, which)[0] < MANY):
-        own.append(
-            f"its weights have too heavy a tail (Pareto k {found.diagnostics['pareto k'][which]:.2f}, above {low[which]:.2f} "
-            f"with 95 % confidence, at most {HEAVY:g})"
-        )
-    if found.diagnostics.get("settled", np.ones(which + 1))[which] < 1:
-        own.append("the fit of its estimate has not settled")
-    return own
-
-
-def _moved(found: Estimates, known: np.ndarray) -> tuple[int, float]:
+def moved_most(found: Estimates, known: np.ndarray) -> tuple[int, float]:
     """Whose gain depends most on whether weights are normalised, and by how much; zero where propensities are logged.
 
     All policies share the propensities, so it speaks against every estimate.
@@ -295,21 +243,9 @@ def _model_based(found: Estimates, which: int, accepted: bool, support: Support 
     return [f"its estimate is model-based only: {why}"]
 
 
-def _overlaps(found: Estimates, which: int) -> bool:
-    """Whether nothing is weighted, or the weights rest on enough episodes, and on enough clusters."""
-    return found.ess is None or _rest(found, which)[0] >= FEW
-
-
-def _rest(found: Estimates, which: int) -> tuple[float, str]:
-    """What the weights of a policy rest on, episodes or clusters, whichever are fewer, and in words; none of no weights."""
-    episodes = np.inf if found.ess is None else float(found.ess[which])
-    clusters = float(found.diagnostics.get("effective clusters", np.full(which + 1, np.inf))[which])
-    return min(episodes, clusters), f"{clusters:.1f} clusters" if clusters < episodes else f"{episodes:.1f} episodes"
-
-
 def _speaks(found: Estimates, which: int) -> bool:
     """Whether an estimate counts as evidence against a policy."""
-    return found.corrects(which) and _overlaps(found, which)
+    return found.corrects(which) and Basis.of(found, which).overlaps
 
 
 def _standing(found: Estimates, told: np.ndarray) -> tuple[bool, float]:

@@ -67,22 +67,33 @@ def _support(case: OPEInput, model: BehaviorModel, folds: int) -> Support:
     nothing = np.full(count, np.nan)
     degenerate = case.degenerate
     if discrete:
-        chances = out_of_fold(case, model, folds).chances
-        assert chances is not None
-        table = case.current_actions(1)[:, :count]
-        rare = chances < RARE / chances.shape[1]
-        missing = (table * rare[:, None]).sum(-1).mean(0).astype(float)
+        missing = missing_by_row(case, model, folds).mean(0)
     else:
         missing = 1.0 - (coverage(case, model) / LEVEL).clip(max=1.0)
     if degenerate.all():
         return Support(missing, nothing, nothing, degenerate)
-    ratios = np.exp(np.minimum(log_ratios(case, "auto", model, None, folds)[:count], 50.0))
-    of_row = case.units[case.data.episode_of]
-    units = int(of_row.max()) + 1
-    rows = np.bincount(of_row, minlength=units)
-    mean = ratios.mean(1)
-    totals = np.stack([np.bincount(of_row, row, units) for row in ratios], 1)
-    influence = units * (totals - mean * rows[:, None]) / len(of_row)
-    high = inference.student(mean, influence, 2 * inference.SURE)[1]
+    mean, high = mean_weights(log_ratios(case, "auto", model, None, folds)[:count], case.units[case.data.episode_of])
     blank = lambda x: np.where(degenerate, np.nan, x)  # noqa: E731
     return Support(missing, blank(mean), blank(high), degenerate)
+
+
+def missing_by_row(case: OPEInput, model: BehaviorModel, folds: int = 5) -> np.ndarray:
+    """(rows, policies) share of what each policy does there that has no support, where actions are discrete."""
+    chances = out_of_fold(case, model, folds).chances
+    assert chances is not None
+    rare = chances < RARE / chances.shape[1]
+    return (case.current_actions(1)[:, : len(case.policies)] * rare[:, None]).sum(-1).astype(float)
+
+
+def mean_weights(log_ratios: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(policies,) mean weights of one step, and the upper ends of their one-sided 99 % intervals.
+
+    Args:
+        log_ratios: (policies, rows) log of pi(a|s) / beta(a|s) of each logged action.
+        unit: (rows,) number 0 .. n - 1 of the episode, cluster or group of clusters that each row is of.
+    """
+    ratios, units = np.exp(np.minimum(log_ratios, 50.0)), int(unit.max()) + 1
+    rows, mean = np.bincount(unit, minlength=units), ratios.mean(1)
+    totals = np.stack([np.bincount(unit, row, units) for row in ratios], 1)
+    influence = units * (totals - mean * rows[:, None]) / len(unit)
+    return mean, inference.student(mean, influence, 2 * inference.SURE)[1]

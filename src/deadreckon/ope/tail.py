@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.ope.basis import Basis
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import WEIGHTLESS, OPEInput
 from deadreckon.ope.importance import log_ratios
@@ -107,10 +108,13 @@ def tails(
     """
     if case.degenerate[which]:
         raise UserError(f"tails {WEIGHTLESS}")
-    if not case.episodes.even:
+    if not case.complete:
         raise UserError(f"{case.data.name}: tails need whole episodes; give a horizon that all of them reach")
     episodes, returns = case.episodes, case.data.returns(case.discount)
-    weights = episodes.cumulate(log_ratios(case, "auto", model, None)[which])[case.data.ends]
+    row = log_ratios(case, "auto", model, None)[which]
+    if lost := Basis.of_weights(case, row, np.ones(episodes.count, bool), whole=True).lost:
+        raise UserError(f"by whole episodes {'; '.join(lost)}")
+    weights = episodes.cumulate(row)[case.data.ends]
     own, logged = lower_tail(weights, returns, share), lower_tail(np.zeros(len(returns)), returns, share)
     gain, pulls = own.value - logged.value, episodes.means(own.influence - logged.influence)[1]
     low, high = inference.student(np.array([gain]), case.inflation[which] * pulls[:, None], alpha / len(case.policies))

@@ -16,6 +16,7 @@ from scipy.special import expit
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
+from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.sequences import cumulate, times
 from deadreckon.randomness import generator
 from deadreckon.stats.bootstrap import RESAMPLES, percentile_interval, resample_counts
@@ -242,7 +243,7 @@ class Episodes:
         return percentile_interval(draws, min(ess, self.groups))
 
     def warnings(
-        self, names: tuple[str, ...], ess: np.ndarray, *, whole: bool = False, beyond: bool = False
+        self, names: tuple[str, ...], ess: np.ndarray, *, whole: bool = False, ahead: float = 0.0
     ) -> list[str]:
         """Why weighted sums of this log may not be trusted.
 
@@ -250,17 +251,16 @@ class Episodes:
             names: of the policies.
             ess: (policies,) episodes that the weights amount to.
             whole: each episode has one weight.
-            beyond: what lies behind a cut is estimated otherwise.
+            ahead: share of the discounted time that is still to come where episodes are cut off, and that is not counted
+                (`OPEInput.cut_ahead`); 0 where it is estimated otherwise.
         """
         found = few(names, ess, self.count)
         cut = ~self.ended
         if whole and not self.even:
             found.append("episodes are cut off at different steps, which one weight per episode cannot take into account")
-        if cut.any() and not beyond:
-            left = float((self.discount ** self.lengths[cut]).mean())
-            if left > 0.02:
-                found.append(
-                    f"{cut.sum():,} of {self.count:,} episodes are cut off, after {self.lengths[cut].mean():,.0f} steps on "
-                    f"average, where {100 * left:.0f} % of the discounted time is still to come and is not counted"
-                )
+        if ahead > TAIL:
+            found.append(
+                f"{cut.sum():,} of {self.count:,} episodes are cut off, after {self.lengths[cut].mean():,.0f} steps on "
+                f"average, where {100 * ahead:.0f} % of the discounted time is still to come and is not counted"
+            )
         return found

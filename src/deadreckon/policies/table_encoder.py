@@ -139,8 +139,9 @@ class TableEncoder:
         if not self.observed:
             size = "size" if self.shape is None else ", ".join(map(str, self.shape))
             raise RowsError(
-                f"{self.name}: this policy keeps no schema of its log, because it learned from arrays, online, or under an "
-                f"earlier version: give arrays of observations (rows, {size}), or train it again from the table"
+                f"{self.name}: this policy keeps no schema of its log, because it learned from arrays, online, from a table "
+                "whose columns it was not given (--action, --reward), or under an earlier version: give arrays of observations "
+                f"(rows, {size}), or train it again from the table"
             )
         if missing := [key for key in self.observed if key not in columns]:
             raise RowsError(f"{self.name}: no column {missing[0]}{near(missing[0], columns)}")

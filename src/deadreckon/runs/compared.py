@@ -131,7 +131,7 @@ def rows_of(log: Dataset, episodes: np.ndarray, first: bool) -> tuple[np.ndarray
         episodes: indices.
         first: whether the first row of each episode alone is looked at.
     """
-    unit = _units(log)[episodes]
+    unit = units_of(log)[episodes]
     episodes = episodes[order := np.argsort(unit, kind="stable")]
     counts = np.ones(len(episodes), int) if first else np.minimum(log.lengths[episodes], WITHIN)
     rows = np.repeat(log.starts[episodes], counts)
@@ -238,7 +238,7 @@ def outside(old: Dataset, new: Dataset, which: Sequence[What], first: bool, alph
     tables = [_extremes(log, which) for log in (old, new)]
     over = tables[1] > tables[0].max(0)
     largest = [table[log.starts] if first else np.maximum.reduceat(table, log.starts) for table, log in zip(tables, (old, new))]
-    units = [_units(log) for log in (old, new)]
+    units = [units_of(log) for log in (old, new)]
     before, guilty = _largest(largest[0], units[0]), np.zeros(len(names), bool)
     for epoch in drift.epochs(new.episodes, alpha) if len(before) >= FEWEST and names else ():
         if epoch.start == 0:
@@ -273,7 +273,7 @@ def _extremes(log: Dataset, which: Sequence[What]) -> np.ndarray:
     return np.concatenate(sides, 1)
 
 
-def _units(log: Dataset) -> np.ndarray:
+def units_of(log: Dataset) -> np.ndarray:
     """(episodes,) the unit that each belongs to."""
     by = group_of(log)
     return np.arange(log.episodes) if by is None else clusters(log, by)

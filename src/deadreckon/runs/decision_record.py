@@ -90,6 +90,7 @@ class Group(TypedDict):
     gain: Number
     low: Number
     high: Number
+    why: NotRequired[str | None]
 
 
 class Groups(TypedDict):

@@ -23,7 +23,7 @@ from deadreckon.runs.compared import Compared, Outside
 from deadreckon.runs.realised import Realised, finished, realised
 from deadreckon.runs.subject import Subject, estimates_of, subject
 from deadreckon.stats import drift
-from deadreckon.stats.interval import ALPHA, decimals, level_in_words
+from deadreckon.stats.interval import ALPHA, PERCENT, decimals, level_in_words
 
 VALUE, DRIFT, OUTSIDE = 0.5, 0.4, 0.1  # shares of alpha
 SHOWN = 5  # new levels that are named
@@ -107,8 +107,9 @@ def monitor(
         reference: the log to compare with, likewise; None: the one that the policy learned from.
         made_by: who made the new log. "policy": the policy of the run, so that its actions are compared with what the policy
             does in the reference, and where episodes have several steps their first steps alone, because a new policy visits
-            other states. "reference": whatever made the reference; then all rows and logged actions are compared. None:
-            "policy", or "reference" where a reference is given.
+            other states. "reference": whatever made the reference; then all rows and logged actions are compared, and the
+            value that was realised is not compared with the policy's. None: "policy"; where another reference is given than
+            the log that the policy learned from, the policy made that, too, and all rows and logged actions are compared.
         estimates: the folder of `deadreckon ope --out` or `recommend`; None looks in the run's folder and beside it.
         return_range: least and greatest return that an episode can have; None: see `runs.realised`.
         seed: which of the run's policies; None: the first.
@@ -133,7 +134,9 @@ def monitor(
     if sizes[0] != sizes[1]:
         shapes = (f"{log.name} has observations {log.spec.observation_shape}, {log.action_space}" for log in (old, new))
         raise UserError(f"the logs cannot be compared: {' and '.join(shapes)}")
-    by_policy = (made_by or ("policy" if reference is None else "reference")) == "policy"
+    # A copy of the log that the policy learned from was not made by the policy, wherever it lies.
+    own = reference is None or one.learned_from(old)
+    by_policy = (made_by or ("policy" if own else "reference")) == "policy"
     new = finished(new, old)
     if greedy is None:
         greedy = True if told is None else bool(told[0]["estimand"]["greedy"])
@@ -145,7 +148,7 @@ def monitor(
     columns = compared.drifts(before, new, which, first, DRIFT * alpha)
     outside = compared.outside(old, new, which, first, OUTSIDE * alpha)
     value: Realised | str = "not compared: the new log was not made by the policy of the run"
-    if by_policy or reference is not None:
+    if made_by != "reference":
         value = realised(new, old, told, return_range, VALUE * alpha)
     tested = "" if new.episodes >= drift.FIRST else f"not tested: {drift.FIRST} finished episodes are needed"
     if len(before.starts) < compared.FEWEST:
@@ -180,6 +183,8 @@ def _of_value(value: Realised | str, alpha: float) -> list[Finding]:
     text = f"{shown:.{d}f} ({level} confidence sequence, which holds however often one looks)"
     if value.estimated is not None:
         text += f", estimated {value.estimated:.{d}f}"
+        if value.among > 1:
+            text += f" ({PERCENT} for all of {value.among} policies at once)"
     else:
         text += "; no estimate is known"
     out = []

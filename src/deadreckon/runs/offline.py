@@ -277,7 +277,8 @@ def groups(results: dict[str, Any]) -> str:
     known = [each[end] for each in by["values"] for end in ("gain", "low", "high") if each[end] is not None]
     d = decimals(*known)
     for each in by["values"]:
-        ends = "too few for an interval" if each["low"] is None else f"[{each['low']:+.{d}f}, {each['high']:+.{d}f}]"
+        unknown = f"without an interval: {each.get('why') or 'too few episodes'}"
+        ends = unknown if each["low"] is None else f"[{each['low']:+.{d}f}, {each['high']:+.{d}f}]"
         gain = "" if each["gain"] is None else f"{each['gain']:+.{d}f} {ends}"
         lines.append(f"  {each['name']:<{width}}  {each['episodes']:>8,} episodes  {gain}")
     return "\n".join(lines)

@@ -10,12 +10,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtri
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.split import group_of
 from deadreckon.errors import UserError
 from deadreckon.ope.estimand import TAIL, Estimand, discounted_steps
+from deadreckon.runs.compared import units_of
 from deadreckon.stats.confidence_sequence import ConfidenceSequence, confidence_sequence, refuted_at
-from deadreckon.stats.interval import Interval
+from deadreckon.stats.interval import ALPHA, Interval
 
 FEW = 10  # different returns of the reference whose range is taken as it is
 WIDER = 0.5  # of the range of returns, on each side
@@ -28,7 +31,9 @@ class Realised:
     Attributes:
         estimand: what is counted.
         sequence: the realised mean and its ends, after growing numbers of episodes; all hold at once.
-        estimated: what was estimated, with its interval; None where no estimates are known.
+        estimated: what was estimated, with an interval that holds for all policies at once among which it may have been
+            chosen; None where no estimates are known.
+        among: how many policies these are.
         range: of the returns, that the interval rests on.
         source: where the range is from, in words.
         beyond: episodes whose return lies outside it.
@@ -42,6 +47,7 @@ class Realised:
     source: str
     beyond: int
     below_at: int | None
+    among: int = 1
 
     @property
     def interval(self) -> Interval:
@@ -113,6 +119,9 @@ def realised(
             those = f"{those}, after {cut.min():,} steps or more"
             how = f"{those}: if they go on, give the episodes alone that began before the first of them"
         return f"not compared: {beyond}, which a log does not show; {how}"
+    if (units := len(np.unique(units_of(new)))) < new.episodes:
+        those = f"the {new.episodes:,} episodes come from {units:,} values of {group_of(new)}"
+        return f"not compared: {those}, and the interval needs independent ones; give one episode of each"
     if given is not None and not (np.isfinite(given).all() and given[0] < given[1]):
         raise UserError(f"return_range must be least and greatest return of an episode, got {given[0]:g} .. {given[1]:g}")
     x, source = returns_of(new, estimand), "as given"
@@ -126,14 +135,17 @@ def realised(
             low, high = low - room, high + room
         given = low, high
     sequence = confidence_sequence(x, given, 2 * alpha)
-    estimated, below = None, None
+    estimated, below, among = None, None, 1
     if told is not None:
-        first, i = told[0]["results"][0], told[1]
-        estimated = Interval(*(_number(first[key][i]) for key in ("value", "low", "high")))
+        first, i, among = told[0]["results"][0], told[1], len(told[0]["policies"])
+        value, low, high = (_number(first[key][i]) for key in ("value", "low", "high"))
+        # Each interval is for itself, and whoever chooses among policies takes one whose estimate is rather too high.
+        more = float(ndtri(1 - ALPHA / (2 * among)) / ndtri(1 - ALPHA / 2))
+        estimated = Interval(value, value - more * (value - low), value + more * (high - value))
         least = estimated.low if np.isfinite(estimated.low) else -np.inf
         below = refuted_at(x, given, least, alpha) if np.isfinite(least) else None
     outside = int(((x < given[0]) | (x > given[1])).sum())
-    return Realised(estimand, sequence, estimated, given, source, outside, below)
+    return Realised(estimand, sequence, estimated, given, source, outside, below, among)
 
 
 def _number(value: Any) -> float:

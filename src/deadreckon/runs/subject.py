@@ -104,6 +104,11 @@ class Subject:
             raise UserError(f"the log that {self.name} learned from has changed ({where}); name a copy of it with {option}")
         return found
 
+    def learned_from(self, log: Dataset) -> bool:
+        """Whether a log is the one that the policy learned from, with the same content wherever it lies."""
+        kept = {name: column for name, column in log.extras.items() if not name.startswith(GAPS)}
+        return replace(log, extras=kept).fingerprint == self.data.get("fingerprint")
+
     def _checked(self, log: Dataset) -> Dataset:
         """The log, if its columns are the numbers that the policy takes."""
         check_encoding(self.name, self.read, log)

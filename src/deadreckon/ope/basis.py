@@ -1,0 +1,129 @@
+"""What an estimate of one policy rests on, and why that may be too little for any interval to be believed.
+
+Weights of few episodes say little about the episodes that the log happens not to show. What is asked of an estimate of all
+judged episodes is asked of an estimate of a part of them, too, such as a group.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from deadreckon.ope.case import OPEInput
+from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.importance import multiplied
+from deadreckon.ope.pareto import diagnosed
+from deadreckon.ope.support import SHORT
+from deadreckon.ope.weights import FEW, Episodes, effective
+
+UNITS = 20  # episodes or clusters below which no interval is believed
+HEAVY = 0.7  # Pareto k of the weights above which their mean is not reliable (Vehtari et al. 2024)
+# Weights that are multiplied along an episode must amount to this share of the episodes, or to so many. With less, so much of
+# their mass lies in episodes that the log happens not to show that no interval by those it shows covers.
+SHARE, MANY = 0.2, 50.0
+MORE = "; more episodes, or a policy nearer the behaviour policy, would tell more"
+
+
+class Basis(NamedTuple):
+    """What an estimate of one policy rests on.
+
+    Attributes:
+        units: episodes or clusters that there are; None: not known.
+        ess: episodes that its weights amount to; infinite where nothing is weighted.
+        diagnostics: of the policy, by name; see `Estimates.diagnostics`.
+    """
+
+    units: int | None
+    ess: float
+    diagnostics: dict[str, float]
+
+    @classmethod
+    def of(cls, found: Estimates, which: int) -> "Basis":
+        """Of one of the policies of an estimate."""
+        units = found.units if found.influence is None else len(found.influence)
+        told = {name: float(each[which]) for name, each in found.diagnostics.items()}
+        return cls(units, np.inf if found.ess is None else float(found.ess[which]), told)
+
+    @classmethod
+    def of_weights(cls, case: OPEInput, log_ratios: np.ndarray, some: np.ndarray, *, whole: bool) -> "Basis":
+        """Of a mean over a part of a case's judged episodes, weighted by one policy's ratios.
+
+        Args:
+            case: log and policies.
+            log_ratios: (rows,) log of pi(a|s) / beta(a|s) of each logged action.
+            some: (episodes,) bool, the part.
+            whole: each episode has one weight, the product of all its ratios; otherwise each step has that of the steps so far.
+        """
+        cluster = np.unique(case.cluster[some], return_inverse=True)[1]
+        part = case.data.select(np.flatnonzero(some))
+        episodes = Episodes(part, case.discount, case.seed, cluster)
+        log_rho = episodes.cumulate(log_ratios[some[case.data.episode_of]])
+        weights = episodes.typical(log_rho, whole=whole)
+        with np.errstate(over="ignore", invalid="ignore"):
+            if whole:
+                average = np.exp(weights)
+                ess = effective(np.exp(weights - max(weights.max(), -1e300)))
+            else:
+                average = episodes.average(log_rho)
+                ess = episodes.sums(log_rho, np.zeros(len(part)), normalised=False).ess
+            told = {**multiplied(episodes, np.array([ess]), [average])}
+        sums = np.full(int(cluster.max()) + 1, -np.inf)
+        np.logaddexp.at(sums, cluster, weights)
+        told |= diagnosed([sums]) | {"effective clusters": np.array([effective(np.exp(sums - max(sums.max(), -1e300)))])}
+        return cls(len(sums), float(ess), {name: float(each[0]) for name, each in told.items()})
+
+    @property
+    def rest(self) -> tuple[float, str]:
+        """What the weights amount to, episodes or clusters, whichever are fewer, and in words; infinite of no weights."""
+        clusters = self.diagnostics.get("effective clusters", np.inf)
+        return min(self.ess, clusters), f"{clusters:.1f} clusters" if clusters < self.ess else f"{self.ess:.1f} episodes"
+
+    @property
+    def overlaps(self) -> bool:
+        """Whether nothing is weighted, or the weights rest on enough episodes, and on enough clusters."""
+        return self.rest[0] >= FEW
+
+    @property
+    def lost(self) -> list[str]:
+        """Why weights miss so much of a policy that no interval by the episodes that are there covers its value, a phrase each.
+
+        In dm_control's cheetah-run and fish-swim, where weights rest on one episode, 4 of 13 such intervals covered it.
+        """
+        own, told = [], self.diagnostics
+        if not self.overlaps:
+            own.append(f"its weights rest on {self.rest[1]}, {FEW:g} are needed{MORE}")
+        elif told.get("effective share", 1.0) < SHARE and self.ess < MANY:
+            own.append(
+                f"its weights, which are multiplied along an episode, rest on {self.ess:.1f} episodes, {MANY:g} or "
+                f"{100 * SHARE:g} % of all are needed{MORE}"
+            )
+        if told.get("mean weight high", 1.0) < 1.0:
+            own.append(
+                f"its weights average {told['mean weight']:.2f} instead of 1 (at most {told['mean weight high']:.2f} with "
+                "99 % confidence): the log does not show the episodes that weigh most"
+            )
+        if told.get("mass high", 1.0) < SHORT:
+            own.append(
+                f"its occupancy ratios amount to {told['mass']:.2f} instead of 1 (at most {told['mass high']:.2f} with 99 % "
+                "confidence): what it does in the rest of its time is not in the log"
+            )
+        return own
+
+    @property
+    def unreliable(self) -> list[str]:
+        """Why no interval of the estimate can be believed, a phrase each."""
+        own, told = [], self.diagnostics
+        if self.units is not None and self.units < UNITS:
+            own.append(
+                f"there are only {self.units} episodes or clusters to judge by, {UNITS} are needed, or --cross-fit where the "
+                "log has as many"
+            )
+        own += self.lost
+        # Of weights that take few values, which are bounded, k may be anything: it counts where few episodes decide.
+        if told.get("pareto k low", -np.inf) > HEAVY and self.rest[0] < MANY:
+            own.append(
+                f"its weights have too heavy a tail (Pareto k {told['pareto k']:.2f}, above {told['pareto k low']:.2f} with "
+                f"95 % confidence, at most {HEAVY:g})"
+            )
+        if told.get("settled", 1.0) < 1:
+            own.append("the fit of its estimate has not settled")
+        return own
