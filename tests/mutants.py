@@ -2468,6 +2468,23 @@ MUTANTS = (
         "a policy that was judged by sampled actions is used with others",
         ("cli/test_predict.py::test_policies_that_a_folder_stands_for",),
     ),
+    Mutant(
+        "recipes-in-all-folds", "mbo/validation.py",
+        "(generator(0, \"folds of designs\").permutation(count) % folds)[data.recipes]",
+        "generator(0, \"folds of designs\").permutation(len(data)) % folds",
+        "a model that recalls a recipe whose settings differ slightly from row to row is praised",
+        ("mbo/test_validation.py::test_rows_of_a_recipe_lie_in_one_fold_though_their_settings_differ_slightly",),
+    ),
+    Mutant(
+        "rounded-parts-break-the-sum", "mbo/effects.py", "if each.equal and rounded:", "if False:",
+        "the best row, whose parts are rounded, is none that satisfies the rules, and gains are measured from a worse one",
+        ("report/test_design_page.py::test_a_mixture_of_rounded_parts_is_one",),
+    ),
+    Mutant(
+        "yes-becomes-true", "mbo/design_table.py", "pairs=False", "pairs=True",
+        "proposals have other words than the table, in which they are then levels of their own",
+        ("mbo/test_design_tables.py::test_yes_and_no_are_the_levels_that_the_table_has",),
+    ),
 )
 
 

@@ -389,3 +389,23 @@ def test_a_score_of_0_and_1_is_told():
     said = "frame: y has only the values 0 and 1: predictions are of its mean (a rate), and may lie below 0 or above 1"
     assert lines == [said]
     assert told(Designs.from_frame, frame(y=[True, False, False] * 6), "y", minimise=True)[1] == [said]
+
+
+def test_yes_and_no_are_the_levels_that_the_table_has(tmp_path):
+    """What is proposed may be written below the table, where true beside yes would be another level."""
+    data = frame(stirred=["yes", "no", "no"] * 6, light=["on", "off"] * 9, open=["TRUE", "false", "True"] * 6)
+    path = write(tmp_path / "t.csv", data)
+    made, lines = told(Designs.from_csv, path, "y", fixed=["stirred=yes"], forbidden=["light = on & temp > 80"])
+    levels = {v.name: v.levels for v in made.variables if v.leveled}
+    assert levels["stirred"] == ("no", "yes")
+    assert levels["light"] == ("off", "on")
+    assert levels["open"] == (False, True)
+    assert not any("true and false" in line for line in lines)
+    made.write(tmp_path / "p.csv", made.x[:2])
+    assert (tmp_path / "p.csv").read_text().splitlines()[1].endswith(',"yes","on",true')
+    drafted, _ = describe(path, "y")
+    assert drafted.columns["stirred"].levels == ("no", "yes")
+    drafted.save(tmp_path / "t.toml")
+    assert {v.name: v.levels for v in DesignSchema.load(tmp_path / "t.toml").read(path).variables if v.leveled} == levels
+    works = write(tmp_path / "w.csv", frame(y=["yes", "no", "no"] * 6))
+    assert told(Designs.from_csv, works, "y")[0].y.sum() == 6  # a score of yes and no is a number

@@ -76,6 +76,24 @@ def test_an_effect_is_told_from_none_or_depends_on_others():
     assert {each.distinct(3) for each in unsure} == {None}
     assert effects.critical(1) == pytest.approx(1.959964)
     assert effects.critical(5) == pytest.approx(2.575829)
+    assert effects.critical(1, 4) == pytest.approx(2.776445)  # of five members
+
+
+def test_few_members_are_no_known_deviation():
+    """A slope that is chance alone, and five members that differ from it as it differs from zero: one in twenty is told."""
+    rng, wrong = np.random.default_rng(0), {4: 0, np.inf: 0}
+    data = Designs.from_arrays(rng.normal(size=(40, 1)), rng.normal(size=40))
+    for slope in rng.standard_normal(400):
+        members = rng.standard_normal((5, 1, 1))
+
+        def averages(x, slope=slope, members=members):
+            return slope * x[..., 0], covariance_of_members(members * x[..., 0])
+
+        for freedom in wrong:
+            fitted = Fitted(lambda x, slope=slope: (slope * x[:, 0], None), averages, freedom=freedom)
+            wrong[freedom] += effects.averages(data, fitted)[0].distinct(1)
+    assert wrong[4] < 0.08 * 400
+    assert wrong[np.inf] > 0.09 * 400  # 12 % by the quantile of a deviation that is known
 
 
 def test_averages_of_the_process_have_the_covariance_of_its_posterior():

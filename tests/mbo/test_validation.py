@@ -164,8 +164,9 @@ def test_half_of_a_skilled_models_own_variance_counts():
     assert found.b == 1.0
     error, weight = y - mean, 1 / std**2
     error /= 1 - weight / weight.sum()  # as if the intercept had not seen it
-    own, rest = np.square(error / std).mean() * std**2, (weight @ np.square(error)) / weight.sum()
-    np.testing.assert_allclose(np.square(width) / (own + rest), np.square(width[0]) / (own + rest)[0])
+    usual = (weight / len(weight)).sum() ** -0.5  # the harmonic mean, above which its own counts in full
+    shape = np.maximum(np.sqrt((np.square(std) + usual**2) / 2), std)
+    np.testing.assert_allclose(width / shape, (width / shape)[0])
     # 191 is ceil(0.95 x 201): the correction for few rows.
     assert (np.abs(error) <= 1.959964 * width * (1 + 1e-9)).sum() == 191
     assert np.ptp(Calibration.of(y, m, std, skilled=False)(m, std)[1]) == 0
@@ -247,3 +248,49 @@ def test_intervals_hold_new_measurements_of_what_is_proposed_from_noise():
         low, high = interval(made.predicted, made.predicted_std)
         shares.append((scipy.stats.norm.cdf(high, 60.0, 8.0) - scipy.stats.norm.cdf(low, 60.0, 8.0)).mean())
     assert min(shares) > 0.8
+
+
+def nearly_repeated(recipes=15, repeats=4, jitter=1e-3, seed=0):
+    """Recipes whose settings are logged with an instrument's noise, and whose scores have nothing to do with them."""
+    rng = np.random.default_rng(seed)
+    x = np.repeat(rng.uniform(size=(recipes, 2)), repeats, axis=0)
+    x += jitter * rng.standard_normal(x.shape)
+    y = np.repeat(rng.standard_normal(recipes), repeats) + 0.1 * rng.standard_normal(len(x))
+    return Designs(x, y, AB)
+
+
+def test_rows_of_a_recipe_lie_in_one_fold_though_their_settings_differ_slightly():
+    data = nearly_repeated()
+    np.testing.assert_array_equal(data.recipes, np.repeat(np.arange(15), 4))
+    quality = designer("gp", rounds=5).propose(data, 3, validate=True).quality
+    assert quality.recipes == 15
+    assert all(len(set(quality.fold[data.recipes == k])) == 1 for k in range(15))
+    assert not quality.skilled  # R2 was 0.97
+    assert quality.limit > 0.6  # of 15 and not of 60
+    assert checkable(data)
+    assert not checkable(nearly_repeated(8))
+
+
+@pytest.mark.parametrize("kind", ["uniform", "grid", "one number and a category", "walk", "steps", "clusters"])
+def test_designs_that_are_spread_otherwise_are_recipes_of_their_own(kind):
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        spread, level = rng.uniform(size=(60, 2)), rng.integers(0, 3, 60)
+        x = {
+            "uniform": spread, "grid": np.indices((6, 10)).reshape(2, -1).T * [0.001, 1.0],
+            "one number and a category": np.stack([spread[:, 0], level], 1), "walk": np.cumsum(spread - 0.5, 0),
+            "steps": np.unique(np.stack([rng.integers(0, 400, 60), level], 1), axis=0),
+            "clusters": np.repeat(spread[:6], 10, 0) + 0.05 * rng.standard_normal((60, 2)),
+        }[kind]  # fmt: skip
+        letter = Variable("b", "categorical", levels=("x", "y", "z"))
+        variables = (Variable("a"), letter if kind == "one number and a category" else Variable("b"))
+        data = Designs(x, rng.standard_normal(len(x)), variables)
+        np.testing.assert_array_equal(data.recipes, np.arange(len(x)))
+
+
+def test_a_table_of_recipes_says_so():
+    data = nearly_repeated()
+    frame = {"a": data.x[:, 0], "b": data.x[:, 1], "y": data.y}
+    with pytest.warns(UserWarning, match="60 different designs are 15 recipes whose settings differ slightly"):
+        read = Designs.from_frame(frame, "y")
+    assert any("15 recipes" in line for line in read.noticed)

@@ -13,7 +13,7 @@ from deadreckon.cli.design_front import told
 from deadreckon.mbo import designer
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.effects import permitted
+from deadreckon.mbo.effects import allowed, best_permitted, permitted
 from deadreckon.mbo.fitted import Fitted
 from deadreckon.mbo.front import Front, targets_of
 from deadreckon.mbo.nn_distance import neighbours, nn_distance
@@ -197,6 +197,20 @@ def test_a_gain_is_one_over_rows_that_satisfy_the_rules(tmp_path):
     assert _told(data, made)[0] == "frame: 20 designs, 2 variables (a, b); best y 0.95, within the rules 0.5"
     nothing = Designs.from_frame({"a": a, "b": np.arange(20) % 7, "y": a}, "y", fixed=["a = 0.5", "b = 2"])
     assert permitted(nothing).all()  # where no row satisfies them, all are what is known
+
+
+def test_a_mixture_of_rounded_parts_is_one():
+    """Two decimals of thirds sum to 0.99: it is the best of the mixtures, and no row that breaks their rule."""
+    rng = np.random.default_rng(0)
+    parts = rng.dirichlet(np.ones(3), 20).round(2)
+    parts[:3] = (0.33, 0.33, 0.33), (0.5, 0.2, 0.25), (0.2, 0.3, 0.5)
+    y = np.r_[10.0, 11.0, 9.0, rng.uniform(0, 8, 17)]
+    data = Designs.from_frame({**dict(zip("abc", parts.T)), "y": y}, "y", mixtures=[["a", "b", "c"]])
+    assert best_permitted(data) == 0
+    assert broken_rule(data, 0) is None
+    assert broken_rule(data, 1) == "always a + b + c = 1"  # the sum is 0.95
+    assert not permitted(data)[1]
+    assert not allowed(data, data.x[:1])[0]  # proposals are exact
 
 
 def test_rules_that_do_not_bind_are_not_told():

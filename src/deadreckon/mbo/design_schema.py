@@ -148,7 +148,8 @@ class DesignSchema:
         ways = {**self.table, **{key: more.pop(key) for key in READING if key in more}}
         called = self.called(more)
         asked = together(called.options(), more)
-        table, _, told = read_designs(path, ways, set(asked["ignore"]) - set(more.get("targets", ())))
+        targets = set(more.get("targets", ()))
+        table, _, told = read_designs(path, ways, set(asked["ignore"]) - targets, targets | {asked["target"]})
         warn(path, told)
         target = asked.pop("target")
         if target is None:

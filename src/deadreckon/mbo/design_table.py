@@ -20,16 +20,21 @@ _SHOWN = 5  # runs of rows, and columns, that one message names
 
 
 def read_designs(
-    path: Path | str, ways: Mapping[str, Any], ignored: Collection[str] = ()
+    path: Path | str, ways: Mapping[str, Any], ignored: Collection[str] = (), targets: Collection[str] = ()
 ) -> tuple[pa.Table, Dialect | None, list[str]]:
     """What `data.formats.any_table.read_table` gives, with no line on columns that are ignored: these stay texts.
+
+    So do levels such as yes and no of other columns than targets: a proposal has the words of the table, below which it may be
+    written.
 
     Args:
         path: of the file.
         ways: keywords of `read_table`.
         ignored: columns that are no part of the designs.
+        targets: scores.
     """
-    return table_of_kind(path, sniff(path, ways.get("separator")), ways, Known(texts=frozenset(ignored)))
+    known = Known(texts=frozenset(ignored), flags=frozenset(targets), pairs=False)
+    return table_of_kind(path, sniff(path, ways.get("separator")), ways, known)
 
 
 def name_of(path: Path | str) -> str:

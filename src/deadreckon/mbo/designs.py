@@ -19,7 +19,7 @@ from deadreckon.mbo import doubts
 from deadreckon.mbo.coordinates import Coordinates
 from deadreckon.mbo.design_table import check_filled, name_of, numbers_of, read_designs, score_name, scored, trimmed, warn
 from deadreckon.mbo.repair import Repair
-from deadreckon.mbo.replicates import errors_of, pooled
+from deadreckon.mbo.replicates import errors_of, pooled, recipes, recipes_told
 from deadreckon.mbo.rules import NO_RULES, Rules
 from deadreckon.mbo.variables import FEWEST, Variable, codes, filled, name_of_rows, variable_of
 from deadreckon.provided import Shown
@@ -114,7 +114,7 @@ class Designs(Shown):
         """
         ways = {key: options.pop(key) for key in READING if key in options}
         ignored = set(options.get("ignore", ())) - set(options.get("targets", ()))
-        table, _, told = read_designs(path, ways, ignored)
+        table, _, told = read_designs(path, ways, ignored, {target, *options.get("targets", ())})
         warn(path, told)
         options.setdefault("name", name_of(path))
         return cls.from_frame(table, target, noticed=told, **options)
@@ -212,7 +212,11 @@ class Designs(Shown):
         warn(name, slips := [*slips, *doubts.of_outcomes(variables, x, target, raw)])
         unused = [f"not used: {', '.join(left)}"] if (left := [each for each in ignore if each not in targets]) else []
         made = replace(made, noticed=(*noticed, *told, *slips, *unused))
-        return pooled(made) if pool else made
+        made = pooled(made) if pool else made
+        if (line := recipes_told(made)) is not None:
+            warn(name, [line])
+            made = replace(made, noticed=(*made.noticed, line))
+        return made
 
     def shown(self, scores: Any) -> Any:
         """Scores as the table has them: turned around again where its target was to be made small."""
@@ -222,6 +226,11 @@ class Designs(Shown):
     def repair(self) -> Repair:
         """What moves designs to where all rules hold."""
         return Repair(self)
+
+    @cached_property
+    def recipes(self) -> np.ndarray:
+        """(rows,) number of the recipe of each row: rows of one are replicates, or nearly so (`replicates.recipes`)."""
+        return recipes(self)
 
     @cached_property
     def coordinates(self) -> "Coordinates":

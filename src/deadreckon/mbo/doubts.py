@@ -18,8 +18,8 @@ _SEVERAL = 2  # rows of a level more than which another, of one row, may be a sl
 _ALIKE = 0.8  # similarity of two texts (`difflib`) from which on they are written nearly alike
 _FEW = 0.2  # share of rows up to which what others hold may be broken by a slip
 _FEWEST = 3  # different values among the others, fewer of which say nothing of their range
-_ROUNDED = 0.01  # share of a sum by which decimals that were rounded may change it
-_SLACKS = np.geomspace(1e-6, _ROUNDED, 41)  # of a whole, by which parts miss it; the least first, so that traces are parts too
+ROUNDED = 0.01  # share of a sum by which decimals that were rounded may change it
+_SLACKS = np.geomspace(1e-6, ROUNDED, 41)  # of a whole, by which parts miss it; the least first, so that traces are parts too
 _RELATED = 1e-3  # deviation, in those of the variables, by which a linear relation may be missed
 _SAME = 0.98  # rank correlation with the score from which on an input may be another outcome
 _LEAST = 0.01  # weight of a column within the space of constant sums, of parts of one at least a hundredth
@@ -181,7 +181,7 @@ def sum_of(names: Sequence[str], whole: int) -> str:
 def _of_sum(rule: Linear, x: np.ndarray, rows: np.ndarray) -> list[str]:
     """The rows that break an equality by more than a hundredth of its terms, and what may be wrong."""
     terms = np.stack([float(weight) * x[:, column] for column, weight in rule.weights], 1)
-    total, slack = terms.sum(1), _ROUNDED * np.maximum(np.abs(terms).sum(1), abs(float(rule.bound)))
+    total, slack = terms.sum(1), ROUNDED * np.maximum(np.abs(terms).sum(1), abs(float(rule.bound)))
     broken = np.abs(total - float(rule.bound)) > slack
     if not broken.any():
         return []

@@ -7,11 +7,12 @@ are scaled to make room for it, as in Cox's traces for mixtures (Cornell 2002), 
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from statistics import NormalDist
 
 import numpy as np
+from scipy.special import stdtrit
 
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.doubts import ROUNDED
 from deadreckon.mbo.fitted import Fitted
 from deadreckon.randomness import generator
 from deadreckon.stats.interval import ALPHA
@@ -37,6 +38,8 @@ class Effect:
         rows: the 10th and 90th percentile of the same difference in single rows; None in cuts.
         rows_std: standard deviations of the difference in the two rows nearest to these percentiles; None likewise.
         allowed: (g,) where the design would satisfy bounds, constraints and forbidden combinations; None: not looked at.
+        freedom: degrees of freedom of the deviations, which few members of an ensemble tell; infinite where they are the
+            model's.
     """
 
     column: int
@@ -48,21 +51,29 @@ class Effect:
     rows: tuple[float, float] | None = None
     rows_std: tuple[float, float] | None = None
     allowed: np.ndarray | None = None
+    freedom: float = np.inf
+
+    @property
+    def half(self) -> float:
+        """Deviations from the estimate to the ends of its 95 % interval (Student's)."""
+        return critical(1, self.freedom)
 
     def distinct(self, variables: int) -> bool | None:
         """Whether the average change is distinguishable from zero, at 5 % for so many variables together; None: not known."""
-        return None if self.change_std is None else self.change > critical(variables) * self.change_std
+        return None if self.change_std is None else self.change > critical(variables, self.freedom) * self.change_std
 
     def depends(self, variables: int) -> bool:
         """Whether a change that is not significant on average is so in a single row: it depends on other variables."""
         if self.rows is None or self.rows_std is None or self.distinct(variables) is not False:
             return False
-        return any(abs(change) > critical(2 * variables) * std for change, std in zip(self.rows, self.rows_std))
+        most = critical(2 * variables, self.freedom)
+        return any(abs(change) > most * std for change, std in zip(self.rows, self.rows_std))
 
 
-def critical(tests: int) -> float:
-    """Standard deviations beyond which a difference is significant, at 5 % for all tests together (Bonferroni)."""
-    return NormalDist().inv_cdf(1 - ALPHA / 2 / max(tests, 1))
+def critical(tests: int, freedom: float = np.inf) -> float:
+    """Standard deviations beyond which a difference is significant, at 5 % for all tests together (Bonferroni), by Student's
+    distribution where they have few degrees of freedom."""
+    return float(-stdtrit(freedom, ALPHA / 2 / max(tests, 1)))
 
 
 def averages(data: Designs, fitted: Fitted) -> list[Effect]:
@@ -99,7 +110,8 @@ def _average(data: Designs, fitted: Fitted, x: np.ndarray, column: int) -> Effec
         single = [fitted.average(groups[[low, high], row : row + 1])[1] for row in some]
         rows_std = _pair(_std_of_difference(of, 0, 1) for of in single if of is not None)
     rows = _pair(map(float, change[some]))
-    return Effect(column, values, mean, std, float(mean[high] - mean[low]), spread, rows, rows_std)
+    change = float(mean[high] - mean[low])
+    return Effect(column, values, mean, std, change, spread, rows, rows_std, freedom=fitted.freedom)
 
 
 def _pair(values: Iterable[float]) -> tuple[float, float]:
@@ -195,8 +207,8 @@ def _to_sum(part: np.ndarray, weight: np.ndarray, total: np.ndarray, held: np.nd
 
 
 def keeping(data: Designs) -> np.ndarray:
-    """(rows,) which designs of the data satisfy all rules of proposals but steps."""
-    good = allowed(data, data.x.astype(np.float64))
+    """(rows,) which designs of the data satisfy all rules of proposals but steps; sums up to the rounding of their parts."""
+    good = allowed(data, data.x.astype(np.float64), rounded=True)
     for column, value in data.rules.fixed:
         good &= np.abs(data.x[:, column] - value) <= SLACK * max(1.0, abs(value))
     return good
@@ -216,8 +228,14 @@ def best_permitted(data: Designs) -> int:
     return int(np.where(permitted(data), data.y, -np.inf).argmax())
 
 
-def allowed(data: Designs, x: np.ndarray) -> np.ndarray:
-    """(rows,) which designs satisfy bounds, linear constraints and forbidden combinations, to rounding errors."""
+def allowed(data: Designs, x: np.ndarray, rounded: bool = False) -> np.ndarray:
+    """(rows,) which designs satisfy bounds, linear constraints and forbidden combinations, to rounding errors.
+
+    Args:
+        data: scored designs, with the rules.
+        x: (rows, variables) designs.
+        rounded: whether they are of a table, whose decimals are rounded: a mixture of 0.33, 0.33 and 0.33 is one.
+    """
     good = data.repair.allowed(x)
     for i, v in enumerate(data.variables):
         if not v.leveled:
@@ -225,7 +243,9 @@ def allowed(data: Designs, x: np.ndarray) -> np.ndarray:
             good &= (x[:, i] >= v.low - slack) & (x[:, i] <= v.high + slack)
     measured = data.repair.measured(x)
     for each in data.rules.linear:
-        total, bound = sum(float(w) * measured[:, c] for c, w in each.weights), float(each.bound)
-        slack = 100 * SLACK * max(1.0, abs(bound))
+        terms, bound = np.stack([float(w) * measured[:, c] for c, w in each.weights]), float(each.bound)
+        total, slack = terms.sum(0), 100 * SLACK * max(1.0, abs(bound))
+        if each.equal and rounded:
+            slack = ROUNDED * np.maximum(np.abs(terms).sum(0), abs(bound))
         good &= (np.abs(total - bound) <= slack) if each.equal else (total <= bound + slack)
     return good

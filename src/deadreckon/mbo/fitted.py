@@ -29,6 +29,7 @@ class Fitted:
         calibration: how scores follow from predictions; None where that was not looked at.
         beyond: deviation of the noise that one measurement has beyond that of the rows which calibrated it.
         is_order: predictions are not scores but only their order, in standard deviations over the data.
+        freedom: degrees of freedom of the covariance of averages: of an ensemble, whose members tell it, one less than these.
     """
 
     predictions: Predict
@@ -36,6 +37,7 @@ class Fitted:
     calibration: Calibration | None = None
     beyond: float = 0.0
     is_order: bool = False
+    freedom: float = np.inf
 
     def predict(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """(m,) means of (m, variables) designs, and their calibrated standard deviations or None."""

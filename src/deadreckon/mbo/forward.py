@@ -124,7 +124,7 @@ class Forward(Designer):
             each = data.coordinates.score(np.concatenate(parts, 1)[:, : len(z)]).reshape(self.members, *x.shape[:2])
             return each.mean(0), covariance_of_members(each)
 
-        return replace(fitted, averages=averages)
+        return replace(fitted, averages=averages, freedom=self.members - 1)
 
     def unseen(self, setting: DesignInput, x: np.ndarray, error: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """What it says of scores of other designs: (m,) means and deviations with noise, whatever standard errors are known."""
@@ -146,11 +146,14 @@ def on_held_out(method: Any, setting: DesignInput, scored: bool = True) -> Quali
         scored: whether it predicts scores, and not their order alone.
     """
     data = setting.data
-    order = generator(0, "held-out designs").permutation(len(data))
-    held = order[: min(max(len(data) // 5, ENOUGH), HELD)]
+    recipes = int(data.recipes.max()) + 1
+    place = generator(0, "held-out designs").permutation(recipes).argsort()[data.recipes]
+    order, count = np.argsort(place, kind="stable"), min(max(recipes // 5, ENOUGH), HELD)
+    held = order[place[order] < count]
 
     def model(part: Designs) -> Predict:
         return partial(method.unseen, setting._replace(data=part, seeds=setting.seeds[:1]))
 
     mean, std = unseen(data, held, order[len(held) :], model)
-    return judged(data.y[held], mean, std, np.arange(len(held)) % 2, method.label, scored=scored)
+    found = judged(data.y[held], mean, std, place[held] % 2, method.label, scored=scored)
+    return replace(found, recipes=count)

@@ -6,6 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+from scipy.spatial.distance import cdist
 
 from deadreckon.errors import UserError
 from deadreckon.mbo.design_table import numbers_of
@@ -13,6 +16,10 @@ from deadreckon.mbo.variables import FEWEST
 
 if TYPE_CHECKING:
     from deadreckon.mbo.designs import Designs
+
+GAP, LEAST = 10.0, 3.0  # times by which designs of two recipes lie farther apart than those of one: usually, and at least
+CHANCE = 1e-4  # of a gap that means nothing
+LINKED = 3_000  # different designs beyond which nobody looks
 
 
 def pooled(data: "Designs") -> "Designs":
@@ -58,6 +65,50 @@ def pooled(data: "Designs") -> "Designs":
         data, x=data.x[first], y=y, pooling=told,
         replicates=count, std_error=error, table_rows=data.numbered(first),
     )  # fmt: skip
+
+
+def recipes(data: "Designs") -> np.ndarray:
+    """(rows,) number 0, 1, ... of the recipe of each row, in the order of the table.
+
+    Rows are of one recipe if they are the same design, or if their designs differ by no more than what settings are measured or
+    logged with: the sorted distances of single linkage have a gap, and the rows of any recipe lie `GAP` times nearer together
+    than recipes usually are to the next one. Of k distances below it the gap is at least a factor of `CHANCE` ^ (-1 / k), which
+    the smallest of designs that are spread by chance reach with probability `CHANCE` on a line and less in a plane, and
+    `LEAST` in any case. Of more than `LINKED` different designs nobody looks.
+    """
+    designs, which = np.unique(data.x, axis=0, return_inverse=True)
+    which = which.reshape(-1)
+    found = np.arange(len(designs)) if not FEWEST < len(designs) <= LINKED else _linked(data.coordinates.place(designs))
+    group = found[which]
+    order = np.unique(group, return_index=True)[1].argsort().argsort()  # by the first row of each
+    return order[group]
+
+
+def _linked(z: np.ndarray) -> np.ndarray:
+    """(designs,) number of the recipe of each of different designs, by their places."""
+    distance = cdist(z, z)
+    tree = minimum_spanning_tree(distance).tocoo()
+    edges = np.sort(tree.data)
+    wide = np.maximum(CHANCE ** (-1.0 / np.arange(1, len(edges))), LEAST)
+    gaps = edges[1:] / np.maximum(edges[:-1], 1e-300) / wide
+    if gaps.max() >= 1.0:
+        last = int(gaps.argmax())
+        near = tree.data <= edges[last]
+        group = connected_components(coo_matrix((tree.data[near], (tree.row[near], tree.col[near])), tree.shape), False)[1]
+        if GAP * distance[group[:, None] == group].max() < np.median(edges[last + 1 :]):
+            return group
+    return np.arange(len(z))
+
+
+def recipes_told(data: "Designs") -> str | None:
+    """A line on rows that are taken for replicates in validation only; None where there are none."""
+    count, designs = int(data.recipes.max()) + 1, len(np.unique(data.x, axis=0))
+    if count == designs:
+        return None
+    return (
+        f"{designs:,} different designs are {count:,} recipes whose settings differ slightly from row to row: a recipe is held "
+        "out as a whole where predictions of unseen designs are tested; write its settings alike to have its rows pooled"
+    )
 
 
 def noise_beyond(data: "Designs") -> float:

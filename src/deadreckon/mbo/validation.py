@@ -42,6 +42,7 @@ class Quality:
         tried: how many methods were tried of which this is one.
         crossed: whether each row has taught the models of all other folds, as in cross-validation.
         scored: whether the model predicts scores, and not their order alone.
+        recipes: how many recipes the rows are of, which are what is independent (`Designs.recipes`); None: each is one.
     """
 
     method: str
@@ -54,6 +55,7 @@ class Quality:
     tried: int = 1
     crossed: bool = False
     scored: bool = True
+    recipes: int | None = None
 
     @property
     def skilled(self) -> bool:
@@ -69,7 +71,7 @@ class Quality:
     def limit(self) -> float:
         """The rank correlation that chance alone does not exceed in 97.5 % of tables without any relation."""
         quantile = NormalDist().inv_cdf(1 - CHANCE / self.tried)  # the best of several is greater by chance (Bonferroni)
-        variance = (2.12 if self.crossed else 1.06) / max(len(self.observed) - 3, 1)
+        variance = (2.12 if self.crossed else 1.06) / max((self.recipes or len(self.observed)) - 3, 1)
         return float(np.tanh(quantile * variance**0.5))
 
     @cached_property
@@ -132,14 +134,15 @@ class Quality:
 
 
 def checkable(data: Designs, count: int = FEWEST + 1) -> bool:
-    """Whether there are enough designs, `count`, to say how well a model predicts those that it has not seen, all different.
+    """Whether there are enough recipes, `count`, to say how well a model predicts those that it has not seen, and no two rows
+    of the same design.
 
     Without any one of them enough must be left to learn from.
 
     Replicates that were not pooled (`mbo.replicates`), as those of fewer than `FEWEST` designs, would lie in different folds,
     and a model that has only kept in mind what it has seen would be praised.
     """
-    return len(np.unique(data.x, axis=0)) == len(data) >= count
+    return len(np.unique(data.x, axis=0)) == len(data) and int(data.recipes.max()) + 1 >= count
 
 
 def cross_validated(data: Designs, model: Callable[[Designs], Predict], method: str, folds: int = FOLDS) -> Quality:
@@ -149,14 +152,15 @@ def cross_validated(data: Designs, model: Callable[[Designs], Predict], method: 
         data: scored designs, all different, of which there are enough (`checkable`).
         model: fits designs.
         method: its name.
-        folds: how many; of fewer than `ENOUGH` designs each is left out by itself.
+        folds: how many; of fewer than `ENOUGH` recipes each is left out by itself.
     """
-    folds = folds if len(data) >= ENOUGH else len(data)
-    fold = generator(0, "folds of designs").permutation(len(data)) % folds
+    count = int(data.recipes.max()) + 1
+    folds = folds if count >= ENOUGH else count
+    fold = (generator(0, "folds of designs").permutation(count) % folds)[data.recipes]
     mean, std = np.empty(len(data)), np.empty(len(data))
     for k in range(folds):
         mean[fold == k], std[fold == k] = unseen(data, np.flatnonzero(fold == k), np.flatnonzero(fold != k), model)
-    return replace(judged(data.y, mean, std, fold, method), crossed=True)
+    return replace(judged(data.y, mean, std, fold, method), crossed=True, recipes=count)
 
 
 def unseen(

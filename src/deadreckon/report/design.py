@@ -102,14 +102,16 @@ def _quality(data: Designs, made: Proposals) -> Markup | None:
     if quality is None:
         return None
     mean, std = quality.corrected
-    half, observed, predicted = NORMAL * std, data.shown(quality.observed), data.shown(mean)
+    scored, half, observed = quality.scored, NORMAL * std, data.shown(quality.observed)
+    predicted = data.shown(mean) if scored else mean
     rows = np.linspace(0, len(observed) - 1, min(len(observed), POINTS)).astype(int)
     low, high = predicted - half, predicted + half
     value = lambda of, i: float(of[i])  # noqa: E731
     whole = len(observed) == len(data)  # else some were drawn, whose numbers are not known here
     names = [f"row {row}" if whole else "a held-out row" for row in data.numbered(np.arange(len(observed)))]
     points = [(names[i], 0, value(observed, i), 0.0, value(predicted, i), value(low, i), value(high, i)) for i in rows]
-    drawn = charts.scatter(points, f"{data.target}, observed", f"{data.target}, predicted", diagonal=True)
+    up = f"{data.target}, predicted" if scored else "order by the model, the best above"
+    drawn = charts.scatter(points, f"{data.target}, observed", up, diagonal=scored)
     corrected = "" if quality.calibration is None else (
         " Predictions and their standard deviations, those of proposals too, are corrected by what they were worth on these "
         f"designs, so that the {PERCENT} interval holds its share of them; R2 is of predictions as they were. The interval is "

@@ -69,7 +69,7 @@ def broken_rule(data: Designs, i: int) -> str | None:
         if abs(float(x[0, column]) - value) > 1e-6 * max(1.0, abs(value)):
             return f"{v.name} = {data_value(v, value)}"
     for each in data.rules.linear:
-        if not allowed(replace(data, rules=Rules(linear=(each,))), x)[0]:
+        if not allowed(replace(data, rules=Rules(linear=(each,))), x, rounded=True)[0]:
             return f"always {each.text}"
     for each in data.rules.forbidden:
         if not allowed(replace(data, rules=Rules(forbidden=(each,))), x)[0]:

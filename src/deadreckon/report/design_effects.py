@@ -72,7 +72,8 @@ def _panels(
     assert made.fitted is not None
     order = made.fitted.is_order
     means = [each.mean if order else data.shown(each.mean) for each in effects]
-    intervals = [shown_interval(data, each.mean, None if order else each.std) for each in effects]
+    stds = [None if order or each.std is None else each.half / NORMAL * each.std for each in effects]
+    intervals = [shown_interval(data, each.mean, std) for each, std in zip(effects, stds)]
     points = [float(v) for mean in means for v in mean]
     spreads = [Interval(*map(float, each)) for mean, ends in zip(means, intervals) for each in zip(mean, *ends)]
     ends = robust(points if reference is None else [*points, reference], [each for each in spreads if np.isfinite(each.low)])
@@ -96,7 +97,7 @@ def _caption(data: Designs, effect: Effect, variables: int, ranks: bool) -> Mark
     """The name, and the change in words; of a model that does not rank unseen designs no change is significant."""
     text = f"changes the average by {number(effect.change)}"
     if effect.change_std is not None:
-        text += f" \N{PLUS-MINUS SIGN} {number(NORMAL * effect.change_std)}"
+        text += f" \N{PLUS-MINUS SIGN} {number(effect.half * effect.change_std)}"
     if effect.rows is not None:
         low, high = (number(end) for end in effect.rows)
         text += f", single rows by {low} to {high}"

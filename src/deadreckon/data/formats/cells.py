@@ -35,12 +35,14 @@ class Known(NamedTuple):
         words: of columns of levels, which are not empty where they hold a word of `MISSING` alone; None: those that are named
             like an action.
         plain: columns of which reading puts the values here as they stand; None: of none.
+        pairs: whether the words of a pair, such as yes and no, become truth values in columns that are not among `flags`.
     """
 
     texts: frozenset[str] = frozenset()
     flags: frozenset[str] = frozenset()
     words: frozenset[str] | None = None
     plain: dict[str, Any] | None = None
+    pairs: bool = True
 
     def keep(self, name: str, values: Any) -> None:
         """Puts the values of a column into `plain` if they belong there."""
@@ -82,7 +84,8 @@ def converted(
         present = without(trimmed, MISSING)
         if present.null_count == len(present):
             continue
-        if (found := flags_of(present, name in known.flags)) is not None:
+        found = flags_of(present, name in known.flags)
+        if found is not None and (known.pairs or name in known.flags or not found[1]):
             done[name], words = keep(found[0]), found[1]
             flags += [f"{name} ({words})"] if words and name not in known.flags else []
         elif (number := _numbers(without(trimmed, (*MISSING, DASH)), dialect)) is not None:
