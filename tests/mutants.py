@@ -2485,6 +2485,23 @@ MUTANTS = (
         "proposals have other words than the table, in which they are then levels of their own",
         ("mbo/test_design_tables.py::test_yes_and_no_are_the_levels_that_the_table_has",),
     ),
+    Mutant(
+        "few-members-are-sure", "mbo/effects.py", "critical(variables, self.freedom)", "critical(variables)",
+        "effects by five members of an ensemble are told as if their deviation were known",
+        ("mbo/test_effects.py::test_few_members_are_no_known_deviation",),
+    ),
+    Mutant(
+        "surer-beyond-the-data", "mbo/calibration.py",
+        "np.maximum(np.hypot(self.scale * std, self.scatter), self.scale / OWN**0.5 * std)",
+        "np.hypot(self.scale * std, self.scatter)",
+        "intervals far from the data are narrower than the model says",
+        ("mbo/test_validation.py::test_half_of_a_skilled_models_own_variance_counts",),
+    ),
+    Mutant(
+        "halted-for-good", "agents/morel.py", "(worst / (1.0 - self.discount) if worst < 0.0 else worst)", "worst",
+        "MOReL is drawn away from the log where rewards are negative",
+        ("agents/test_conformance.py::test_numbers_are_as_before[morel]",),
+    ),
 )
 
 

@@ -79,7 +79,7 @@ def shown(name: str) -> Dataset:
 
 
 def settings(name: str, budget: str) -> Online:
-    """Blocks of whole episodes; before the first, a step of each copy that only says what observations are like."""
+    """Blocks as long as episodes; before the first, a step of each copy that only says what observations are like."""
     copies, _ = BUDGETS[budget]
     block = copies * dr.tasks.task(name).horizon
     return dataclasses.replace(Online(**DAPG.acting(name)), copies=copies, explore=copies, block=block)

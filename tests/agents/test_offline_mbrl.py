@@ -189,7 +189,8 @@ def test_morel_ends_rollouts_that_the_model_does_not_know():
     assert not lost[::2].any()  # rows of the log
     wide = agent.replace(threshold=1e6).penalised(state.model.ensemble, [make(far)], rows)[0]
     assert not wide.terminal.any()
-    np.testing.assert_allclose(np.asarray(first.reward)[lost], LOG.rewards.min() - 4.0, rtol=1e-5)
+    np.testing.assert_allclose(np.asarray(first.reward)[lost], LOG.rewards.min() / (1 - agent.discount) - 4.0, rtol=1e-5)
+    assert LOG.rewards.min() < 0  # which would be paid at each step
     np.testing.assert_allclose(np.asarray(first.reward)[~lost], 1.0)
     assert first.running.all()
     np.testing.assert_array_equal(second.running, ~lost)

@@ -195,6 +195,7 @@ def test_averages_of_an_ensemble_go_together_as_its_members_do():
     nets = ensemble(lambda key: MLP.create(data.coordinates.size, (4,), 2, key), 3, jax.random.key(0))
     plain = Fitted(lambda x: (x[:, 0], None))
     fitted = Forward(members=3)._fitted(plain, data, nets)
+    assert fitted.freedom == 2
     mean, covariance = fitted.average(np.stack([data.x[:5], data.x[5:10]]))
     each = [believed(member, data.coordinates.encode(data.x[:10]))[0] for member in unstack(nets, 3)]
     values = data.coordinates.score(np.stack(each)).reshape(3, 2, 5)

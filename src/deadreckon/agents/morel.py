@@ -3,8 +3,8 @@
     disc(s, a) = max_{i, j} ||mu_i(s, a) - mu_j(s, a)||
 
 over the networks' means of the standardised changes and reward. Beyond a threshold the rollout falls into a state where nothing
-follows, with a reward below all of the log's: a pessimistic world. Here its policy is SAC's; the paper's is a natural policy
-gradient.
+follows, which is worth less than the worst that the log's rewards allow: a pessimistic world. Here its policy is SAC's; the
+paper's is a natural policy gradient.
 """
 
 from typing import ClassVar
@@ -24,11 +24,18 @@ ROWS = 10_000  # of the log, from which the threshold is taken
 class MOReL(OfflineMBRL):
     """SAC in a world that ends where the model does not know it."""
 
-    revision: ClassVar[int] = 2
+    revision: ClassVar[int] = 3  # 3: what ends a rollout is worse than any other way to go on, also where rewards are negative
 
     threshold: Positive = 1.0 / 3.0
     """disagreement beyond which rollouts end, in multiples of the largest on 10,000 logged transitions"""
-    penalty: NonNegative = 30.0  # distance of the reward of unknown states below the smallest logged reward
+    penalty: NonNegative = 30.0  # distance of the value of unknown states below the worst that logged rewards allow
+
+    def resolve(self, spec, steps):
+        """Refuses a discount under which negative rewards have no worst value."""
+        agent = super().resolve(spec, steps)
+        if agent.discount >= 1.0 and spec.rows and spec.reward.min < 0.0:
+            raise UserError("MOReL.discount must be below 1 where rewards are negative: unknown states must be worse than any")
+        return agent
 
     def penalised(self, ensemble, found, rows):
         """Ends rollouts where the model is not to be trusted."""
@@ -36,7 +43,9 @@ class MOReL(OfflineMBRL):
         scale = units(known)
         usual = disagreement(self.model, ensemble, scale, *(jnp.asarray(known[name]) for name in ("observation", "action")))
         limit = self.threshold * usual.max()
-        least = float(rows.log.spec.reward.min) - self.penalty
+        worst = float(rows.log.spec.reward.min)
+        # The paper's halting state is absorbing: to end with one reward would be better than to go on with many negative ones.
+        least = (worst / (1.0 - self.discount) if worst < 0.0 else worst) - self.penalty
         trusted, kept = jnp.ones(len(found[0].reward), bool), []
         for branch in found:
             lost = ~(disagreement(self.model, ensemble, scale, branch.observation, branch.action) <= limit)  # NaN is lost, too

@@ -163,7 +163,10 @@ def _number(
     if outside.any():
         row = int(np.argmax(outside))
         where = f"in row {rows[row]}, outside the bounds [{low:g}, {high:g}]"
-        raise UserError(f"{name}: column {column} has {values[row]:g} {where}")
+        how = f"to keep proposals alone within them, use --constraints {shlex.quote(f'`{column}` <= {high:g}')}"
+        if values[row] < low:
+            how = how.replace(f"<= {high:g}", f">= {low:g}")
+        raise UserError(f"{name}: column {column} has {values[row]:g} {where}; {how}")
     if bounds is not None and low == high:  # a constant, which 32 bits hold as its nearest number
         low = high = float(str(np.float32(low)))
     elif bounds is not None:

@@ -1,4 +1,4 @@
-"""The network of D4PG, CRR-D and FQE-D as DeepMind's Acme has it (Hoffman et al. 2020, `LayerNormMLP`)."""
+"""The network of D4PG, CRR-D and FQE-D: that of DeepMind's Acme (Hoffman et al. 2020, `LayerNormMLP`) but for first weights."""
 
 import equinox as eqx
 import jax
