@@ -165,8 +165,9 @@ def test_half_of_a_skilled_models_own_variance_counts():
     error, weight = y - mean, 1 / std**2
     error /= 1 - weight / weight.sum()  # as if the intercept had not seen it
     usual = (weight / len(weight)).sum() ** -0.5  # the harmonic mean, above which its own counts in full
-    shape = np.maximum(np.sqrt((np.square(std) + usual**2) / 2), std)
-    np.testing.assert_allclose(width / shape, (width / shape)[0])
+    half = np.sqrt((np.square(std) + usual**2) / 2)
+    np.testing.assert_allclose(width / np.maximum(half, std), (width / np.maximum(half, std))[0])
+    width = width / np.maximum(half, std) * half
     # 191 is ceil(0.95 x 201): the correction for few rows.
     assert (np.abs(error) <= 1.959964 * width * (1 + 1e-9)).sum() == 191
     assert np.ptp(Calibration.of(y, m, std, skilled=False)(m, std)[1]) == 0

@@ -1,5 +1,6 @@
 """What a Gymnasium environment is used for as a task: learned in, gone on with, collected in, judged in, without a scale."""
 
+import dataclasses
 import json
 from collections.abc import Mapping
 from dataclasses import replace
@@ -240,7 +241,12 @@ def test_a_file_names_no_code_that_runs_when_it_is_written(tmp_path, monkeypatch
 def test_the_choice_is_checked_in_an_environment(run):
     estimand = {"discount": 1.0, "horizon": None, "greedy": True}
     found = simulated(run.policies, dr.task(CART), estimand, episodes=4, seed=2)
-    np.testing.assert_allclose(found["mean"], dr.evaluate(run, CART, episodes=4, seed=2).returns.mean(1))
+    played = dr.evaluate(run, CART, episodes=4, seed=2)
+    np.testing.assert_allclose(found["mean"], played.returns.mean(1))
+    assert "beyond" not in found  # what has no discount ends
+    short = dataclasses.replace(dr.task(CART), horizon=5)
+    limited = simulated(run.policies, short, estimand | {"discount": 0.9}, episodes=4, seed=2)
+    assert limited["beyond"] == pytest.approx(0.9**5)  # estimates count what follows, and the simulator does not show it
 
 
 @pytest.mark.slow

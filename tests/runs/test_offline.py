@@ -59,6 +59,8 @@ def test_the_check_in_words():
     assert line.startswith("in the simulator c has 3.00 ± 0.20 and is number 2 of 3; the best, b, has 4.00: a regret of 1.00")
     assert line.endswith("33 % of the range of all")
     assert checked(told | {"truth": None}).startswith("not checked")
+    limited = checked(told | {"truth": told["truth"] | {"beyond": 0.37}})
+    assert limited.endswith("of all; its time limit leaves 37 % of the discounted time out, which estimates count")
 
 
 @pytest.mark.slow

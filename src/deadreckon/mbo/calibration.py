@@ -7,11 +7,11 @@ From predictions m with standard deviations s out of fold, and the scores y that
 a and b are the regression of y on m, each row weighted by 1 / s^2, with b kept between 0, where predictions say nothing, and 1.
 h^2 is the harmonic mean of all s^2, and so goes with the variance of y around it, weighted alike. A model that has taken noise
 for signal is surest beside the rows that it has seen, and what it proposes lies beside those that were lucky: of its own
-variances, which say where it is surer, only the share w is taken: a half. Where it is less sure than usual, far from the data,
-it counts in full. Of a model whose order may be chance w is zero, and s alone does not count. c makes intervals of 1.96
-deviations hold 95 % of the scores, from errors as if the regression had not seen their rows (after
-split conformal prediction, with the correction for few rows; Lei et al. 2018). Of fewer than 19 rows it is the greatest error,
-which holds n of n + 1 new ones.
+variances, which say where it is surer, only the share w is taken: a half, and none where its order may be chance. c makes
+intervals of 1.96 c sqrt(w s^2 + (1 - w) h^2) hold 95 % of the scores, from errors as if the regression had not seen their rows
+(after split conformal prediction, with the correction for few rows; Lei et al. 2018). Of fewer than 19 rows it is the greatest
+error, which holds n of n + 1 new ones. Where the model is less sure than usual, as far from the data, its own deviation counts
+in full beside that (but not where w is zero): intervals there are wider, and c is the same.
 """
 
 from dataclasses import dataclass
@@ -52,9 +52,9 @@ class Calibration:
         seen = weight * (1.0 + (np.square(off) / spread if 0.0 < b < 1.0 else 0.0))  # how much a row's error is pulled to 0
         error = np.abs(y - a - b * mean) / np.maximum(1.0 - seen, 1e-6)
         own = OWN if skilled else 0.0
-        plain = cls(a, b, own**0.5, (1.0 - own) ** 0.5 * common)
-        factor = conformal_factor(error / plain(mean, std)[1])
-        return cls(a, b, factor * plain.scale, factor * plain.scatter)
+        scale, scatter = own**0.5, (1.0 - own) ** 0.5 * common
+        factor = conformal_factor(error / np.hypot(scale * std, scatter))
+        return cls(a, b, factor * scale, factor * scatter)
 
     def __call__(self, mean: np.ndarray, std: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """(m,) means and deviations of new scores, from (m,) predictions and their deviations."""

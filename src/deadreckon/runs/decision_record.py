@@ -123,6 +123,7 @@ class Truth(TypedDict):
     mean: list[float]
     error: list[float]
     task: NotRequired[str]
+    beyond: NotRequired[float]
 
 
 class Candidate(TypedDict):

@@ -17,6 +17,7 @@ from deadreckon.files import alone, digest, write_json
 from deadreckon.interrupts import resumable
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.decide import Decision, automatic, check, decide
+from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.groups import Groups
@@ -230,9 +231,14 @@ def simulated(
 ) -> dict[str, Any]:
     """What policies are worth in a simulator by an estimand, both as `estimates.json` has them; two episodes or more."""
     asked = {name: estimand[name] for name in ("discount", "horizon", "greedy")}
-    returns = evaluate(policies, task, episodes=episodes, seed=seed, **asked).discounted
+    played = evaluate(policies, task, episodes=episodes, seed=seed, **asked)
+    returns = played.discounted
     errors = returns.std(1, ddof=1) / np.sqrt(episodes)
-    return {"task": task.name, "episodes": episodes, "mean": returns.mean(1).tolist(), "error": errors.tolist()}
+    found = {"task": task.name, "episodes": episodes, "mean": returns.mean(1).tolist(), "error": errors.tolist()}
+    # An estimate without a horizon counts what follows a time limit, which the simulator does not show.
+    endless = asked["horizon"] is None and asked["discount"] < 1.0
+    beyond = float((asked["discount"] ** task.horizon * (played.lengths >= task.horizon)).mean(1).max()) if endless else 0.0
+    return found | ({"beyond": beyond} if beyond > TAIL else {})
 
 
 def checked(results: dict[str, Any]) -> str:
@@ -245,13 +251,16 @@ def checked(results: dict[str, Any]) -> str:
     chosen = names.index(results["choice"]["name"])
     lost, spread = float(means.max() - means[chosen]), float(np.ptp(means))
     share = f", {100 * lost / spread:.0f} % of the range of all" if spread > 0 else ""
+    limit = ""
+    if "beyond" in truth:
+        limit = f"; its time limit leaves {100 * truth['beyond']:.0f} % of the discounted time out, which estimates count"
     rank = int((means > means[chosen]).sum()) + 1
     words = f"in the simulator {names[chosen]} has {means[chosen]:.2f} ± {truth['error'][chosen]:.2f} and is "
     if rank == 1:
-        return f"{words}the best of {len(names)}"
+        return f"{words}the best of {len(names)}{limit}"
     return (
         f"{words}number {rank} of {len(names)}; the best, {names[int(means.argmax())]}, has {means.max():.2f}: a regret of "
-        f"{lost:.2f}{share}"
+        f"{lost:.2f}{share}{limit}"
     )
 
 
