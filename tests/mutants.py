@@ -807,7 +807,7 @@ MUTANTS = (
         ("mbo/test_validation.py::test_the_unit_of_the_scores_does_not_matter",),
     ),
     Mutant(
-        "rows-for-designs", "mbo/validation.py", "len(np.unique(data.x, axis=0)) == len(data) >= count", "len(data) >= count",
+        "rows-for-designs", "mbo/validation.py", "len(np.unique(data.x, axis=0)) == len(data) and int", "int",
         "replicates of few designs pass for rows that the model has not seen",
         ("mbo/test_validation.py::test_replicates_of_few_designs_are_not_taken_for_rows_that_the_model_has_not_seen",),
     ),
@@ -831,12 +831,12 @@ MUTANTS = (
         ("mbo/test_rules.py::test_the_best_of_the_data_are_those_that_the_rules_allow",),
     ),
     Mutant(
-        "few-held-out", "mbo/forward.py", "max(len(data) // 5, ENOUGH)", "len(data) // 5",
+        "few-held-out", "mbo/forward.py", "max(recipes // 5, ENOUGH)", "recipes // 5",
         "a handful of rows calibrates an interval of 95 %",
         ("mbo/test_validation.py::test_a_method_that_is_fitted_once_holds_out_enough_to_calibrate_by",),
     ),
     Mutant(
-        "conformal-rank", "mbo/calibration.py", "(len(error) + 1) * share", "len(error) * share",
+        "conformal-rank", "mbo/calibration.py", "(n + 1) * share", "n * share",
         "intervals lack the correction for few rows",
         ("mbo/test_gp.py::test_the_factor_is_the_quantile_with_its_correction",),
     ),
@@ -2283,8 +2283,8 @@ MUTANTS = (
         "intervals trust a model to know where it is sure", ("mbo/test_validation.py",),
     ),
     Mutant(
-        "predictions-as-they-are", "mbo/calibration.py", "return self.a + self.b * mean, np.hypot(self.scale",
-        "return mean, np.hypot(self.scale", "what proposals owe to luck is promised", ("mbo/test_validation.py",),
+        "predictions-as-they-are", "mbo/calibration.py", "return self.a + self.b * mean, np.maximum(",
+        "return mean, np.maximum(", "what proposals owe to luck is promised", ("mbo/test_validation.py",),
     ),
     Mutant(
         "grid-after-the-climb", "mbo/local_search.py", "data.repair.nearly(x)", "data.repair.relaxed(x)",
@@ -2500,7 +2500,7 @@ MUTANTS = (
     Mutant(
         "halted-for-good", "agents/morel.py", "(worst / (1.0 - self.discount) if worst < 0.0 else worst)", "worst",
         "MOReL is drawn away from the log where rewards are negative",
-        ("agents/test_conformance.py::test_numbers_are_as_before[morel]",),
+        ("agents/test_conformance.py::test_numbers_are_as_before",),
     ),
 )
 

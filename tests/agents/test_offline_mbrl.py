@@ -225,3 +225,9 @@ def test_refusals(fields, words):
     with pytest.raises(UserError, match="MOBILE.elites must be 2 or more, got 1"):
         MOBILE(**TINY | {"elites": 1}).resolve(LOG.spec, 1)
 
+
+
+def test_without_a_discount_nothing_is_worse_than_negative_rewards_for_good():
+    with pytest.raises(UserError, match="MOReL.discount must be below 1 where rewards are negative"):
+        MOReL(**TINY, discount=1.0).resolve(LOG.spec, 1)
+    assert MOReL(**TINY).resolve(LOG.spec, 1).discount < 1

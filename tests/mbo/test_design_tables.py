@@ -409,3 +409,6 @@ def test_yes_and_no_are_the_levels_that_the_table_has(tmp_path):
     assert {v.name: v.levels for v in DesignSchema.load(tmp_path / "t.toml").read(path).variables if v.leveled} == levels
     works = write(tmp_path / "w.csv", frame(y=["yes", "no", "no"] * 6))
     assert told(Designs.from_csv, works, "y")[0].y.sum() == 6  # a score of yes and no is a number
+    weighed, _ = told(Designs.from_csv, path, "y", weights={"stirred": -1.0}, kinds={"light": "integer"})
+    np.testing.assert_allclose(weighed.y, np.array(data["y"]) - (np.array(data["stirred"]) == "yes"))
+    assert {v.name: v.kind for v in weighed.variables}["light"] == "integer"

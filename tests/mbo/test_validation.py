@@ -9,7 +9,8 @@ import scipy.stats
 
 from deadreckon.errors import UserError
 from deadreckon.mbo import designer
-from deadreckon.mbo.calibration import Calibration
+from deadreckon.mbo.auto import standard_error
+from deadreckon.mbo.calibration import Calibration, conformal_factor
 from deadreckon.mbo.designer import DesignInput, Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.first_choice import interval
@@ -22,6 +23,7 @@ from deadreckon.mbo.validation import checkable, judged
 from deadreckon.mbo.variables import Variable
 from deadreckon.report.design_advice import rule_note
 from deadreckon.report.design_front import _observed
+from deadreckon.stats.interval import NORMAL
 from tests.mbo.practice import hill
 
 AB = (Variable("a", low=0.0, high=1.0), Variable("b", low=0.0, high=1.0))
@@ -264,7 +266,7 @@ def test_rows_of_a_recipe_lie_in_one_fold_though_their_settings_differ_slightly(
     data = nearly_repeated()
     np.testing.assert_array_equal(data.recipes, np.repeat(np.arange(15), 4))
     quality = designer("gp", rounds=5).propose(data, 3, validate=True).quality
-    assert quality.recipes == 15
+    np.testing.assert_array_equal(quality.recipes, data.recipes)
     assert all(len(set(quality.fold[data.recipes == k])) == 1 for k in range(15))
     assert not quality.skilled  # R2 was 0.97
     assert quality.limit > 0.6  # of 15 and not of 60
@@ -295,3 +297,23 @@ def test_a_table_of_recipes_says_so():
     with pytest.warns(UserWarning, match="60 different designs are 15 recipes whose settings differ slightly"):
         read = Designs.from_frame(frame, "y")
     assert any("15 recipes" in line for line in read.noticed)
+
+
+def test_a_row_far_away_and_two_regions_are_no_recipes():
+    rng = np.random.default_rng(0)
+    far = np.append(rng.uniform(42, 110, 14).round(1), 900.0)
+    two = np.concatenate([rng.uniform(0, 1, 15), rng.uniform(1e4, 1e4 + 1, 15)])
+    for x in (far, two):
+        data = Designs(x[:, None], rng.standard_normal(len(x)), (Variable("a"),))
+        np.testing.assert_array_equal(data.recipes, np.arange(len(x)))
+
+
+def test_what_is_independent_are_recipes():
+    """Of 20 recipes of ten rows the greatest error counts, as of 20 rows; and the order of two methods is as uncertain."""
+    error = np.random.default_rng(0).uniform(size=200)
+    assert conformal_factor(error, independent=20) == error.max() / NORMAL
+    assert conformal_factor(error) < error.max() / NORMAL
+    codes = np.repeat(np.arange(20), 10)
+    rng = np.random.default_rng(1)
+    y, a, b = (np.repeat(rng.standard_normal(20), 10) for _ in range(3))
+    assert standard_error(y, a, b, codes) > 2 * standard_error(y, a, b)

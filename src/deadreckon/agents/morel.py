@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from deadreckon.agents.offline_mbrl import OfflineMBRL
 from deadreckon.dynamics import Ensemble, Gaussian
+from deadreckon.errors import UserError
 from deadreckon.training.hyperparameters import NonNegative, Positive
 
 ROWS = 10_000  # of the log, from which the threshold is taken

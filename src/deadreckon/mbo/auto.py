@@ -69,7 +69,7 @@ def chosen(compared: list[Quality]) -> tuple[int, str]:
         return 0, f"{told}; {first.method} is taken"
     if best == 0:
         return 0, f"{first.method} ranks unseen designs best ({rank[0]:.3f})"
-    error = standard_error(first.observed, first.predicted, compared[best].predicted)
+    error = standard_error(first.observed, first.predicted, compared[best].predicted, first.recipes)
     told = f"{compared[best].method} ranks unseen designs best ({rank[best]:.3f}), {first.method} has {rank[0]:.3f}; "
     told += f"the standard error of the difference is {error:.3f}"
     if rank[best] - rank[0] <= error:
@@ -77,10 +77,15 @@ def chosen(compared: list[Quality]) -> tuple[int, str]:
     return best, told
 
 
-def standard_error(observed: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
-    """Of the difference of the rank correlations of two predictions (rows,) of the same scores, by drawing rows anew."""
+def standard_error(observed: np.ndarray, a: np.ndarray, b: np.ndarray, recipes: np.ndarray | None = None) -> float:
+    """Of the difference of the rank correlations of two predictions (rows,) of the same scores, by drawing recipes anew, of
+    which each row is one where they are None."""
     rng, found = generator(0, "rows drawn anew"), []
+    codes = np.arange(len(observed)) if recipes is None else recipes
+    of = [np.flatnonzero(codes == code) for code in np.unique(codes)]
     for _ in range(DRAWS):
-        rows = rng.integers(len(observed), size=len(observed))
+        rows = rng.integers(len(of), size=len(of))
+        if len(of) < len(observed):
+            rows = np.concatenate([of[i] for i in rows])
         found.append(spearman(observed[rows], a[rows]) - spearman(observed[rows], b[rows]))
     return float(np.std(found))

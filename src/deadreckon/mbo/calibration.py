@@ -39,8 +39,11 @@ class Calibration:
     scatter: float
 
     @classmethod
-    def of(cls, y: np.ndarray, mean: np.ndarray, std: np.ndarray, *, skilled: bool) -> "Calibration":
-        """From (rows,) scores, and means and deviations that were predicted without them."""
+    def of(
+        cls, y: np.ndarray, mean: np.ndarray, std: np.ndarray, *, skilled: bool, independent: int | None = None
+    ) -> "Calibration":
+        """From (rows,) scores, and means and deviations that were predicted without them; `independent`: how many of the rows
+        are, if not all."""
         std = np.maximum(std, 1e-12 * (y.std() or 1.0))  # in whatever unit the scores are
         weight = np.square(std.min() / std)
         common = float(std.min() / weight.mean() ** 0.5)
@@ -53,7 +56,7 @@ class Calibration:
         error = np.abs(y - a - b * mean) / np.maximum(1.0 - seen, 1e-6)
         own = OWN if skilled else 0.0
         scale, scatter = own**0.5, (1.0 - own) ** 0.5 * common
-        factor = conformal_factor(error / np.hypot(scale * std, scatter))
+        factor = conformal_factor(error / np.hypot(scale * std, scatter), independent=independent)
         return cls(a, b, factor * scale, factor * scatter)
 
     def __call__(self, mean: np.ndarray, std: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -76,7 +79,10 @@ class Calibration:
         return self.a + self.b * mean, (self.scale / OWN**0.5 or 1.0) * off
 
 
-def conformal_factor(error: np.ndarray, share: float = LEVEL) -> float:
-    """The factor on deviations with which intervals hold a share of the scaled errors, with the finite-sample correction."""
-    rank = min(int(np.ceil((len(error) + 1) * share)), len(error))
+def conformal_factor(error: np.ndarray, share: float = LEVEL, independent: int | None = None) -> float:
+    """The factor on deviations with which intervals hold a share of the scaled errors, with the finite-sample correction of so
+    many independent ones; None: all are."""
+    n = len(error) if independent is None else independent
+    rank = min(int(np.ceil((n + 1) * share)), n)
+    rank = rank if n == len(error) else int(np.ceil(rank / n * len(error)))
     return float(np.sort(error)[rank - 1] / NORMAL)

@@ -31,7 +31,7 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
     Returns:
         The schema, and one line for each choice that should be checked.
     """
-    table, dialect, told = read_designs(path, ways, targets=() if target is None else (target,))
+    table, dialect, told = read_designs(path, ways, numbers=() if target is None else (target,))
     table, name, names = trimmed(table, table.column_names), name_of(path), table.column_names
     left = row_numbers(names)
     if target is not None:

@@ -23,7 +23,7 @@ from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml, replacing
 from deadreckon.foreign.shapes import checked, wrong
 from deadreckon.mbo.constraints import quoted
-from deadreckon.mbo.design_table import name_of, read_designs, warn
+from deadreckon.mbo.design_table import as_numbers, name_of, read_designs, warn
 from deadreckon.mbo.design_values import DesignValues
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.variables import KINDS
@@ -149,7 +149,8 @@ class DesignSchema:
         called = self.called(more)
         asked = together(called.options(), more)
         targets = set(more.get("targets", ()))
-        table, _, told = read_designs(path, ways, set(asked["ignore"]) - targets, targets | {asked["target"]})
+        numbers = targets | {asked["target"], *asked["weights"], *as_numbers(asked["kinds"])}
+        table, _, told = read_designs(path, ways, set(asked["ignore"]) - targets, numbers)
         warn(path, told)
         target = asked.pop("target")
         if target is None:

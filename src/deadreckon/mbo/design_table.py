@@ -20,21 +20,26 @@ _SHOWN = 5  # runs of rows, and columns, that one message names
 
 
 def read_designs(
-    path: Path | str, ways: Mapping[str, Any], ignored: Collection[str] = (), targets: Collection[str] = ()
+    path: Path | str, ways: Mapping[str, Any], ignored: Collection[str] = (), numbers: Collection[str] = ()
 ) -> tuple[pa.Table, Dialect | None, list[str]]:
     """What `data.formats.any_table.read_table` gives, with no line on columns that are ignored: these stay texts.
 
-    So do levels such as yes and no of other columns than targets: a proposal has the words of the table, below which it may be
-    written.
+    So do levels such as yes and no of other columns than `numbers`: a proposal has the words of the table, below which it may
+    be written.
 
     Args:
         path: of the file.
         ways: keywords of `read_table`.
         ignored: columns that are no part of the designs.
-        targets: scores.
+        numbers: columns that are asked for as numbers, such as scores.
     """
-    known = Known(texts=frozenset(ignored), flags=frozenset(targets), pairs=False)
+    known = Known(texts=frozenset(ignored), flags=frozenset(numbers), pairs=False)
     return table_of_kind(path, sniff(path, ways.get("separator")), ways, known)
+
+
+def as_numbers(kinds: Mapping[str, str] | None) -> set[str]:
+    """The columns of which somebody has said that they hold numbers."""
+    return {name for name, kind in (kinds or {}).items() if kind in ("continuous", "integer")}
 
 
 def name_of(path: Path | str) -> str:

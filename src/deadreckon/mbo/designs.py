@@ -17,7 +17,17 @@ from deadreckon.errors import UserError
 from deadreckon.files import replacing
 from deadreckon.mbo import doubts
 from deadreckon.mbo.coordinates import Coordinates
-from deadreckon.mbo.design_table import check_filled, name_of, numbers_of, read_designs, score_name, scored, trimmed, warn
+from deadreckon.mbo.design_table import (
+    as_numbers,
+    check_filled,
+    name_of,
+    numbers_of,
+    read_designs,
+    score_name,
+    scored,
+    trimmed,
+    warn,
+)
 from deadreckon.mbo.repair import Repair
 from deadreckon.mbo.replicates import errors_of, pooled, recipes, recipes_told
 from deadreckon.mbo.rules import NO_RULES, Rules
@@ -114,7 +124,8 @@ class Designs(Shown):
         """
         ways = {key: options.pop(key) for key in READING if key in options}
         ignored = set(options.get("ignore", ())) - set(options.get("targets", ()))
-        table, _, told = read_designs(path, ways, ignored, {target, *options.get("targets", ())})
+        numbers = {target, *options.get("targets", ()), *(options.get("weights") or ()), *as_numbers(options.get("kinds"))}
+        table, _, told = read_designs(path, ways, ignored, numbers)
         warn(path, told)
         options.setdefault("name", name_of(path))
         return cls.from_frame(table, target, noticed=told, **options)

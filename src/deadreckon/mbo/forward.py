@@ -156,4 +156,4 @@ def on_held_out(method: Any, setting: DesignInput, scored: bool = True) -> Quali
 
     mean, std = unseen(data, held, order[len(held) :], model)
     found = judged(data.y[held], mean, std, place[held] % 2, method.label, scored=scored)
-    return replace(found, recipes=count)
+    return replace(found, recipes=place[held])

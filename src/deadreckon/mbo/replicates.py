@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 GAP, LEAST = 10.0, 3.0  # times by which designs of two recipes lie farther apart than those of one: usually, and at least
 CHANCE = 1e-4  # of a gap that means nothing
+APART = 3  # distances between recipes at least
 LINKED = 3_000  # different designs beyond which nobody looks
 
 
@@ -72,9 +73,9 @@ def recipes(data: "Designs") -> np.ndarray:
 
     Rows are of one recipe if they are the same design, or if their designs differ by no more than what settings are measured or
     logged with: the sorted distances of single linkage have a gap, and the rows of any recipe lie `GAP` times nearer together
-    than recipes usually are to the next one. Of k distances below it the gap is at least a factor of `CHANCE` ^ (-1 / k), which
-    the smallest of designs that are spread by chance reach with probability `CHANCE` on a line and less in a plane, and
-    `LEAST` in any case. Of more than `LINKED` different designs nobody looks.
+    than recipes usually are to the next one, of four recipes or more. Of k distances below it the gap is at least a factor of
+    `CHANCE` ^ (-1 / k), which the smallest of designs that are spread by chance reach with probability `CHANCE` on a line and
+    less in a plane, and `LEAST` in any case. Of more than `LINKED` different designs nobody looks.
     """
     designs, which = np.unique(data.x, axis=0, return_inverse=True)
     which = which.reshape(-1)
@@ -95,7 +96,9 @@ def _linked(z: np.ndarray) -> np.ndarray:
         last = int(gaps.argmax())
         near = tree.data <= edges[last]
         group = connected_components(coo_matrix((tree.data[near], (tree.row[near], tree.col[near])), tree.shape), False)[1]
-        if GAP * distance[group[:, None] == group].max() < np.median(edges[last + 1 :]):
+        # One row far away, or two regions, are no recipes.
+        several = (np.bincount(group) > 1).sum() > 1 and len(edges) - last > APART
+        if several and GAP * distance[group[:, None] == group].max() < np.median(edges[last + 1 :]):
             return group
     return np.arange(len(z))
 

@@ -42,7 +42,8 @@ class Quality:
         tried: how many methods were tried of which this is one.
         crossed: whether each row has taught the models of all other folds, as in cross-validation.
         scored: whether the model predicts scores, and not their order alone.
-        recipes: how many recipes the rows are of, which are what is independent (`Designs.recipes`); None: each is one.
+        recipes: (rows,) number of the recipe that each row is of, which are what is independent (`Designs.recipes`); None: each
+            is one.
     """
 
     method: str
@@ -55,7 +56,7 @@ class Quality:
     tried: int = 1
     crossed: bool = False
     scored: bool = True
-    recipes: int | None = None
+    recipes: np.ndarray | None = None
 
     @property
     def skilled(self) -> bool:
@@ -71,7 +72,7 @@ class Quality:
     def limit(self) -> float:
         """The rank correlation that chance alone does not exceed in 97.5 % of tables without any relation."""
         quantile = NormalDist().inv_cdf(1 - CHANCE / self.tried)  # the best of several is greater by chance (Bonferroni)
-        variance = (2.12 if self.crossed else 1.06) / max((self.recipes or len(self.observed)) - 3, 1)
+        variance = (2.12 if self.crossed else 1.06) / max(self._count(np.ones(len(self.observed), bool)) - 3, 1)
         return float(np.tanh(quantile * variance**0.5))
 
     @cached_property
@@ -102,7 +103,12 @@ class Quality:
         return float((np.abs(self.observed - mean) <= NORMAL * std).mean()) if self.scored else np.nan
 
     def _calibration(self, rows: np.ndarray) -> Calibration:
-        return Calibration.of(self.observed[rows], self.predicted[rows], self.std[rows], skilled=self.skilled)
+        count, given = self._count(rows), (self.observed[rows], self.predicted[rows], self.std[rows])
+        return Calibration.of(*given, skilled=self.skilled, independent=count)
+
+    def _count(self, rows: np.ndarray) -> int:
+        """How many recipes there are among some rows."""
+        return int(rows.sum()) if self.recipes is None else len(np.unique(self.recipes[rows]))
 
     @property
     def doubt(self) -> str:
@@ -160,7 +166,7 @@ def cross_validated(data: Designs, model: Callable[[Designs], Predict], method: 
     mean, std = np.empty(len(data)), np.empty(len(data))
     for k in range(folds):
         mean[fold == k], std[fold == k] = unseen(data, np.flatnonzero(fold == k), np.flatnonzero(fold != k), model)
-    return replace(judged(data.y, mean, std, fold, method), crossed=True, recipes=count)
+    return replace(judged(data.y, mean, std, fold, method), crossed=True, recipes=data.recipes)
 
 
 def unseen(

@@ -55,7 +55,8 @@ class Basis(NamedTuple):
         """
         cluster = np.unique(case.cluster[some], return_inverse=True)[1]
         part = case.data.select(np.flatnonzero(some))
-        episodes = Episodes(part, case.discount, case.seed, cluster)
+        unit = np.unique(case.units[some], return_inverse=True)[1]  # not more than estimators tell apart
+        episodes = Episodes(part, case.discount, case.seed, unit)
         log_rho = episodes.cumulate(log_ratios[some[case.data.episode_of]])
         weights = episodes.typical(log_rho, whole=whole)
         with np.errstate(over="ignore", invalid="ignore"):

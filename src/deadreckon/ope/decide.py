@@ -7,14 +7,14 @@ from typing import Any, NamedTuple, Unpack
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope.basis import MANY, SHARE
+from deadreckon.ope.basis import MANY, SHARE, Basis
 from deadreckon.ope.behavior_model import PROPENSITIES, BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.confounding import Confounding, one_step, possible
 from deadreckon.ope.costs import as_json, costs_of, limits_of
 from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.estimand import TAIL
-from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.groups import Groups, by_group
@@ -100,7 +100,8 @@ def decide(
     if settings.guarantee:
         more["guarantee"] = bound = guaranteed(case, which, settings.return_range, alpha)
         choice = _demanded(choice, bound, f"for any number of episodes, not only many, its gain is at least {bound:+.4g}")
-    wider = _wider(case, estimates[0], checked, model, choice)
+    products = groups is not None or settings.tail is not None or settings.confounding is not None or one_step(case)
+    wider = _wider(case, estimates[0], checked, model, choice) if products else choice.wider
     more["confounding"], choice = _confounded(case, choice, model, alpha, settings.confounding, wider)
     endless = None if np.isfinite(choice.low) else f"the card's own interval is endless: {'; '.join(choice.objections[which])}"
     if groups is not None:
@@ -151,7 +152,8 @@ def _wider(case: OPEInput, first: Estimates, checked: Support, model: BehaviorMo
     if depends or not learns(case, "auto") or case.degenerate.any() or case.data.successors is not None:
         return choice.wider
     plain = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model).on(case)
-    return MOVED * moved_most(plain, supported(plain, checked))[1]
+    reliable = [name == LOGGED or not Basis.of(plain, i).unreliable for i, name in enumerate(plain.names)]
+    return MOVED * moved_most(plain, supported(plain, checked) & reliable)[1]
 
 
 def _confounded(
@@ -211,7 +213,7 @@ def automatic(case: OPEInput, model: BehaviorModel = PROPENSITIES, accept_model_
       known, and what is left is model-based (`fqe`); of cross-fitted policies nothing, as critics of all folds know what taught
       them. The same where the log's rows do not follow each other, so that there are no ratios of episodes.
     - One step, cross-fitted policies, or weights of whole episodes that for every policy amount to a fifth of the episodes or
-      to fifty (`select.SHARE`, `select.MANY`): doubly robust with linear critics (`dr-linear`).
+      to fifty (`basis.SHARE`, `basis.MANY`): doubly robust with linear critics (`dr-linear`).
     - Else, or where what is asked for of any policy lies beyond the ends of the recording, and observations take few values:
       doubly robust by ratios of occupancies (`drl`), whose variance does not grow with the product of the weights, with
       `dr-linear` as evidence. With other observations `drl` rests on its features being right, which nothing corrects, so it is

@@ -102,6 +102,7 @@ def by_group(
     beyond = stretched([case.beyond_of(along)])
     more = case.inflation[which] * (1.0 if beyond is None else beyond[0])
     half = more * inference.errors(influence) * factor + wider
+    known &= np.isfinite(half)
     return [
         {"name": name, "episodes": int(size[g]), "gain": float(mean[g]) if size[g] else None,
          "low": float(mean[g] - half[g]) if known[g] else None, "high": float(mean[g] + half[g]) if known[g] else None,
@@ -111,7 +112,7 @@ def by_group(
 
 
 def _doubts(case: OPEInput, log_ratios: np.ndarray, missing: np.ndarray | None, some: np.ndarray) -> list[str]:
-    """Why a policy's gain in a group cannot be told from its episodes, a phrase each.
+    """Why a policy's gain in a group cannot be told from its episodes, a phrase each; of continuous actions by weights alone.
 
     Args:
         case: log and policies.
