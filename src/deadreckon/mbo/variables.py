@@ -163,9 +163,8 @@ def _number(
     if outside.any():
         row = int(np.argmax(outside))
         where = f"in row {rows[row]}, outside the bounds [{low:g}, {high:g}]"
-        how = f"to keep proposals alone within them, use --constraints {shlex.quote(f'`{column}` <= {high:g}')}"
-        if values[row] < low:
-            how = how.replace(f"<= {high:g}", f">= {low:g}")
+        end = f">= {low:g}" if values[row] < low else f"<= {high:g}"
+        how = f"to keep proposals alone within them, use --constraints {shlex.quote(f'`{column}` {end}')}"
         raise UserError(f"{name}: column {column} has {values[row]:g} {where}; {how}")
     if bounds is not None and low == high:  # a constant, which 32 bits hold as its nearest number
         low = high = float(str(np.float32(low)))
