@@ -807,7 +807,7 @@ MUTANTS = (
         ("mbo/test_validation.py::test_the_unit_of_the_scores_does_not_matter",),
     ),
     Mutant(
-        "rows-for-designs", "mbo/validation.py", "len(np.unique(data.x, axis=0)) == len(data) and int", "int",
+        "rows-for-designs", "mbo/validation.py", "len(np.unique(data.x, axis=0)) == len(data) and data", "data",
         "replicates of few designs pass for rows that the model has not seen",
         ("mbo/test_validation.py::test_replicates_of_few_designs_are_not_taken_for_rows_that_the_model_has_not_seen",),
     ),

@@ -243,6 +243,11 @@ class Designs(Shown):
         """(rows,) number of the recipe of each row: rows of one are replicates, or nearly so (`replicates.recipes`)."""
         return recipes(self)
 
+    @property
+    def recipe_count(self) -> int:
+        """How many recipes there are."""
+        return int(self.recipes.max()) + 1
+
     @cached_property
     def coordinates(self) -> "Coordinates":
         """How methods see these designs."""

@@ -146,7 +146,7 @@ def on_held_out(method: Any, setting: DesignInput, scored: bool = True) -> Quali
         scored: whether it predicts scores, and not their order alone.
     """
     data = setting.data
-    recipes = int(data.recipes.max()) + 1
+    recipes = data.recipe_count
     place = generator(0, "held-out designs").permutation(recipes).argsort()[data.recipes]
     order, count = np.argsort(place, kind="stable"), min(max(recipes // 5, ENOUGH), HELD)
     held = order[place[order] < count]

@@ -86,7 +86,7 @@ class GP(Designer):
             return on_held_out(self, setting) if checkable(data, 2 * ENOUGH) else None
         if not checkable(data):
             return None
-        setting.watch("cross-validation", 0, self.folds if (count := int(data.recipes.max()) + 1) >= ENOUGH else count)
+        setting.watch("cross-validation", 0, self.folds if data.recipe_count >= ENOUGH else data.recipe_count)
         return cross_validated(data, self.predictor, self.label, self.folds)
 
     def unseen(self, setting: DesignInput, x: np.ndarray, error: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

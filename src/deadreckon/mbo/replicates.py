@@ -105,7 +105,7 @@ def _linked(z: np.ndarray) -> np.ndarray:
 
 def recipes_told(data: "Designs") -> str | None:
     """A line on rows that are taken for replicates in validation only; None where there are none."""
-    count, designs = int(data.recipes.max()) + 1, len(np.unique(data.x, axis=0))
+    count, designs = data.recipe_count, len(np.unique(data.x, axis=0))
     if count == designs:
         return None
     return (

@@ -148,7 +148,7 @@ def checkable(data: Designs, count: int = FEWEST + 1) -> bool:
     Replicates that were not pooled (`mbo.replicates`), as those of fewer than `FEWEST` designs, would lie in different folds,
     and a model that has only kept in mind what it has seen would be praised.
     """
-    return len(np.unique(data.x, axis=0)) == len(data) and int(data.recipes.max()) + 1 >= count
+    return len(np.unique(data.x, axis=0)) == len(data) and data.recipe_count >= count
 
 
 def cross_validated(data: Designs, model: Callable[[Designs], Predict], method: str, folds: int = FOLDS) -> Quality:
@@ -160,7 +160,7 @@ def cross_validated(data: Designs, model: Callable[[Designs], Predict], method: 
         method: its name.
         folds: how many; of fewer than `ENOUGH` recipes each is left out by itself.
     """
-    count = int(data.recipes.max()) + 1
+    count = data.recipe_count
     folds = folds if count >= ENOUGH else count
     fold = (generator(0, "folds of designs").permutation(count) % folds)[data.recipes]
     mean, std = np.empty(len(data)), np.empty(len(data))
