@@ -807,7 +807,7 @@ MUTANTS = (
         ("mbo/test_validation.py::test_the_unit_of_the_scores_does_not_matter",),
     ),
     Mutant(
-        "rows-for-designs", "mbo/validation.py", "len(np.unique(data.x, axis=0)) == len(data) and data", "data",
+        "rows-for-designs", "mbo/validation.py", "len(np.unique(data.x, axis=0)) == len(data) and len(parts)", "len(parts)",
         "replicates of few designs pass for rows that the model has not seen",
         ("mbo/test_validation.py::test_replicates_of_few_designs_are_not_taken_for_rows_that_the_model_has_not_seen",),
     ),
@@ -831,7 +831,7 @@ MUTANTS = (
         ("mbo/test_rules.py::test_the_best_of_the_data_are_those_that_the_rules_allow",),
     ),
     Mutant(
-        "few-held-out", "mbo/forward.py", "max(recipes // 5, ENOUGH)", "recipes // 5",
+        "few-held-out", "mbo/validation.py", "max(parts.sum() // 5, ENOUGH)", "parts.sum() // 5",
         "a handful of rows calibrates an interval of 95 %",
         ("mbo/test_validation.py::test_a_method_that_is_fitted_once_holds_out_enough_to_calibrate_by",),
     ),
@@ -2470,10 +2470,32 @@ MUTANTS = (
     ),
     Mutant(
         "recipes-in-all-folds", "mbo/validation.py",
-        "(generator(0, \"folds of designs\").permutation(count) % folds)[data.recipes]",
+        "(generator(0, \"folds of designs\").permutation(count) % folds)[data.units]",
         "generator(0, \"folds of designs\").permutation(len(data)) % folds",
         "a model that recalls a recipe whose settings differ slightly from row to row is praised",
         ("mbo/test_validation.py::test_rows_of_a_recipe_lie_in_one_fold_though_their_settings_differ_slightly",),
+    ),
+    Mutant(
+        "groups-in-all-folds", "mbo/replicates.py", "return alike if data.groups is None else", "return alike if True else",
+        "a model that has seen some rows of a batch is praised for what it says of the others",
+        ("mbo/test_groups.py::test_a_model_that_knows_what_a_batch_has_in_common_is_not_praised",),
+    ),
+    Mutant(
+        "controls-join-groups", "mbo/replicates.py",
+        "np.where(low == high, low, groups.max() + 1 + np.arange(len(low)))", "low",
+        "a design that stands in all batches is held out with the first",
+        ("mbo/test_groups.py::test_a_design_that_stands_in_several_groups_is_held_out_by_itself",),
+    ),
+    Mutant(
+        "rows-of-a-cluster-count-as-one-each", "stats/clusters.py",
+        "np.square(size).sum() / n - 1.0) * shared", "0.0) * shared",
+        "predictions that share with scores what a batch has in common are told from chance too often",
+        ("stats/test_clusters.py::test_scores_that_have_nothing_to_do_with_predictions_correlate_no_more_often_than_said",),
+    ),
+    Mutant(
+        "one-unit-judges-itself", "mbo/validation.py", "(taken < wanted or len(held) < 2)", "taken < wanted",
+        "of large batches one alone is held out, and calibrates its own intervals",
+        ("mbo/test_groups.py::test_enough_is_left_to_learn_from",),
     ),
     Mutant(
         "rounded-parts-break-the-sum", "mbo/effects.py", "if each.equal and rounded:", "if False:",

@@ -266,7 +266,7 @@ def test_rows_of_a_recipe_lie_in_one_fold_though_their_settings_differ_slightly(
     data = nearly_repeated()
     np.testing.assert_array_equal(data.recipes, np.repeat(np.arange(15), 4))
     quality = designer("gp", rounds=5).propose(data, 3, validate=True).quality
-    np.testing.assert_array_equal(quality.recipes, data.recipes)
+    np.testing.assert_array_equal(quality.units, data.recipes)
     assert all(len(set(quality.fold[data.recipes == k])) == 1 for k in range(15))
     assert not quality.skilled  # R2 was 0.97
     assert quality.limit > 0.6  # of 15 and not of 60

@@ -55,6 +55,7 @@ class Design:
     mixtures: tuple[str, ...] = ()  # groups of columns that sum to one, each as A,B,C
     forbid: tuple[str, ...] = ()  # combinations that are not proposed, each in quotes, such as "solvent = water & temp > 80"
     std_error: str | None = None  # column with the standard error of the target
+    groups: str | None = None  # column with the group of each row, such as its batch: a group is held out as a whole
     weights: dict[str, float] = dataclasses.field(default_factory=dict)
     """further columns in the score, such as costs, as COLUMN WEIGHT pairs: the score is target + sum of weight x column"""
     max_distance: float | None = None

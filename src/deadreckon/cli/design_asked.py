@@ -8,7 +8,7 @@ from deadreckon.names import shown
 NAMED = 12  # variables up to which they are listed
 OF_TABLES = (
     "target", "schema", "kinds", "levels", "bounds", "ignore", "minimise", "reference", "steps", "logs", "fix", "constraints",
-    "mixtures", "forbid", "std_error", "weights", "max_distance", "apart",
+    "mixtures", "forbid", "std_error", "groups", "weights", "max_distance", "apart",
 )  # fmt: skip
 
 
@@ -62,7 +62,7 @@ def asked(options: Any) -> dict[str, Any]:
     return {
         "kinds": options.kinds, "bounds": options.bounds, "ignore": options.ignore,
         "levels": {column: _listed(text) for column, text in options.levels.items()}, "steps": options.steps,
-        "logs": options.logs, "fixed": options.fix,
+        "logs": options.logs, "fixed": options.fix, "groups": options.groups,
         "constraints": options.constraints, "mixtures": tuple(map(_listed, options.mixtures)), "forbidden": options.forbid,
         "max_distance": options.max_distance, "apart": options.apart, **reading(options),
     }  # fmt: skip

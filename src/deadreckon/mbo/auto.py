@@ -17,7 +17,7 @@ from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.forward import Forward, on_held_out
 from deadreckon.mbo.gp import GP
 from deadreckon.mbo.ram import RaM
-from deadreckon.mbo.validation import ENOUGH, Quality, checkable
+from deadreckon.mbo.validation import Quality
 from deadreckon.randomness import generator
 from deadreckon.stats.ranks import spearman
 from deadreckon.training.hyperparameters import Count, Number, Sizes, host
@@ -44,12 +44,14 @@ class Auto(Designer):
     def solve(self, setting: DesignInput) -> list[Proposals]:
         """Proposals of the method that the rule takes, with the quality of all that were tried."""
         gp = GP(kappa=self.kappa)
-        if self.kappa or len(setting.data) < self.networks_from or not checkable(setting.data, 2 * ENOUGH):
+        if self.kappa or len(setting.data) < self.networks_from:
             return gp.solve(setting)
         sizes = {"hidden": self.hidden, "steps": self.steps}
         tried = [gp, Forward(members=5, **sizes), RaM(**sizes)]
-        compared = [on_held_out(method, setting, scored=not isinstance(method, RaM)) for method in tried]
-        compared = [replace(each, tried=len(tried)) for each in compared]
+        judged = [on_held_out(method, setting, scored=not isinstance(method, RaM)) for method in tried]
+        compared = [replace(each, tried=len(tried)) for each in judged if each is not None]
+        if not compared:
+            return gp.solve(setting)
         at, reason = chosen(compared)
         method, quality = tried[at], compared[at]
         # Judged it is already: what it proposes is calibrated by that.
@@ -69,7 +71,7 @@ def chosen(compared: list[Quality]) -> tuple[int, str]:
         return 0, f"{told}; {first.method} is taken"
     if best == 0:
         return 0, f"{first.method} ranks unseen designs best ({rank[0]:.3f})"
-    error = standard_error(first.observed, first.predicted, compared[best].predicted, first.recipes)
+    error = standard_error(first.observed, first.predicted, compared[best].predicted, first.units)
     told = f"{compared[best].method} ranks unseen designs best ({rank[best]:.3f}), {first.method} has {rank[0]:.3f}; "
     told += f"the standard error of the difference is {error:.3f}"
     if rank[best] - rank[0] <= error:
@@ -77,11 +79,11 @@ def chosen(compared: list[Quality]) -> tuple[int, str]:
     return best, told
 
 
-def standard_error(observed: np.ndarray, a: np.ndarray, b: np.ndarray, recipes: np.ndarray | None = None) -> float:
-    """Of the difference of the rank correlations of two predictions (rows,) of the same scores, by drawing recipes anew, of
+def standard_error(observed: np.ndarray, a: np.ndarray, b: np.ndarray, units: np.ndarray | None = None) -> float:
+    """Of the difference of the rank correlations of two predictions (rows,) of the same scores, by drawing units anew, of
     which each row is one where they are None."""
     rng, found = generator(0, "rows drawn anew"), []
-    codes = np.arange(len(observed)) if recipes is None else recipes
+    codes = np.arange(len(observed)) if units is None else units
     of = [np.flatnonzero(codes == code) for code in np.unique(codes)]
     for _ in range(DRAWS):
         rows = rng.integers(len(of), size=len(of))

@@ -29,13 +29,14 @@ from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.variables import KINDS
 from deadreckon.names import shown
 
-ROLES = ("input", "target", "std_error", "weighted", "ignore")
+ROLES = ("input", "target", "std_error", "weighted", "group", "ignore")
 # Entries of a column beside its role and unit; one that is ignored keeps those that it had.
 _ENTRIES: dict[str, set[str]] = {
     "input": {"kind", "low", "high", "levels", "step", "log", "fix"},
     "target": set(),
     "std_error": set(),
     "weighted": {"weight"},
+    "group": set(),
 }
 _LISTS = ("constraints", "mixtures", "forbidden")
 
@@ -46,7 +47,7 @@ class DesignColumn:
 
     Attributes:
         role: `input` (a variable), `target` (the score), `std_error` (of the target), `weighted` (counts in the score beside
-            the target, such as a cost) or `ignore`.
+            the target, such as a cost), `group` (of rows that are held out together, such as a batch) or `ignore`.
         kind: of an input, among `mbo.variables.KINDS`.
         low, high: its bounds; None: the range of the data.
         levels: of a categorical or ordinal input; of an ordinal one in order.
@@ -99,12 +100,13 @@ class DesignSchema:
     def options(self) -> dict[str, Any]:
         """As keywords of `Designs.from_frame`, with `target` among them."""
         inputs = {name: column for name, column in self.columns.items() if column.role == "input"}
-        targets, errors = self.named("target"), self.named("std_error")
+        targets, errors, groups = self.named("target"), self.named("std_error"), self.named("group")
         return {
             "target": targets[0] if targets else None,
             "minimise": self.minimise,
             "ignore": tuple(self.named("ignore")),
             "std_error": errors[0] if errors else None,
+            "groups": groups[0] if groups else None,
             "weights": {name: self.columns[name].weight for name in self.named("weighted")},
             "kinds": {name: column.kind for name, column in inputs.items() if column.kind},
             "bounds": {name: (c.low, c.high) for name, c in inputs.items() if c.low is not None and c.high is not None},
@@ -119,15 +121,16 @@ class DesignSchema:
     def called(self, more: Mapping[str, Any]) -> "DesignSchema":
         """What it says in a call, where `more` are keywords of `Designs.from_frame`, with `target` among them.
 
-        What the call makes an output (target, standard error, weighted) has no other role, and what it ignores is no input. The
-        schema's own target and standard error are ignored where the call names others. `minimise`, the standard error and what
-        is weighted are of its own target, and count for no other.
+        What the call makes an output (target, standard error, weighted) or groups has no other role, and what it ignores is no
+        input. The schema's own target, standard error and groups are ignored where the call names others. `minimise`, the
+        standard error and what is weighted are of its own target, and count for no other.
         """
         own, said = self.named("target"), more.get("target")
         mine = not own or said in (None, *own)
         old = [*(own if said else ()), *(self.named("std_error") if more.get("std_error") or not mine else ())]
-        old += [] if mine else self.named("weighted")
-        outputs, ignored = (said, more.get("std_error"), *(more.get("weights") or ())), more.get("ignore") or ()
+        old += [*([] if mine else self.named("weighted")), *(self.named("group") if more.get("groups") else ())]
+        outputs = said, more.get("std_error"), more.get("groups"), *(more.get("weights") or ())
+        ignored = more.get("ignore") or ()
         columns = {
             name: DesignColumn("ignore") if name in old else column for name, column in self.columns.items()
             if name not in outputs and not (name in ignored and column.role == "input")
@@ -157,7 +160,7 @@ class DesignSchema:
             raise UserError(f'{path}: no column is the target; give one the role "target" in the schema, or name it (--target)')
         for column in called.named("input"):
             check_column(table, column, name_of(path))
-        known = {*self.columns, target, asked["std_error"], *asked["weights"], *asked["ignore"]}
+        known = {*self.columns, target, asked["std_error"], asked["groups"], *asked["weights"], *asked["ignore"]}
         strangers = [name for name in table.column_names if name not in known and name.strip()]
         left = [f"not in the schema and left out: {', '.join(strangers)}"] if strangers else []
         warn(path, left)
@@ -181,7 +184,7 @@ class DesignSchema:
         if not isinstance(given.get("columns"), Mapping):
             raise UserError(f"{path}: a schema needs a table [columns.NAME] for each column")
         columns = {name: _column(f"{path}, column {name}", told) for name, told in given["columns"].items()}
-        for role in ("target", "std_error"):
+        for role in ("target", "std_error", "group"):
             if len(both := [name for name, column in columns.items() if column.role == role]) > 1:
                 raise UserError(f"{path}: columns {both[0]} and {both[1]} both have the role {role}; only one column can")
         for key in _LISTS:

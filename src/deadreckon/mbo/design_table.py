@@ -115,6 +115,21 @@ def numbers_of(name: str, table: pa.Table, column: str, rows: np.ndarray) -> np.
     return values
 
 
+def groups_of(name: str, table: pa.Table, column: str, rows: np.ndarray) -> np.ndarray:
+    """(rows,) number from 0 of the group of the rows that count, by a column of any values.
+
+    Raises:
+        UserError: there is one group alone, or each row has its own.
+    """
+    values = flat(table, column)
+    codes = compute.dictionary_encode(decoded(values)).indices.to_numpy(zero_copy_only=False)[rows]
+    found = np.unique(codes, return_inverse=True)[1].reshape(-1)
+    if (count := found.max() + 1) in (1, len(rows)):
+        what = "the same value in all rows" if count == 1 else "another value in every row"
+        raise UserError(f"{name}: column {column} has {what}, and groups of rows (--groups) are two or more with several rows")
+    return found
+
+
 def score_name(target: str, weights: Mapping[str, float] | None) -> str:
     """What a score is called: the target, with the columns that count beside it."""
     return target + "".join(f" {'-' if weight < 0 else '+'} {abs(weight):g} {key}" for key, weight in (weights or {}).items())

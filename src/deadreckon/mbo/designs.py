@@ -20,6 +20,7 @@ from deadreckon.mbo.coordinates import Coordinates
 from deadreckon.mbo.design_table import (
     as_numbers,
     check_filled,
+    groups_of,
     name_of,
     numbers_of,
     read_designs,
@@ -29,7 +30,7 @@ from deadreckon.mbo.design_table import (
     warn,
 )
 from deadreckon.mbo.repair import Repair
-from deadreckon.mbo.replicates import errors_of, pooled, recipes, recipes_told
+from deadreckon.mbo.replicates import errors_of, pooled, recipes, units, units_told
 from deadreckon.mbo.rules import NO_RULES, Rules
 from deadreckon.mbo.variables import FEWEST, Variable, codes, filled, name_of_rows, variable_of
 from deadreckon.provided import Shown
@@ -51,6 +52,8 @@ class Designs(Shown):
         rules: that proposals must satisfy; the data need not.
         replicates: (rows,) how many measurements a row is the mean of; None: one each.
         std_error: (rows,) standard error of `y`; None: not known.
+        groups: (rows,) number from 0 of the group that each row is of, such as a batch: rows of one are held out together where
+            predictions are tested (`replicates.units`); None: there are none.
         table_rows: (rows,) the first row of the table that each is, counted from 0; None: they are the table's own.
         pooling: what was done with rows of the same design (`mbo.replicates.pooled`), in words; None: nothing.
         noticed: what may be a mistake in the table, and columns that are not used, a line each.
@@ -65,6 +68,7 @@ class Designs(Shown):
     rules: Rules = NO_RULES
     replicates: np.ndarray | None = None
     std_error: np.ndarray | None = None
+    groups: np.ndarray | None = None
     table_rows: np.ndarray | None = None
     pooling: str | None = None
     noticed: tuple[str, ...] = ()
@@ -76,6 +80,9 @@ class Designs(Shown):
             if getattr(self, key) is not None:
                 object.__setattr__(self, key, np.asarray(getattr(self, key), np.float64))
                 getattr(self, key).flags.writeable = False
+        if self.groups is not None:
+            object.__setattr__(self, "groups", np.asarray(self.groups, np.int64))
+            self.groups.flags.writeable = False
         if self.x.ndim != 2 or self.x.shape != (len(self.y), len(self.variables)):
             asked = f"({len(self.y)}, {len(self.variables)}), a row a score and a column per variable"
             raise UserError(f"{self.name}: x must have shape {asked}, got {self.x.shape}")
@@ -145,6 +152,7 @@ class Designs(Shown):
         steps: Mapping[str, float] | None = None,
         logs: Sequence[str] = (),
         std_error: str | None = None,
+        groups: str | None = None,
         weights: Mapping[str, float] | None = None,
         pool: bool = True,
         targets: Sequence[str] = (),
@@ -167,6 +175,8 @@ class Designs(Shown):
             steps: of columns of numbers: proposals are multiples of these.
             logs: columns of positive numbers that methods see on a logarithmic scale.
             std_error: column with the standard error of the target.
+            groups: column with the group of each row, such as its batch or day, of which rows may have in common what no column
+                says: predictions are tested on groups that a model has not seen. It is no input.
             weights: further columns that count, such as a cost: the score is the target plus the sum of weight times column.
             pool: whether rows of the same design become one, with the mean score (`mbo.replicates.pooled`).
             targets: all scores that are asked for of this table, one after the other: a row with none of them is left out.
@@ -178,26 +188,30 @@ class Designs(Shown):
         """
         table = to_arrow(frame, name)
         given = {"kinds": kinds, "bounds": bounds, "levels": levels, "ignore": ignore, "steps": steps, "logs": logs}
-        outputs = [target, *(weights or {}), *([std_error] if std_error else [])]
-        for column in (*outputs, *(each for columns in given.values() for each in columns or ())):
+        outputs, grouped = [target, *(weights or {}), *([std_error] if std_error else [])], [groups] if groups else []
+        for column in (*outputs, *grouped, *(each for columns in given.values() for each in columns or ())):
             check_column(table, column, name)
         for what, columns in given.items():
             if both := [column for column in outputs if column in (columns or ())]:
                 part = "" if both[0] == target else " or part of it"
                 raise UserError(f"{name}: {what} is of inputs, and {both[0]} is the target{part}")
+            if what != "ignore" and groups in (columns or ()):
+                raise UserError(f"{name}: {what} is of inputs, and {groups} holds the groups of rows")
+        if groups in outputs:
+            raise UserError(f"{name}: {groups} cannot be the target or part of it and hold the groups of rows")
         if table.num_rows == 0:
             raise UserError(f"{name}: the table has no rows")
-        inputs = [column for column in table.column_names if column not in outputs and column not in ignore]
+        inputs = [column for column in table.column_names if column not in (*outputs, *grouped, *ignore)]
         told = []
         if index := row_numbers(inputs):
             told.append(f"column {index[0]!r} looks like a row number and is left out")
             inputs = [column for column in inputs if column not in index]
         if not inputs:
             raise UserError(f"{name}: there is no column beside the target {target!r}")
-        table = trimmed(table, inputs)
+        table = trimmed(table, [*inputs, *grouped])
         rows, planned = scored(name, table, targets or [target])
         warn(name, told := told + ([planned] if planned else []))
-        check_filled(name, table, inputs, outputs, rows)
+        check_filled(name, table, inputs, [*outputs, *grouped], rows)
         y, columns, variables = numbers_of(name, table, target, rows), [], []
         raw, slips = y, doubts.of_target(target, y, rows)
         for column, weight in (weights or {}).items():
@@ -217,6 +231,7 @@ class Designs(Shown):
         made = cls(
             x, scores, tuple(variables), name, score_name(target, weights), minimise,
             Rules.of(variables, name=name, **rules), std_error=error, table_rows=rows if planned else None,
+            groups=groups_of(name, table, groups, rows) if groups else None,
         )  # fmt: skip
         made.repair.check_possible()
         slips = [*doubts.of_inputs(variables, x, rows, bounds, made.rules), *slips]
@@ -224,10 +239,8 @@ class Designs(Shown):
         unused = [f"not used: {', '.join(left)}"] if (left := [each for each in ignore if each not in targets]) else []
         made = replace(made, noticed=(*noticed, *told, *slips, *unused))
         made = pooled(made) if pool else made
-        if (line := recipes_told(made)) is not None:
-            warn(name, [line])
-            made = replace(made, noticed=(*made.noticed, line))
-        return made
+        warn(name, together := units_told(made, groups))
+        return replace(made, noticed=(*made.noticed, *together)) if together else made
 
     def shown(self, scores: Any) -> Any:
         """Scores as the table has them: turned around again where its target was to be made small."""
@@ -243,10 +256,10 @@ class Designs(Shown):
         """(rows,) number of the recipe of each row: rows of one are replicates, or nearly so (`replicates.recipes`)."""
         return recipes(self)
 
-    @property
-    def recipe_count(self) -> int:
-        """How many recipes there are."""
-        return int(self.recipes.max()) + 1
+    @cached_property
+    def units(self) -> np.ndarray:
+        """(rows,) number of what each row is held out with: a group, or a recipe (`replicates.units`)."""
+        return units(self)
 
     @cached_property
     def coordinates(self) -> "Coordinates":
@@ -276,7 +289,7 @@ class Designs(Shown):
 
     def part(self, rows: np.ndarray, name: str | None = None) -> "Designs":
         """Some of the designs, under another name if one is given."""
-        kept = ("replicates", "std_error")
+        kept = ("replicates", "std_error", "groups")
         some = {key: None if (of := getattr(self, key)) is None else of[rows] for key in kept}
         some["table_rows"] = self.numbered(rows)
         return replace(self, x=self.x[rows], y=self.y[rows], name=name or self.name, **some)

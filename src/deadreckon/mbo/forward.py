@@ -19,9 +19,8 @@ from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.fitted import Fitted, covariance_of_members, in_blocks
 from deadreckon.mbo.surrogate import Surrogate, climb
-from deadreckon.mbo.validation import ENOUGH, Predict, Quality, checkable, judged, unseen
+from deadreckon.mbo.validation import Predict, Quality, held_out, judged, unseen
 from deadreckon.nets.mlp import MLP, minimum
-from deadreckon.randomness import generator
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
 HELD = 2000  # designs at most that are held out to judge a model
@@ -108,10 +107,8 @@ class Forward(Designer):
             believed = lambda x, nets=nets: (value(nets, x), mixture(nets, x)[1])  # noqa: E731
             made = self.decoded(setting, seed, x, believed, climbed=partial(value, nets))
             found.append(replace(made, fitted=self._fitted(made.fitted, setting.data, nets)))
-        if not setting.validate or not checkable(setting.data, 2 * ENOUGH):
-            return found
-        quality = on_held_out(self, setting)
-        return [each.calibrated(quality) for each in found]
+        quality = on_held_out(self, setting) if setting.validate else None
+        return found if quality is None else [each.calibrated(quality) for each in found]
 
     def _fitted(self, fitted: Fitted | None, data: Designs, nets: MLP) -> Fitted | None:
         """The model, with how averages over designs go together: as the members' do, where these are several."""
@@ -137,23 +134,24 @@ class Forward(Designer):
         return view.score(mean), view.y_std * std
 
 
-def on_held_out(method: Any, setting: DesignInput, scored: bool = True) -> Quality:
-    """How well a method predicts a fifth of the designs, `ENOUGH` at least, that it is not fitted on and that calibrate it.
+def on_held_out(method: Any, setting: DesignInput, scored: bool = True) -> Quality | None:
+    """How well a method predicts designs that it is not fitted on and that calibrate it (`validation.held_out`).
 
     Args:
         method: with `unseen`, which fits it on some designs and predicts others.
-        setting: with all the designs, twice `ENOUGH` or more.
+        setting: with all the designs.
         scored: whether it predicts scores, and not their order alone.
+
+    Returns:
+        None where there are too few designs.
     """
     data = setting.data
-    recipes = data.recipe_count
-    place = generator(0, "held-out designs").permutation(recipes).argsort()[data.recipes]
-    order, count = np.argsort(place, kind="stable"), min(max(recipes // 5, ENOUGH), HELD)
-    held = order[place[order] < count]
+    if (out := held_out(data, HELD)) is None:
+        return None
+    held, rest, fold = out
 
     def model(part: Designs) -> Predict:
         return partial(method.unseen, setting._replace(data=part, seeds=setting.seeds[:1]))
 
-    mean, std = unseen(data, held, order[len(held) :], model)
-    found = judged(data.y[held], mean, std, place[held] % 2, method.label, scored=scored)
-    return replace(found, recipes=place[held])
+    mean, std = unseen(data, held, rest, model)
+    return replace(judged(data.y[held], mean, std, fold, method.label, scored=scored), units=data.units[held])

@@ -17,7 +17,7 @@ from deadreckon.mbo.fitted import Fitted
 from deadreckon.mbo.forward import on_held_out
 from deadreckon.mbo.local_search import improved
 from deadreckon.mbo.process import Process, fit
-from deadreckon.mbo.validation import ENOUGH, Predict, Quality, checkable, cross_validated
+from deadreckon.mbo.validation import Predict, Quality, checkable, cross_validated, folds_of
 from deadreckon.randomness import generator
 from deadreckon.training.hyperparameters import Count, CountOrZero, Number, host
 
@@ -83,10 +83,10 @@ class GP(Designer):
         if self.folds < 2:
             return None
         if len(data) > self.max_rows:
-            return on_held_out(self, setting) if checkable(data, 2 * ENOUGH) else None
+            return on_held_out(self, setting)
         if not checkable(data):
             return None
-        setting.watch("cross-validation", 0, self.folds if data.recipe_count >= ENOUGH else data.recipe_count)
+        setting.watch("cross-validation", 0, folds_of(data, self.folds))
         return cross_validated(data, self.predictor, self.label, self.folds)
 
     def unseen(self, setting: DesignInput, x: np.ndarray, error: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

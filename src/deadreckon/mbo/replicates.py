@@ -48,13 +48,14 @@ def pooled(data: "Designs") -> "Designs":
     freedom = len(data) - len(first)
     plain = np.bincount(which, data.y) / count
     scatter = float(np.sqrt(np.square(data.y - plain[which]).sum() / freedom))
+    groups = None if data.groups is None else common(data.groups, which)
     repeated, of = int(count[count > 1].sum()), int((count > 1).sum())
     told = f"{repeated} rows are replicates of {of} design{'s' * (of > 1)}"
     if all((each == each[first][which]).all() for each in (data.y, *([] if given is None else [given]))):
         told += f" with the same {data.target} to the last digit; one of each is kept, as if the others were copies"
         warnings.warn(f"{data.name}: {told}", stacklevel=3)
         error = None if given is None else given[first]
-        kept = {"table_rows": data.numbered(first), "pooling": told}
+        kept = {"table_rows": data.numbered(first), "pooling": told, "groups": groups}
         return replace(data, x=data.x[first], y=data.y[first], std_error=error, **kept)
     if given is None:
         error = scatter / np.sqrt(count)
@@ -64,7 +65,7 @@ def pooled(data: "Designs") -> "Designs":
     warnings.warn(f"{data.name}: {told}", stacklevel=3)
     return replace(
         data, x=data.x[first], y=y, pooling=told,
-        replicates=count, std_error=error, table_rows=data.numbered(first),
+        replicates=count, std_error=error, table_rows=data.numbered(first), groups=groups,
     )  # fmt: skip
 
 
@@ -80,9 +81,29 @@ def recipes(data: "Designs") -> np.ndarray:
     designs, which = np.unique(data.x, axis=0, return_inverse=True)
     which = which.reshape(-1)
     found = np.arange(len(designs)) if not FEWEST < len(designs) <= LINKED else _linked(data.coordinates.place(designs))
-    group = found[which]
-    order = np.unique(group, return_index=True)[1].argsort().argsort()  # by the first row of each
-    return order[group]
+    return _numbered(found[which])
+
+
+def units(data: "Designs") -> np.ndarray:
+    """(rows,) number 0, 1, ... of what each row is held out with, in the order of the table: its group, or its recipe where
+    there are no groups or where the recipe stands in several, as a control in all batches does."""
+    alike = data.recipes
+    return alike if data.groups is None else _numbered(common(data.groups, alike)[alike])
+
+
+def common(groups: np.ndarray, which: np.ndarray) -> np.ndarray:
+    """The group of each of the designs or recipes `which` (rows,), by those of their rows; one of its own where it stands in
+    several."""
+    low, high = (np.full(which.max() + 1, fill) for fill in (groups.max(), 0))
+    np.minimum.at(low, which, groups)
+    np.maximum.at(high, which, groups)
+    return np.where(low == high, low, groups.max() + 1 + np.arange(len(low)))
+
+
+def _numbered(codes: np.ndarray) -> np.ndarray:
+    """(rows,) the same as numbers 0, 1, ... in the order of their first rows."""
+    _, first, which = np.unique(codes, return_index=True, return_inverse=True)
+    return first.argsort().argsort()[which.reshape(-1)]
 
 
 def _linked(z: np.ndarray) -> np.ndarray:
@@ -103,15 +124,15 @@ def _linked(z: np.ndarray) -> np.ndarray:
     return np.arange(len(z))
 
 
-def recipes_told(data: "Designs") -> str | None:
-    """A line on rows that are taken for replicates in validation only; None where there are none."""
-    count, designs = data.recipe_count, len(np.unique(data.x, axis=0))
-    if count == designs:
-        return None
-    return (
+def units_told(data: "Designs", groups: str | None) -> list[str]:
+    """Lines on rows that are held out together: the groups of a column, and rows that are taken for replicates."""
+    told = f"rows with the same {groups} are held out together where predictions of unseen designs are tested"
+    lines = [] if groups is None else [f"{told}; {int(data.units.max()) + 1:,} parts are held out by turns"]
+    count, designs = int(data.recipes.max()) + 1, len(np.unique(data.x, axis=0))
+    return lines if count == designs else [*lines, (
         f"{designs:,} different designs are {count:,} recipes whose settings differ slightly from row to row: a recipe is held "
         "out as a whole where predictions of unseen designs are tested; write its settings alike to have its rows pooled"
-    )
+    )]  # fmt: skip
 
 
 def noise_beyond(data: "Designs") -> float:

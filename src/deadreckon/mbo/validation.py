@@ -1,9 +1,9 @@
 """How well a model of the score predicts designs that it has not seen, and intervals made to hold their share of these.
 
-Folds are of whole designs. From predictions out of fold follows how scores come from them (`mbo.calibration`). The scores are
-measurements, so deviations must be those of a measurement, noise included, and what they are calibrated to is an interval for a
-new measurement: true scores are never seen. Coverage is reported crosswise: for each fold with the calibration that the others
-give, so that no design judges itself.
+Folds are of whole units: designs, recipes of nearly the same, or groups such as batches (`Designs.units`). From predictions out
+of fold follows how scores come from them (`mbo.calibration`). The scores are measurements, so deviations must be those of a
+measurement, noise included, and what they are calibrated to is an interval for a new measurement: true scores are never seen.
+Coverage is reported crosswise: for each fold with the calibration that the others give, so that no design judges itself.
 """
 
 from collections.abc import Callable
@@ -17,6 +17,7 @@ from deadreckon.mbo.calibration import Calibration
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.variables import FEWEST
 from deadreckon.randomness import generator
+from deadreckon.stats.clusters import effective
 from deadreckon.stats.interval import LEVEL, NORMAL
 from deadreckon.stats.ranks import spearman
 
@@ -42,8 +43,8 @@ class Quality:
         tried: how many methods were tried of which this is one.
         crossed: whether each row has taught the models of all other folds, as in cross-validation.
         scored: whether the model predicts scores, and not their order alone.
-        recipes: (rows,) number of the recipe that each row is of, which are what is independent (`Designs.recipes`); None: each
-            is one.
+        units: (rows,) number of what each row was held out with (`Designs.units`): its rows are not independent; None: each row
+            by itself.
     """
 
     method: str
@@ -56,7 +57,7 @@ class Quality:
     tried: int = 1
     crossed: bool = False
     scored: bool = True
-    recipes: np.ndarray | None = None
+    units: np.ndarray | None = None
 
     @property
     def skilled(self) -> bool:
@@ -72,7 +73,10 @@ class Quality:
     def limit(self) -> float:
         """The rank correlation that chance alone does not exceed in 97.5 % of tables without any relation."""
         quantile = NormalDist().inv_cdf(1 - CHANCE / self.tried)  # the best of several is greater by chance (Bonferroni)
-        variance = (2.12 if self.crossed else 1.06) / max(self._count(np.ones(len(self.observed), bool)) - 3, 1)
+        rows = self._worth(np.ones(len(self.observed), bool), self.predicted, self.observed)
+        if rows < 5:  # any order of four is the right one in more than 2.5 % of tables
+            return 1.0
+        variance = (2.12 if self.crossed else 1.06) / (rows - 3)
         return float(np.tanh(quantile * variance**0.5))
 
     @cached_property
@@ -103,12 +107,13 @@ class Quality:
         return float((np.abs(self.observed - mean) <= NORMAL * std).mean()) if self.scored else np.nan
 
     def _calibration(self, rows: np.ndarray) -> Calibration:
-        count, given = self._count(rows), (self.observed[rows], self.predicted[rows], self.std[rows])
+        given = self.observed[rows], self.predicted[rows], self.std[rows]
+        count = int(self._worth(rows, self.observed - self.predicted))
         return Calibration.of(*given, skilled=self.skilled, independent=count)
 
-    def _count(self, rows: np.ndarray) -> int:
-        """How many recipes there are among some rows."""
-        return int(rows.sum()) if self.recipes is None else len(np.unique(self.recipes[rows]))
+    def _worth(self, rows: np.ndarray, *values: np.ndarray) -> float:
+        """How many independent rows some rows are worth, for what is said of one or two lists of values."""
+        return float(rows.sum()) if self.units is None else effective(self.units[rows], *(each[rows] for each in values))
 
     @property
     def doubt(self) -> str:
@@ -139,16 +144,45 @@ class Quality:
         )
 
 
-def checkable(data: Designs, count: int = FEWEST + 1) -> bool:
-    """Whether there are enough recipes, `count`, to say how well a model predicts those that it has not seen, and no two rows
-    of the same design.
+def checkable(data: Designs) -> bool:
+    """Whether there are enough recipes to say how well a model predicts those that it has not seen, and no two rows of the same
+    design.
 
-    Without any one of them enough must be left to learn from.
+    Without any unit that is held out as a whole enough recipes, `FEWEST`, must be left to learn from.
 
     Replicates that were not pooled (`mbo.replicates`), as those of fewer than `FEWEST` designs, would lie in different folds,
     and a model that has only kept in mind what it has seen would be praised.
     """
-    return len(np.unique(data.x, axis=0)) == len(data) and data.recipe_count >= count
+    parts = _recipes_of_units(data)
+    return len(np.unique(data.x, axis=0)) == len(data) and len(parts) > 1 and parts.sum() - parts.max() >= FEWEST
+
+
+def held_out(data: Designs, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Rows that are held out, all others, and which of two folds each of the first is in, to judge them crosswise.
+
+    They are two whole units or more by chance, of a fifth of all recipes, but `ENOUGH` at least and `most` at most, or more
+    where units are large; `ENOUGH` are left. None where there are too few.
+    """
+    parts = _recipes_of_units(data)
+    place = generator(0, "held-out designs").permutation(len(parts)).argsort()
+    wanted, spare = min(max(parts.sum() // 5, ENOUGH), most), parts.sum() - ENOUGH
+    taken, held = 0, []
+    for unit in place.argsort():
+        if (taken < wanted or len(held) < 2) and taken + parts[unit] <= spare:
+            taken += parts[unit]
+            held.append(unit)
+    if taken < ENOUGH or len(held) < 2 or len(np.unique(data.x, axis=0)) < len(data):
+        return None
+    rank = np.full(len(parts), -1)
+    rank[held] = np.arange(len(held))
+    order = np.argsort(place[data.units], kind="stable")
+    inside = rank[data.units[order]] >= 0
+    return order[inside], order[~inside], rank[data.units[order[inside]]] % 2
+
+
+def _recipes_of_units(data: Designs) -> np.ndarray:
+    """(units,) how many recipes there are in what is held out as a whole."""
+    return np.bincount(np.unique(np.stack([data.units, data.recipes], 1), axis=0)[:, 0])
 
 
 def cross_validated(data: Designs, model: Callable[[Designs], Predict], method: str, folds: int = FOLDS) -> Quality:
@@ -158,15 +192,20 @@ def cross_validated(data: Designs, model: Callable[[Designs], Predict], method: 
         data: scored designs, all different, of which there are enough (`checkable`).
         model: fits designs.
         method: its name.
-        folds: how many; of fewer than `ENOUGH` recipes each is left out by itself.
+        folds: how many; of fewer than `ENOUGH` units each is left out by itself.
     """
-    count = data.recipe_count
-    folds = folds if count >= ENOUGH else count
-    fold = (generator(0, "folds of designs").permutation(count) % folds)[data.recipes]
+    folds, count = folds_of(data, folds), data.units.max() + 1
+    fold = (generator(0, "folds of designs").permutation(count) % folds)[data.units]
     mean, std = np.empty(len(data)), np.empty(len(data))
     for k in range(folds):
         mean[fold == k], std[fold == k] = unseen(data, np.flatnonzero(fold == k), np.flatnonzero(fold != k), model)
-    return replace(judged(data.y, mean, std, fold, method), crossed=True, recipes=data.recipes)
+    return replace(judged(data.y, mean, std, fold, method), crossed=True, units=data.units)
+
+
+def folds_of(data: Designs, folds: int) -> int:
+    """How many folds there are: of fewer than `ENOUGH` units each is one."""
+    count = int(data.units.max()) + 1
+    return folds if count >= ENOUGH else count
 
 
 def unseen(
