@@ -6,6 +6,7 @@ import minari
 import numpy as np
 import pytest
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from minari.data_collector import EpisodeBuffer
 from small_logs import images, make_log, same
 
@@ -264,4 +265,30 @@ def test_a_damaged_header_of_ours(log, header):
     found = json.loads(meta.read_text())
     meta.write_text(json.dumps({**found, "deadreckon": json.loads(header)}))
     with pytest.raises(UserError, match="its header is damaged"):
+        read("minari:mine/maze-v0")
+
+
+@pytest.mark.parametrize("key", ["observation_space", "action_space"])
+def test_no_environment_is_made_for_a_space_that_is_not_there(log, tmp_path, key):
+    """Minari makes the environment that the file names, by any function of any module."""
+    meta = write_minari(log, "mine/maze-v0") / "data" / "metadata.json"
+    found = json.loads(meta.read_text())
+    del found[key]
+    made = tmp_path / "made"
+    spec = EnvSpec("X-v0", entry_point="os:mkdir", kwargs={"path": str(made)})
+    meta.write_text(json.dumps({**found, "env_spec": spec.to_json()}))
+    with pytest.raises(UserError, match=f"no {key}, which is needed"):
+        read("minari:mine/maze-v0")
+    assert not made.exists()
+
+
+def test_columns_that_lie_in_other_files_are_not_read(log, tmp_path):
+    folder = write_minari(log, "mine/maze-v0")
+    (tmp_path / "secret.bin").write_bytes(bytes(1000))
+    with h5py.File(folder / "data" / "main_data.hdf5", "r+") as file:
+        rewards = file["episode_0/rewards"]
+        shape, dtype = rewards.shape, rewards.dtype
+        del file["episode_0/rewards"]
+        file["episode_0"].create_dataset("rewards", shape, dtype, external=[(str(tmp_path / "secret.bin"), 0, 1000)])
+    with pytest.raises(UserError, match="episode_0/rewards lies in another file, which is not opened"):
         read("minari:mine/maze-v0")

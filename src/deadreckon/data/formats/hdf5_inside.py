@@ -43,7 +43,7 @@ def contents(file: str, mmap: bool, scratch: str | None, shared: Shared) -> dict
     path = Path(file)
     size = file_size(path)
     with reading(path, "hdf5"), h5py.File(path, "r") as opened:
-        leaves = dict(_checked(path, opened))
+        leaves = dict(columns_of(path, opened))
         header = str(opened.attrs[HEADER]) if HEADER in opened.attrs else None
         if header is None and "episode_0" in opened:
             raise UserError(f"{path}: the inside of a Minari data set; give its folder, which holds metadata.json")
@@ -173,13 +173,13 @@ def _blocks(dataset: h5py.Dataset) -> Iterator[tuple[int, int]]:
         yield start, min(start + step, len(dataset))
 
 
-def _checked(path: Path, file: h5py.File) -> Iterator[tuple[str, h5py.Dataset]]:
+def columns_of(path: Path, file: h5py.File) -> Iterator[tuple[str, h5py.Dataset]]:
     """(path, column) of all columns, each once, in the order of their names, when all links have been looked at.
 
     Raises:
         UserError: a link leads to another file, a column lies in one, or there are too many objects or groups within groups.
     """
-    check_links(path, file)
+    _check_links(path, file)
     for name, place in sorted(_objects(path, file)):
         found = place.get(name.rpartition("/")[2])
         if isinstance(found, h5py.Dataset) and found.shape is not None:
@@ -189,8 +189,8 @@ def _checked(path: Path, file: h5py.File) -> Iterator[tuple[str, h5py.Dataset]]:
             yield name, found
 
 
-def check_links(path: Path, file: h5py.File) -> None:
-    """Refuses a file that names another one by a link; raises as `_checked`."""
+def _check_links(path: Path, file: h5py.File) -> None:
+    """Refuses a file that names another one by a link; raises as `columns_of`."""
     for name, group in _objects(path, file):
         if isinstance(group.get(name.rpartition("/")[2], getlink=True), h5py.ExternalLink):
             how = "give a file that holds its columns itself"

@@ -44,6 +44,10 @@ def read_minari(source: Path | str, *, strict: bool = False, name: str | None = 
     metadata = read_json(folder / METADATA, dict)
     if "data_format" not in metadata:
         raise UserError(f"{folder / METADATA}: no data_format; is this a Minari data set?")
+    for key in ("observation_space", "action_space"):
+        # Without one of them Minari makes the environment that the file names, of whatever code that is.
+        if not isinstance(metadata.get(key), str):
+            raise UserError(f"{folder / METADATA}: no {key}, which is needed as JSON; no environment is made to ask for it")
     said = {key: metadata[key] for key in _KEPT if key in metadata}
     with naming(folder, str(folder)):
         held = read_apart("minari", folder, "a Minari data set", size=_size(folder), folder=str(folder), said=said)
