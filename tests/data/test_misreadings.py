@@ -79,6 +79,48 @@ def test_next_observations_may_have_any_name_and_are_matched_by_place():
         Dataset.from_frame(table, episode="ep", next_observations=["u"])
 
 
+def test_next_observations_in_any_order_are_those_of_the_observations_asked_for():
+    table = walk(("s0", "s1"), ("u", "v"))
+    log = Dataset.from_frame(table, episode="ep", observations=["s1", "s0"], next_observations=["v", "u"])
+    assert named(log) == ["s1", "s0"]
+    np.testing.assert_allclose(log.next_observations, following(WALK, 0.25)[:, ::-1].astype(np.float32), rtol=1e-6)
+
+
+def test_what_tells_episodes_and_their_ends_is_read_beside_observations_that_are_named():
+    table = {
+        "episode": EPISODE,
+        "step": STEP[::-1],
+        "v": X,
+        **base(terminal=STEP == 0, propensity=np.full(N, 0.3), done=STEP == 0),
+    }
+    log = Dataset.from_frame(table, observations=["v"])
+    assert named(log) == ["v"]
+    assert log.lengths.tolist() == [12] * 10
+    assert log.terminals.sum() == 10
+    assert log.observations[0, 0] == np.float32(X[11])  # in the order of their steps
+    assert told(log, "column terminal is read as the flag of true ends")
+    assert told(log, "column propensity looks like a probability of the logged action")
+    assert told(log, "column done marks ends")
+
+
+def test_what_belongs_to_the_next_row_is_no_observation():
+    table = walk(("x",), ("next_x",)) | {"next_action": np.roll(np.arange(N) % 3, -1), "next_reward": np.roll(R, -1)}
+    log = Dataset.from_frame(table | {"next_done": np.roll(STEP == 11, -1)}, episode="ep")
+    assert named(log) == ["x"]
+    np.testing.assert_allclose(log.next_observations, following(WALK, 0.25)[:, :1].astype(np.float32), rtol=1e-6)
+    for column, of in (("next_action", "action"), ("next_reward", "reward"), ("next_done", "done")):
+        assert told(log, f"column {column} looks like the {of} of the next row and is left out")
+    kept = Dataset.from_frame(base(next_action=X), observations=["x", "next_action"])
+    assert named(kept) == ["x", "next_action"]
+
+
+def test_placeholders_among_actions_are_told():
+    dose = np.where(np.arange(N) % 20 == 0, -999.0, np.linspace(0, 5, N))
+    log = Dataset.from_frame(base(action=dose))
+    assert told(log, "column action has -999 in 6 rows, far from its other values, .*; leave such rows out if they mean")
+    assert not told(Dataset.from_frame(base(action=np.linspace(0, 5, N))), "leave such rows out")
+
+
 def test_next_observations_that_are_missing_are_unknown_at_ends_and_refused_inside():
     log = Dataset.from_frame(walk(("s0", "s1"), ("next_s0", "next_s1"), np.nan), episode="ep")
     assert log.dropped == 10

@@ -109,7 +109,8 @@ class _Maker:
         following = self.several(self.asked.next_observations)
         named = self.asked.observations is not None
         rest = [column for column in self.rest_but(following) if not roles.not_observed(column)]
-        observed = self.having("observation") if named else rest
+        asked = [column for column in self.several(self.asked.observations) if column in self.having("observation")]
+        observed = asked if named else rest
         pairs = {c: o for c, o in roles.next_of(self.names).items() if c in following and o in observed}
         if len(pairs) < len(following):
             if len(following) != len(observed):
@@ -136,10 +137,8 @@ class _Maker:
             self.give(index, "ignore", "looks like a row number")
             self.told.append(f"column {index[0]!r} looks like a row number and is left out of the observations")
         self.following_asked_for()
+        self.ahead_by_name()
         self.following_by_name()
-        if self.asked.observations is not None:
-            self.give([c for c in self.names if c not in self.roles], "ignore", "not named among the observations")
-            return
         self.ends_by_name()
         for column in [column for column in self.names if column not in self.roles]:
             if roles.DONE.fullmatch(column.lower()):
@@ -154,6 +153,9 @@ class _Maker:
             elif roles.like("cost", column):
                 self.give([column], "cost", "named like a cost")
                 self.doubt(column, "looks like a cost, is kept and not observed (--observations to observe it)")
+        if self.asked.observations is not None:
+            self.give([c for c in self.names if c not in self.roles], "ignore", "not named among the observations")
+            return
         moments = [c for c in self.names if c not in self.roles and pa.types.is_temporal(self.table[c].type)]
         if moments:
             self.give(moments, "ignore", "a date")
@@ -205,6 +207,15 @@ class _Maker:
     def free(self, role: str) -> list[str]:
         """Columns whose names suggest the role and that have none."""
         return [column for column in self.names if column not in self.roles and roles.like(role, column)]
+
+    def ahead_by_name(self) -> None:
+        """Actions, rewards and flags of the next row, which nobody knows when an action is chosen."""
+        others = {c: of for c, of in roles.next_of(self.names).items() if of in self.roles or roles.not_observed(of)}
+        ahead = {c: of for c, of in others.items() if self.roles.get(of, ("",))[0] != "observation"}
+        for column, of in (roles.next_flags(self.names) | ahead).items():
+            if column not in self.roles:
+                self.give([column], "ignore", f"the next row's {of}")
+                self.doubt(column, f"looks like the {of} of the next row and is left out (--observations to observe it)")
 
     def following_by_name(self) -> None:
         """Next observations whose names say whose."""

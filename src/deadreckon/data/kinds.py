@@ -66,7 +66,8 @@ def kind_of(column: str, values: Any, role: Role, alone: bool, asked: Kind | Non
     if kind == "category" and role not in ("action", "observation", "next_observation") and as_dates(values) is not None:
         kind, reason = "date", "texts that are dates"
     if role == "action":
-        return _action(column, values, kind, alone)
+        kind, reason, doubt = _action(column, values, kind, alone)
+        return kind, reason, doubt or (placeholder(values, "leave such rows out") if kind == "number" else "")
     if role in ("observation", "next_observation") and kind == "category" and says_numbers(values):
         doubt = f"holds numbers as texts, and is read as numbers (--kinds {column}=category)" if role == "observation" else ""
         return "number", "texts that are numbers", doubt

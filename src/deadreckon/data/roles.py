@@ -53,6 +53,13 @@ def numbered(names: Sequence[str], prefix: str) -> list[str]:
     return sorted(found, key=lambda column: int(column.rpartition("_")[2]))
 
 
+def next_flags(names: Sequence[str]) -> dict[str, str]:
+    """{name: what} for those of `names` that say of the next row whether it is an end, or its action or reward."""
+    stems = {name: stem[1] for name in names if (stem := re.fullmatch(r"next_(.+)", name.lower()))}
+    like_one = lambda stem: any(like(role, stem) for role in ("terminal", "timeout", "reward", "action"))  # noqa: E731
+    return {name: stem for name, stem in stems.items() if like_one(stem) or DONE.fullmatch(stem)}
+
+
 def next_of(names: Sequence[str]) -> dict[str, str]:
     """{next observation: observation} for those of `names` whose name says that they are another's next value."""
     by_lower = {name.lower(): name for name in names}

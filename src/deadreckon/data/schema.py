@@ -130,8 +130,9 @@ class Column:
         """What is said of the column, as JSON values, without its name, reason and doubt and what has its default."""
         silent = ("name", "reason", "doubt")
         given = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in silent}
-        # By identity: a range that begins at 0, or a fill of 0, is equal to False.
-        given = {key: value for key, value in given.items() if not (value is None or value is False or value == "")}
+        # By identity: a range that begins at 0, or a fill of 0, is equal to False. `marked` has None as its default.
+        unsaid = {key for key, value in given.items() if value is None or (value is False and key != "marked") or value == ""}
+        given = {key: value for key, value in given.items() if key not in unsaid}
         return {key: list(value) if isinstance(value, tuple) else value for key, value in given.items()}
 
 
