@@ -219,3 +219,28 @@ def test_any_name_of_a_column_is_saved(tmp_path):
     schema = Schema((Column('a\x7f"\\b é', "reward"),))
     schema.save(tmp_path / "s.toml")
     assert Schema.load(tmp_path / "s.toml") == schema
+
+
+def test_another_month_is_encoded_as_the_first_though_its_cells_look_otherwise(tmp_path):
+    """Levels 2, 3 and A1 of which only 2 and 3 occur, flags of yes alone, and a column that missed nothing before."""
+    head = "zone,alarm,agreed,temp,action,reward\n"
+    zones, agreed = ["2", "3", "A1"] * 8, ["yes", "no", "maybe"] * 8
+    (tmp_path / "may.csv").write_text(head + "".join(f"{z},{'no' if i % 2 else 'yes'},{w},{i}.5,{i % 2},{i}\n"
+                                                     for i, (z, w) in enumerate(zip(zones, agreed))))  # fmt: skip
+    may = read(tmp_path / "may.csv")
+    schema = Schema.from_json(may.provenance.extra["schema"])
+    june = tmp_path / "june.csv"
+    june.write_text(head + "".join(f"{2 + i % 2},yes,{'no' if i % 2 else 'yes'},{i}.5,{i % 2},{i}\n" for i in range(12)))
+    for log in (read(june, schema=schema), convert(june, tmp_path / "june.npz", schema=schema)):
+        assert log.provenance.extra["observation_names"] == may.provenance.extra["observation_names"]
+        place = may.provenance.extra["observation_names"].index("zone=2")
+        np.testing.assert_array_equal(log.observations[:, place : place + 3], np.eye(3)[np.arange(12) % 2])
+        place = may.provenance.extra["observation_names"].index("agreed=maybe")
+        np.testing.assert_array_equal(log.observations[:, place : place + 3], np.eye(3)[[2, 1] * 6])
+    june.write_text(june.read_text().replace("4.5", ""))
+    with pytest.raises(UserError, match="column temp is empty in row 4, which the schema does not mark"):
+        read(june, schema=schema)
+    again = Schema.from_json(schema.to_json())
+    assert [each.marked for each in again.columns if each.role == "observation"] == [False] * 4
+    schema.save(tmp_path / "may.toml")
+    assert Schema.load(tmp_path / "may.toml").to_json() == schema.to_json()

@@ -10,6 +10,7 @@ import pyarrow as pa
 from deadreckon.data.formats.cells import NOTHING, PLAIN, Known, converted
 from deadreckon.data.formats.dialect import SEPARATORS, Dialect
 from deadreckon.data.formats.kind import DIALECT, READING, no_options, sniff
+from deadreckon.data.formats.words import is_word
 from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
 from deadreckon.foreign.parquet import read_parquet
@@ -118,7 +119,7 @@ def read_rows(
         UserError: see `read_table`.
     """
     used = schema.having("observation", "action", "legal")
-    texts = {each.name for each in used if each.kind == "category" and (each.levels is None or any(map(_is_word, each.levels)))}
+    texts = {each.name for each in used if each.kind == "category" and (each.levels is None or any(map(is_word, each.levels)))}
     flags = frozenset(each.name for each in used if each.kind == "flag")
     known = Known(frozenset(texts), flags, plain=plain)
     given = {key: value for key, value in ways.items() if value is not None}
@@ -138,8 +139,3 @@ def read_rows(
             text = f"it is read with the separator {own['separator']!r}, as the schema's log was, and seems to have {other!r}"
             raise UserError(f"{path}: {text}; say --separator {other!r} and, if its decimals have a comma, --decimal comma")
     return table, told
-
-
-def _is_word(level: Any) -> bool:
-    """Whether a level is a text that stays one: true and false are what columns of yes and no become."""
-    return isinstance(level, str) and level not in ("true", "false")

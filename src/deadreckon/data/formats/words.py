@@ -18,14 +18,23 @@ from deadreckon.data.formats.spool import Spool
 def levels_in(mapping: Mapping[str, Any]) -> Known:
     """Which columns of a table hold levels that may be such words, by what is said of its columns.
 
+    Of a schema also those whose cells are its levels, or flags, whatever they look like in this table.
+
     Args:
         mapping: which column is what, as for `from_frame`; a schema is a `Schema`.
     """
     if (schema := mapping.get("schema")) is not None:
         categories = [column for column in schema.columns if column.kind == "category"]
-        return Known(words=frozenset(each.name for each in categories if each.levels is None or {*each.levels} & {*MISSING}))
+        words = frozenset(each.name for each in categories if each.levels is None or {*each.levels} & {*MISSING})
+        listed = frozenset(each.name for each in categories if each.levels is not None and any(map(is_word, each.levels)))
+        return Known(listed, frozenset(each.name for each in schema.columns if each.kind == "flag"), words)
     action = mapping.get("action")
     return Known(words=None if action is None else frozenset([action] if isinstance(action, str) else action))
+
+
+def is_word(level: Any) -> bool:
+    """Whether a level is a text that stays one: true and false are what columns of yes and no become."""
+    return isinstance(level, str) and level not in ("true", "false")
 
 
 def with_words(
