@@ -6,7 +6,7 @@ import pytest
 
 from deadreckon.bench.jobs import file_name
 from deadreckon.errors import UserError
-from deadreckon.names import LONGEST, Terminal, file_part, safe_name, safe_path, shown
+from deadreckon.names import LONGEST, Terminal, file_part, natural, safe_name, safe_path, shown
 
 PLAIN = ["console", "com", "com10", "nulls", "a.con", "-rf", "é.x"]  # not quite what Windows keeps
 
@@ -60,3 +60,8 @@ def test_what_is_shown_cannot_steer_a_terminal():
     out = io.StringIO()
     print("two\nlines", "tab\tbed", "\x1b[31m", file=Terminal(out))
     assert out.getvalue() == "two\nlines tab\tbed \\x1b[31m\n"
+
+
+def test_numbers_in_names_count_as_numbers():
+    names = ["run_10", "run_2", "run_02b", "b", "run", "run_9" + "9" * 5000, "2", "10"]
+    assert sorted(names, key=natural) == ["b", "run", "run_2", "run_02b", "run_10", names[5], "2", "10"]

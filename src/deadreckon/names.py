@@ -28,6 +28,16 @@ def in_markdown(value: Any) -> Any:
     return list(map(in_markdown, value)) if isinstance(value, list | tuple) else value
 
 
+def natural(name: str) -> tuple[tuple[bool, int, str], ...]:
+    """What names are sorted by so that the numbers in them count as numbers: run_2 comes before run_10."""
+    key = []
+    for part in re.findall(r"[0-9]+|[^0-9]+", name):
+        number = part[0] in "0123456789"
+        text = part.lstrip("0") if number else part
+        key.append((number, len(text) if number else 0, text))
+    return tuple(key)
+
+
 LONGEST = 200  # bytes of a name; file systems take 255, and endings come behind it
 _SEPARATORS = "/\\:"  # on any system; the colon stands behind the letter of a drive
 # Names that Windows keeps for devices, whatever ending follows.

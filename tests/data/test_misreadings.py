@@ -366,9 +366,43 @@ def test_episodes_of_dates_in_frames_are_in_the_order_of_their_dates():
     np.testing.assert_array_equal(log.observations[:, 0], np.arange(N))
     short = table.assign(day=[day[:6] + day[8:] for day in days])  # years of two digits
     log = Dataset.from_frame(short, episode="day", time="t")
-    assert told(log, "column day holds texts that look like numbers or dates, such as '28.01.24': .* alphabetical order")
+    assert told(log, "most episodes begin at the same t and are put in the order of day, which is not the table's")
     with pytest.raises(UserError, match="column day orders rows, and holds neither numbers nor dates .*; row 0 has '28.01.24'"):
         Dataset.from_frame(short, time="day")
+
+
+def test_episodes_that_begin_at_the_same_time_are_in_the_order_of_the_numbers_in_their_names():
+    table = {"run": [f"run_{i + 5}" for i in EPISODE], "t": STEP, "x": np.arange(N), "action": np.arange(N) % 3, "reward": R}
+    log = Dataset.from_frame(table, episode="run", time="t")
+    np.testing.assert_array_equal(log.observations[:, 0], np.arange(N))  # run_5 ... run_14: the latest are the last
+    assert not told(log, "begin at the same t")
+    ids = np.array(["c9", "a3", "b1", "f0", "e7", "d2", "h5", "g4", "j8", "i6"])[EPISODE]
+    named_otherwise = Dataset.from_frame({**table, "run": ids}, episode="run", time="t")
+    assert told(named_otherwise, "most episodes begin at the same t and are put in the order of run, which is not the table's")
+    rising = np.arange(N)
+    assert not told(Dataset.from_frame({**table, "run": ids, "t": rising}, episode="run", time="t"), "begin at the same")
+
+
+def test_times_of_day_that_shuffle_a_table_without_episodes_are_told():
+    clock = [dt.time(6 + i % 12, i % 60) for i in range(N)]
+    log = Dataset.from_frame(base(time=pa.array(clock)), time="time")
+    assert told(log, "rows are put in another order than the table's by time, which has times of day without a date")
+    day = [dt.time(i // 60, i % 60) for i in range(N)]
+    assert not told(Dataset.from_frame(base(time=pa.array(day)), time="time"), "another order")
+
+
+def test_episodes_that_each_robot_counts_for_itself_are_told():
+    robot, number = np.repeat(["a", "b", "c"], 40), np.tile(np.repeat(np.arange(10), 4), 3)
+    table = base(robot=robot, episode=number, timestamp=np.arange(N))
+    log = Dataset.from_frame(table, keep="robot")
+    words = "30 pieces of rows have one value of episode and one of robot each, and are read as 10 episodes"
+    assert log.episodes == 10
+    assert told(log, words)
+    apart = base(robot=robot, episode=number + 10 * (np.arange(N) // 40), timestamp=np.arange(N))
+    assert not told(Dataset.from_frame(apart, keep="robot"), "pieces of rows")
+    shuffled = np.random.default_rng(0).permutation(N)
+    mixed = {key: np.asarray(values)[shuffled] for key, values in apart.items()}
+    assert not told(Dataset.from_frame(mixed, keep="robot"), "pieces of rows")
 
 
 def test_an_open_order_of_dates_in_frames_and_parquet_is_told_and_can_be_chosen(tmp_path):

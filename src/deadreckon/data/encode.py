@@ -19,6 +19,7 @@ from deadreckon.data.arrow import (
     flat,
     is_category,
     is_missing,
+    is_text,
     levels_of_whole_numbers,
     numbers,
     ordered_moments,
@@ -30,6 +31,7 @@ from deadreckon.data.likeness import refuse_mistaken
 from deadreckon.data.schema import Column
 from deadreckon.data.scratch import BLOCK, Scratch
 from deadreckon.errors import UserError
+from deadreckon.names import natural
 
 OTHERS = "other_levels"  # the entry of `Provenance.extra`: values that are none of a column's levels, by column
 _SHOWN, _KEPT = 5, 50  # unknown levels named in a message, and kept in `extra`
@@ -274,7 +276,7 @@ class Encoder:
 
     def episodes(self, column: str, ordered: bool) -> np.ndarray:
         """(rows,) int64 index of each row's episode: of its value among those of the column, in the order in which they first
-        appear or, if `ordered`, ascending.
+        appear or, if `ordered`, ascending, texts by the numbers in them.
 
         Raises:
             UserError: a cell is empty; or numbers are so large that they were rounded.
@@ -291,7 +293,11 @@ class Encoder:
         if not ordered:
             return codes
         ranks = np.empty(len(encoded.dictionary), np.int64)
-        ranks[sorted_indices(encoded.dictionary)] = np.arange(len(ranks))
+        order = sorted_indices(encoded.dictionary)
+        if is_text(encoded.dictionary.type):
+            texts = encoded.dictionary.to_pylist()
+            order = sorted(range(len(texts)), key=lambda i: natural(texts[i]))
+        ranks[order] = np.arange(len(ranks))
         return ranks[codes]
 
     def moments(self, column: str) -> np.ndarray:

@@ -184,8 +184,8 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
         columns["terminals"][:] = True
         encoder.warnings.append(ALONE)
     order, ends = _order(table.num_rows, codes, moments)
-    if codes is not None:
-        encoder.warnings += about_order(table, schema, codes, order)
+    if codes is not None or time is not None:
+        encoder.warnings += about_order(table, schema, codes, moments, order)
     warnings = [*warnings, *encoder.warnings]
     if order is not None:
         columns, unknown = {key: scratch.ordered(column, order) for key, column in columns.items()}, unknown[order]

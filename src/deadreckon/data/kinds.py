@@ -19,7 +19,7 @@ from deadreckon.data.arrow import (
     says_numbers,
 )
 from deadreckon.data.legal_columns import is_list
-from deadreckon.data.likeness import FEW, likeness
+from deadreckon.data.likeness import FEW
 from deadreckon.data.placeholders import placeholder
 from deadreckon.data.schema import ALLOWED, KINDS, Kind, Role
 from deadreckon.errors import UserError, unknown
@@ -71,8 +71,6 @@ def kind_of(column: str, values: Any, role: Role, alone: bool, asked: Kind | Non
     if role in ("observation", "next_observation") and kind == "category" and says_numbers(values):
         doubt = f"holds numbers as texts, and is read as numbers (--kinds {column}=category)" if role == "observation" else ""
         return "number", "texts that are numbers", doubt
-    if role == "episode" and kind == "category":
-        return kind, reason, _alphabetical(values)
     if role == "observation" and kind == "category":
         return kind, reason, _alike(values)
     if role in ("observation", "reward", "cost") and (doubt := placeholder(values)):
@@ -125,15 +123,6 @@ def _alike(values: Any) -> str:
         if (of := lower.removesuffix(" total").removesuffix(" ergebnis")) != lower and of in found:
             return f"has {level!r} beside {found[of]!r}, as subtotals are called: leave such rows out if they sum others up"
     return ""
-
-
-def _alphabetical(values: Any) -> str:
-    """What to say of texts whose order is not that of the numbers or dates that they seem to be."""
-    found = decoded(values)
-    if not is_text(found.type) or (looks := likeness(found)).alike < looks.cells:
-        return ""
-    text = f"holds texts that look like numbers or dates, such as {looks.first!r}"
-    return f"{text}: episodes that begin at the same time are put in alphabetical order"
 
 
 def _rounded(values: Any) -> str:

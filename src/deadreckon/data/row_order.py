@@ -3,23 +3,34 @@
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.arrow import as_dates, flat, is_missing, is_text, ordered_moments
+from deadreckon.data.arrow import as_dates, decoded, flat, is_missing, is_text, ordered_moments
 from deadreckon.data.schema import Schema
 
+_FEWER = 4  # times that pieces of episodes are more than values of what each of them has one of
 _LEAST = 10  # falls below which nothing is told: by chance they have no rise among them with probability 2^-10
 
 
-def about_order(table: pa.Table, schema: Schema, codes: np.ndarray, order: np.ndarray | slice | None) -> list[str]:
+def about_order(
+    table: pa.Table, schema: Schema, codes: np.ndarray | None, moments: np.ndarray | None, order: np.ndarray | slice | None
+) -> list[str]:
     """What to say of rows that may be in another order than they stand in.
 
     Args:
         table: (rows,) of each column.
         schema: of it.
-        codes: (rows,) index of each row's episode.
+        codes: (rows,) index of each row's episode; None: all rows are one.
+        moments: (rows,) of each row; None: they are in order.
         order: in which the rows are taken; a slice where that is the table's.
     """
-    if (time := schema.one("time")) is not None:
-        return _past_midnight(table, time.name, codes, order)
+    time, episode = schema.one("time"), schema.one("episode")
+    if time is not None:
+        told = _past_midnight(table, time.name, np.zeros(table.num_rows, int) if codes is None else codes, order)
+        if codes is None or moments is None or episode is None:
+            return told
+        others = schema.named("observation", "ignore", "keep", "group")
+        return [*told, *_merged(table, episode.name, others, codes), *_by_names(episode.name, time.name, codes, moments)]
+    if codes is None:
+        return []
     left_out = schema.named("ignore", "keep")
     return [*_falling(table, left_out, codes), *_apart(table, [*schema.named("observation"), *left_out], codes)]
 
@@ -30,9 +41,43 @@ def _past_midnight(table: pa.Table, time: str, codes: np.ndarray, order: np.ndar
         return []
     own = codes[order]
     changed = len(np.unique(own[1:][(own[1:] == own[:-1]) & (order[1:] < order[:-1])]))
-    text = f"{changed:,} of {int(codes.max()) + 1:,} episodes are put in another order than the table's by {time}"
+    episodes = int(codes.max()) + 1
+    which = "rows" if episodes == 1 else f"{changed:,} of {episodes:,} episodes"
+    text = f"{which} are put in another order than the table's by {time}"
     how = f"give {time} with its date, or leave it out if the rows are in order"
     return [f"{text}, which has times of day without a date, as where one passes midnight: {how}"] if changed else []
+
+
+def _merged(table: pa.Table, episode: str, columns: list[str], codes: np.ndarray) -> list[str]:
+    """What to say of episodes that stand in several pieces, each with a value of a column, as a machine or a patient."""
+    starts = np.append(0, np.flatnonzero(codes[1:] != codes[:-1]) + 1)
+    episodes = int(codes.max()) + 1
+    if len(starts) == episodes:
+        return []
+    for name in columns:
+        values = flat(table, name, ignored=True)
+        if not (pa.types.is_integer(values.type) or is_text(values.type)) or is_missing(values).any():
+            continue
+        found = decoded(values).dictionary_encode().indices.to_numpy()
+        size = int(found.max()) + 1
+        if size * _FEWER > len(starts) or (np.diff(found)[np.diff(codes) == 0] != 0).any():
+            continue
+        pairs = codes[starts] * size + found[starts]
+        if len(np.unique(pairs)) == len(starts):
+            text = f"{len(starts):,} pieces of rows have one value of {episode} and one of {name} each"
+            return [f"{text}, and are read as {episodes:,} episodes: if each {name} counts its own, write both into one column"]
+    return []
+
+
+def _by_names(episode: str, time: str, codes: np.ndarray, moments: np.ndarray) -> list[str]:
+    """What to say of episodes of which most begin at the same time and whose names have another order than the table."""
+    first = np.full(int(codes.max()) + 1, moments.max())
+    np.minimum.at(first, codes, moments)
+    appeared = codes[np.sort(np.unique(codes, return_index=True)[1])]
+    if 2 * len(np.unique(first)) > len(first) or (np.diff(appeared) > 0).all():
+        return []
+    text = f"most episodes begin at the same {time} and are put in the order of {episode}, which is not the table's"
+    return [f"{text}: which are the latest is not known"]
 
 
 def _apart(table: pa.Table, columns: list[str], codes: np.ndarray) -> list[str]:

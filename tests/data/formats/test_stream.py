@@ -71,6 +71,15 @@ def test_streamed_log_is_the_one_in_memory(tmp_path, asked):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["log", "log.parquet"]
 
 
+def test_files_of_a_folder_are_in_the_order_of_the_numbers_in_their_names(tmp_path):
+    (tmp_path / "parts").mkdir()
+    for i in range(12):
+        rows = {"x": [2.0 * i, 2.0 * i + 1], "action": [0, 1], "reward": [1.0, 0.0], "timeout": [False, i == 11]}
+        parquet.write_table(pa.table(rows), tmp_path / "parts" / f"part.{i}.parquet")
+    log = convert(tmp_path / "parts", tmp_path / "log", timeout="timeout", action="action", reward="reward")
+    np.testing.assert_array_equal(log.observations[:, 0], np.arange(24))
+
+
 def test_partitioned_folder_and_arrow(tmp_path):
     table = the_table()
     parquet.write_to_dataset(table, tmp_path / "parts", partition_cols=["kind"])

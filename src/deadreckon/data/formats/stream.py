@@ -36,6 +36,7 @@ from deadreckon.foreign.arrow import check_arrow
 from deadreckon.foreign.door import file_size
 from deadreckon.foreign.parquet import ROWS, check_parquet
 from deadreckon.interrupts import resumable
+from deadreckon.names import natural
 from deadreckon.progress import Progress, unwatched
 
 _PART = 1_000_000  # rows of a part, at least
@@ -251,9 +252,10 @@ def _all_columns(source: Path | str, found: Any) -> tuple[pa.Schema | None, list
 
 def _groups(found: Any, kind: str) -> list[tuple[Any, int]]:
     """What is read at once, in the order of the table, with its rows: row groups of Parquet, files of Arrow."""
+    fragments = sorted(found.get_fragments(), key=lambda fragment: natural(fragment.path))  # part.2 before part.10
     if kind != "parquet":
-        return [(fragment, fragment.count_rows()) for fragment in found.get_fragments()]
-    groups = [group for fragment in found.get_fragments() for group in fragment.split_by_row_group()]
+        return [(fragment, fragment.count_rows()) for fragment in fragments]
+    groups = [group for fragment in fragments for group in fragment.split_by_row_group()]
     # `count_rows` would count the whole file for each of its row groups.
     return [(group, sum(each.num_rows for each in group.row_groups)) for group in groups]
 
