@@ -8,6 +8,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.data.formats.io import convert, read
 from deadreckon.data.normalizer import Normalizer
+from deadreckon.data.schema import Schema
 from deadreckon.data.spec import Discrete, action_space_from_json, action_space_to_json
 from deadreckon.errors import UserError
 
@@ -206,3 +207,21 @@ def test_continuous_actions_are_never_illegal():
     table = {"x": SEEN[:, 0], "dose": np.linspace(0, 1, 6), "reward": np.arange(6.0), "legal": ["a|b"] * 6}
     with pytest.raises(UserError, match="column dose is a continuous action, and only discrete ones can be illegal"):
         Dataset.from_frame(table, action="dose", legal="legal")
+
+
+@pytest.mark.parametrize("words", [("yes", "no"), ("on", "off"), ("True", "False")])
+@pytest.mark.parametrize("legal", [None, "legal"])
+def test_actions_that_are_words_for_true_and_false(tmp_path, words, legal):
+    """The file's reader makes truth values of them, and columns of legal actions are named by the words."""
+    yes, no = words
+    asked = {} if legal is None else {"legal": legal}
+    rows = [f"{i},{yes if i % 2 else no},{i},1,{i % 2}" for i in range(8)]
+    (tmp_path / "columns.csv").write_text("\n".join([f"x,action,reward,legal_{no},legal_{yes}", *rows]) + "\n")
+    rows = [f"{i},{yes if i % 2 else no},{i},{f'{no}|{yes}' if i % 2 else no}" for i in range(8)]
+    (tmp_path / "list.csv").write_text("\n".join(["x,action,reward,legal", *rows]) + "\n")
+    for file in ("columns.csv", "list.csv"):
+        log = read(tmp_path / file, **asked)
+        assert log.action_space == Discrete(2, masked=True)
+        assert log.actions.tolist() == [0, 1] * 4
+        np.testing.assert_array_equal(log.observations[:, -2:], [[1, 0], [1, 1]] * 4)
+        assert read(tmp_path / file, schema=Schema.from_json(log.provenance.extra["schema"])).fingerprint == log.fingerprint

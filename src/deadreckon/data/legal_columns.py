@@ -19,6 +19,7 @@ from deadreckon.data.arrow import (
     is_text,
     levels_of_whole_numbers,
 )
+from deadreckon.data.formats.cells import TRUTHS
 from deadreckon.data.roles import like
 from deadreckon.data.schema import Column
 from deadreckon.errors import UserError, unknown
@@ -42,7 +43,10 @@ def listed_levels(name: str, table: pa.Table, columns: Sequence[Column]) -> list
 
 
 def masks(name: str, table: pa.Table, columns: Sequence[Column], levels: Sequence[Any]) -> dict[str, np.ndarray]:
-    """{role: (rows, n) bool, which actions are legal} of columns of the roles legal and next_legal; see `_mask`."""
+    """{role: (rows, n) bool, which actions are legal} of columns of the roles legal and next_legal; see `_mask`.
+
+    Where actions are true and false, as those of a text file with yes and no are, its words for them mean these.
+    """
     roles = dict.fromkeys(column.role for column in columns)
     return {role: _mask(name, table, [column for column in columns if column.role == role], levels) for role in roles}
 
@@ -60,13 +64,14 @@ def _mask(name: str, table: pa.Table, columns: Sequence[Column], levels: Sequenc
         UserError: a column names an action that there is not, none names one that there is, or a cell is empty.
     """
     place = {_text(level): code for code, level in enumerate(levels)}
+    said = _truth if place.keys() <= {"true", "false"} else str
     mask = np.zeros((table.num_rows, len(levels)), bool)
     if len(columns) == 1 and columns[0].of is None:
         column = columns[0].name
         for row, cell in enumerate(_cells(name, table, column)):
             if cell is None:
                 raise UserError(f"{name}: column {column} is empty in row {row}; it must list the actions that are legal there")
-            for level in cell:
+            for level in map(said, cell):
                 if level not in place:
                     raise UserError(f"{name}: column {column}, row {row}: {unknown('action', level, list(place))}")
                 mask[row, place[level]] = True
@@ -76,10 +81,10 @@ def _mask(name: str, table: pa.Table, columns: Sequence[Column], levels: Sequenc
         if column.of is None:
             text = f"column {column.name} is one of several that say which actions are legal, and needs of = ACTION"
             raise UserError(f"{name}: {text}; actions are {', '.join(place)}")
-        if str(column.of) not in place:
-            raise UserError(f"{name}: column {column.name}: {unknown('action', str(column.of), list(place))}")
-        mask[:, place[str(column.of)]] = flags(name, table, column.name)
-        told.add(str(column.of))
+        if (of := said(str(column.of))) not in place:
+            raise UserError(f"{name}: column {column.name}: {unknown('action', of, list(place))}")
+        mask[:, place[of]] = flags(name, table, column.name)
+        told.add(of)
     if missing := [level for level in place if level not in told]:
         raise UserError(f"{name}: no column says where action {missing[0]} is legal (of = {json.dumps(missing[0])})")
     return mask
@@ -151,6 +156,11 @@ def _text(level: Any) -> str:
     return str(int(level)) if isinstance(level, float) and level.is_integer() else str(level)
 
 
+def _truth(text: str) -> str:
+    """An action that is true or false, whatever word says so."""
+    return TRUTHS.get(text.lower(), text)
+
+
 def find_legal(
     name: str, table: pa.Table, role: str, asked: str | Sequence[str] | None, actions: Sequence[str], free: Sequence[str]
 ) -> dict[str, str | None]:
@@ -176,21 +186,22 @@ def find_legal(
         raise UserError(f"{name}: column {actions[0]} holds {logged.type}, an action is one plain value in each row")
     values = logged.drop_null().unique()
     levels = {_text(value) for value in values.to_pylist()} if len(values) <= MOST_LEVELS else set()
+    said, words, fold = (_truth, {*TRUTHS}, str.lower) if pa.types.is_boolean(logged.type) else (str, levels, str)
     if asked is None:
         taken = [_text(each) for each in logged.to_pylist()]
         for column in (column for column in free if like(role, column) and is_list(flat(table, column))):
-            cells = [cell or [] for cell in _cells(name, table, column)]
+            cells = [[*map(said, cell or [])] for cell in _cells(name, table, column)]
             # A name alone says little: now the logged action is listed in its row, and not it alone everywhere.
             own = role == "next_legal" or all(one in cell for one, cell in zip(taken, cells))
             if own and any(len(cell) > 1 for cell in cells) and levels >= {each for cell in cells for each in cell}:
                 return {column: None}
-        starts = dict.fromkeys(c.removesuffix(f"_{a}") for c in free for a in levels if c.endswith(f"_{a}"))
+        starts = dict.fromkeys(c[: -len(a) - 1] for c in free for a in words if fold(c).endswith(f"_{a}"))
         found = [_for_actions(start, free) for start in starts if like(role, start)]
-        return next((columns for columns in found if levels <= set(columns.values())), {})
+        return next((columns for columns in found if levels <= {said(str(of)) for of in columns.values()}), {})
     columns: dict[str, str | None] = {}
     for each in [asked] if isinstance(asked, str) else asked:
         if each in table.column_names:
-            of = next((a for a in sorted(levels, key=len, reverse=True) if each.endswith(f"_{a}")), None)
+            of = next((a for a in sorted(words, key=len, reverse=True) if fold(each).endswith(f"_{a}")), None)
             columns[each] = None if is_list(flat(table, each)) else of
         elif found := _for_actions(each.removesuffix("_"), table.column_names):
             columns |= found
@@ -221,7 +232,8 @@ def with_levels(name: str, table: pa.Table, actions: Sequence[Column], listed: S
     values = flat(table, action.name)
     if is_category(values.type):
         texts = {_text(value) for value in decoded(values).drop_null().unique().to_pylist()}
-        return replace(action, levels=tuple(sorted(texts | set(listed))))
+        said = _truth if pa.types.is_boolean(values.type) else str
+        return replace(action, levels=tuple(sorted(texts | {*map(said, listed)})))
     whole = levels_of_whole_numbers(values)
     if wrong := [each for each in listed if not re.fullmatch(r"-?\d+", each)]:
         text = f"{wrong[0]!r} is said to be legal, but actions (column {action.name}) are whole numbers"

@@ -318,3 +318,13 @@ def test_timeouts_of_any_numbers_are_flags_beside_episodes(tmp_path, flags, told
             read(tmp_path / "log.parquet")
     else:
         assert read(tmp_path / "log.parquet").timeouts.tolist() == [False, True, False, True]
+
+
+def test_a_time_that_does_not_order_rows_of_our_names_is_told(tmp_path):
+    path = tmp_path / "log.csv"
+    times = [0, 2, 1, 5, 4, 3]
+    path.write_text("time,observation_0,action,reward\n" + "".join(f"{t},{t}.5,{t % 2},1\n" for t in times))
+    words = "rows are taken in the table's order, in which time falls 3 times: --time time puts them in its order"
+    assert words in read(path).warnings
+    path.write_text("time,observation_0,action,reward\n" + "".join(f"{t},{t}.5,{t % 2},1\n" for t in sorted(times)))
+    assert not any("falls" in line for line in read(path).warnings)

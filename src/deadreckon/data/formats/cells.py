@@ -20,6 +20,7 @@ DASH = "-"  # among numbers only
 PLAIN = Dialect(",", ".", "", "utf-8", '"')
 _PAIRS = (("yes", "no"), ("ja", "nein"), ("oui", "non"), ("si", "no"), ("sí", "no"), ("sì", "no"), ("true", "false"),
           ("y", "n"), ("j", "n"), ("t", "f"), ("on", "off"))  # fmt: skip
+TRUTHS = {word: truth for pair in _PAIRS for word, truth in zip(pair, ("true", "false"))}  # by words in lower case
 _LONE = ("yes", "no", "ja", "nein", "oui", "true", "false")  # enough even if the other of the pair never occurs
 _SPACES = " \\x{a0}\\x{202f}\\x{2009}"
 _THOUSANDS = {" ": f"[{_SPACES}]", "'": "['’]", ".": "[.]", ",": ","}

@@ -149,6 +149,10 @@ def _named_ours(path: Path | str, table: pa.Table, horizon: int | None, scratch:
     if horizon is None and not ordered:
         columns["terminals"] = np.ones(table.num_rows, bool)  # nothing tells of episodes: decisions that stand alone
         warnings.append(ALONE)
+    clock = [key for key in table.column_names if like("time", key) and "episode" not in table.column_names and key in columns]
+    if clock and (falls := int((np.diff(columns[clock[0]]) < 0).sum())):
+        text = f"rows are taken in the table's order, in which {clock[0]} falls {falls:,} times"
+        warnings.append(f"{text}: --time {clock[0]} puts them in its order")
     if "propensity" in columns and LOG_PROBS not in columns:
         columns[LOG_PROBS] = log_probabilities(str(path), table, "propensity", columns["actions"])
         del columns["propensity"]
