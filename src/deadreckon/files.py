@@ -169,6 +169,12 @@ def digest(value: Any, size: int, *, sort_keys: bool = False) -> str:
     return hashlib.blake2b(json.dumps(value, sort_keys=sort_keys).encode(), digest_size=size).hexdigest()
 
 
+def content_digest(path: Path | str) -> str:
+    """16 bytes in hexadecimal that tell the contents of files apart."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+
+
 def write_at(path: Path, offset: int, data: bytes | memoryview, *, cut: bool = True) -> None:
     """Writes `data` at `offset` of a growing file, cuts off what was behind it, and sees it onto the disk.
 

@@ -1,5 +1,7 @@
 """A tree says what a policy does where it can, and that it cannot where it cannot."""
 
+import shutil
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,13 +11,15 @@ from deadreckon.cli.main import main
 from deadreckon.data.schema import Column, Schema
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
+from deadreckon.files import write_json
 from deadreckon.nets.mlp import MLP
 from deadreckon.policies import store
-from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.policies.deployed import EnvPolicy, Mixture
 from deadreckon.policies.kinds import Categorical, Deterministic
-from deadreckon.report.explained import drawing
-from deadreckon.runs.explain import DEPTHS, Explained, explain
+from deadreckon.report.explained import _of, drawing
+from deadreckon.runs.explain import DEPTHS, Explained, _groups, _names, explain
 from deadreckon.runs.explained_tree import Node
+from deadreckon.runs.run import load
 
 ROWS = 1500
 
@@ -183,3 +187,43 @@ def test_the_seed_of_the_policy_is_called_as_in_predict_and_may_have_its_old_nam
 
 def test_depths_are_few():
     assert DEPTHS[-1] <= 6
+
+
+def test_exchanged_values_are_asked_of_the_member_that_acted_before(log, tmp_path):
+    """Of a mixture whose members act differently; no column matters but the first two."""
+    members = [EnvPolicy(linear((0, 0, 0), weights), None, None, None, None) for weights in ((4, 0, 0), (0, 4, 0))]
+    store.save(tmp_path / "m.npz", Mixture.of(members))
+    found = explain(tmp_path / "m.npz", log)
+    changes = {each.column: each.change for each in found.columns}
+    assert changes["observation 2"] == 0.0  # a fifth and more of all rows got another member
+    assert 0.15 < changes["observation 0"] < 0.35
+    assert 0.15 < changes["observation 1"] < 0.35
+
+
+def test_all_numbers_of_a_column_are_exchanged_together_in_each_step_of_a_history():
+    rng = np.random.default_rng(0)
+    frame = {"plan": rng.choice(["a", "b", "c"], 60), "x": rng.normal(size=60), "day": np.arange(60) // 6,
+             "action": rng.choice(["on", "off", "wait"], 60), "reward": rng.normal(size=60)}  # fmt: skip
+    data = dr.Dataset.from_frame(frame, episode="day")
+    names = _names(data, 2)
+    assert len(names) == 2 * 4 + 3
+    groups = _groups(data, 2)
+    assert [(name, [names[i] for i in numbers]) for name, numbers in groups] == [
+        ("plan, 1 back", ["plan=a, 1 back", "plan=b, 1 back", "plan=c, 1 back"]), ("x, 1 back", ["x, 1 back"]),
+        ("action, 1 back", ["action off, 1 back", "action on, 1 back", "action wait, 1 back"]),
+        ("plan", ["plan=a", "plan=b", "plan=c"]), ("x", ["x"]),
+    ]  # fmt: skip
+    continuous = dr.Dataset.from_frame({**frame, "action": rng.normal(size=60)}, episode="day")
+    assert [name for name, _ in _groups(continuous, 3)] == [
+        *(f"{name}, {back} back" for back in (2, 1) for name in ("plan", "x", "action action")), "plan", "x",
+    ]  # fmt: skip
+
+
+def test_a_page_shows_no_tree_of_an_earlier_policy(table, tmp_path):
+    folder = shutil.copytree(table[1].path, tmp_path / "run")
+    found = explain(folder, table[0] / "log.csv")
+    write_json(folder / "explain.json", found.as_json())
+    assert "has changed since it was explained" not in str(_of(folder / "explain.json"))
+    assert found.headline[1:] in str(_of(folder / "explain.json"))
+    store.save(folder / "policies" / "seed0.npz", load(folder).policies[0], {"more": 1})
+    assert "The policy has changed since it was explained; `deadreckon explain " in str(_of(folder / "explain.json"))

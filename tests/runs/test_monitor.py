@@ -17,9 +17,11 @@ from deadreckon.ope.estimand import Estimand
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import Deterministic
+from deadreckon.runs.decision_record import saved_at
 from deadreckon.runs.monitor import monitor
 from deadreckon.runs.reading import Read
 from deadreckon.runs.realised import Realised, finished, realised, returns_of
+from deadreckon.runs.run import load
 from deadreckon.runs.subject import Subject, estimates_of, subject
 from tests.recorded import decision
 
@@ -383,3 +385,36 @@ def test_the_estimate_of_one_of_many_is_taken_as_that_of_the_chosen():
     # The quantiles of a normal distribution at 1 - 0.05 / 12 and at 0.975.
     assert found.estimated.low == pytest.approx(0.5 - 0.1 * 2.638257 / 1.959964, abs=1e-6)
     assert found.estimated.high == pytest.approx(0.5 + 0.1 * 2.638257 / 1.959964, abs=1e-6)
+
+
+def test_the_log_that_a_policys_file_knows_is_recognised_without_its_run(place, tmp_path):
+    shutil.copy(place / "run" / "policies" / "seed0.npz", tmp_path / "alone.npz")
+    alone, new = tmp_path / "alone.npz", place / "same.csv"
+    said = [monitor(alone, new, reference=place / each).compared for each in ("log.csv", "first.csv")]
+    assert said[0] == "compared: all rows; actions with the policy's greedy ones in the reference"
+    assert said[1] == "compared: all rows and logged actions"
+
+
+def test_a_value_is_compared_with_that_of_the_actions_in_use(place, tmp_path):
+    found = monitor(place / "run", place / "same.csv", estimates=place, greedy=False)
+    assert found.value == "not compared: the policy's sampled actions are in use, and its greedy ones were estimated"
+    assert not isinstance(monitor(place / "run", place / "same.csv", estimates=place, greedy=True).value, str)
+    for option, given in (("--greedy", {"greedy": True}), ("--return-range", {"return_range": (0.0, 1.0)})):
+        with pytest.raises(UserError, match=f"{option} is about the policy's actions or value, and --made-by reference"):
+            of_reference(place, "same.csv", made_by="reference", **given)
+
+
+def test_estimates_of_a_policy_that_was_trained_further_are_not_taken(place, tmp_path):
+    run = shutil.copytree(place / "run", tmp_path / "run")
+    file = run / "policies" / "seed0.npz"
+    results = [{"value": [0.5, 0.4], "low": [0.4, 0.3], "high": [0.6, 0.5]}]
+    (tmp_path / "judged").mkdir()
+    told = decision([{"name": "run seed 0", **saved_at(file, tmp_path / "judged")}], results)
+    write_json(tmp_path / "judged" / "estimates.json", told)
+    assert estimates_of(subject(run), tmp_path / "judged") is not None
+    moved = shutil.copytree(tmp_path, tmp_path.parent / f"{tmp_path.name}-moved")
+    shutil.rmtree(run)
+    assert estimates_of(subject(moved / "run"), moved / "judged") is not None
+    store.save(moved / "run" / "policies" / "seed0.npz", load(moved / "run").policies[0], {"more": 1})
+    with pytest.raises(UserError, match="has no estimates of run seed 0 .* as it is now"):
+        estimates_of(subject(moved / "run"), moved / "judged")

@@ -237,6 +237,7 @@ def test_another_deciding_estimator_is_another_look(noise, tmp_path, monkeypatch
     ({"estimators": []}, "no estimator"), ({"out": "file"}, "file is a file; --out must be a folder"),
     ({"model": BehaviorModel(steps=0)}, "BehaviorModel.steps takes a whole number"),
     ({"episodes": 1, "task": "maze2d-umaze"}, "episodes must be 2 or more, for a standard error, got 1"),
+    ({"estimators": "dice", "horizon": 3}, "BestDICE does not take a horizon"),
 ])  # fmt: skip
 def test_what_is_refused_is_no_look(noise, tmp_path, monkeypatch, change, words):
     log, run, _ = noise

@@ -206,7 +206,8 @@ class _Episodes(NamedTuple):
             RowsError: nothing tells the episodes apart, or their rows are not in order, which one step does not need.
         """
         rows, columns, key, time = len(found.observations), found.columns or {}, *map(encoder.one.get, ("episode", "time"))
-        if encoder.alone or (steps == 1 and key not in columns):
+        cut = key is None and any(each in columns for each in encoder.ends)  # flags of ends alone tell episodes apart
+        if encoder.alone or (steps == 1 and key not in columns and not cut):
             return cls(np.arange(rows), np.zeros(rows, int), None)
         where = f"{encoder.name}: this policy acts on the last {steps} steps of an episode"
         if found.columns is None:
@@ -214,7 +215,7 @@ class _Episodes(NamedTuple):
         if key is not None and key not in columns:
             raise RowsError(f"{where}: give the column {key} of the episode, and each episode's rows in order of time")
         names = columns[key].tolist() if key is not None else [0] * rows
-        ended = _ended(encoder, columns, rows, where, key is None) if steps > 1 else np.zeros(rows, bool)
+        ended = _ended(encoder, columns, rows, where, key is None and steps > 1) if steps > 1 or cut else np.zeros(rows, bool)
         moments, order = None, (encoder.schema or {}).get("table", {}).get("dates")
         if time is not None and time in columns and steps > 1:
             dates = encoder.times not in ("number", "integer")
@@ -292,7 +293,8 @@ def acted(
         episodes: how rows follow one another; None for policies without memory.
         rng: of sampled actions, and of a mixture's members.
         greedy: take the deterministic actions.
-        tell: whether probabilities are asked for; those of a mixture are the means of its members'.
+        tell: whether probabilities are asked for; those of a mixture are the means of its members', but of the one that acts in
+            all rows of an episode of several, where products of means would be no probabilities of what it does.
     """
     if player.members:
         assert episodes is not None
@@ -300,7 +302,10 @@ def acted(
         parts = [acted(member, found, episodes, rng, greedy, tell) for member in player.members]
         actions = np.stack([part[0] for part in parts])[which, np.arange(len(found))]
         probs = [part[1] for part in parts if part[1] is not None]
-        return actions, np.mean(probs, 0) if probs else None
+        if not probs:
+            return actions, None
+        several = (np.bincount(episodes.number)[episodes.number] > 1)[:, None]
+        return actions, np.where(several, np.stack(probs)[which, np.arange(len(found))], np.mean(probs, 0))
     if player.steps > 1:
         assert episodes is not None
         return _on_histories(player, found, episodes, rng, greedy, tell)

@@ -1,12 +1,15 @@
 """What a policy does, as a tree, and which columns it acts on; where `deadreckon explain` has been asked."""
 
-from deadreckon.files import read_json
+from pathlib import Path
+
+from deadreckon.files import content_digest, read_json
 from deadreckon.report import forest
 from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import breakable, figure, note
 from deadreckon.runs.explain import NAME, Explained
 from deadreckon.runs.explained_tree import Node
+from deadreckon.runs.player import CROSS_FIT
 from deadreckon.stats.interval import PERCENT, Interval
 
 SHOWN = 12  # columns
@@ -14,9 +17,21 @@ SHOWN = 12  # columns
 
 def section(page: Page) -> Markup | None:
     """One part for each run of which it is known."""
-    files = [folder.path / NAME for entry in page.entries for folder, _ in entry.folders]
-    parts = [part(Explained.from_json(read_json(file, Explained))) for file in files if file.exists()]
+    folders = [folder.path for entry in page.entries for folder, _ in entry.folders]
+    crossed = [folder.parent for folder in folders if (folder.parent / CROSS_FIT).exists()]
+    files = [folder / NAME for folder in dict.fromkeys([*crossed, *folders])]
+    parts = [_of(file) for file in files if file.exists()]
     return join(*parts) if parts else None
+
+
+def _of(file: Path) -> Markup:
+    """The part of one file, if the policy that it explains is still there."""
+    found = Explained.from_json(read_json(file, Explained))
+    there = [*file.parent.glob("policies/*.npz"), *file.parent.glob("*.npz")]
+    if found.digest is None or found.digest in map(content_digest, there):
+        return part(found)
+    again = f"The policy has changed since it was explained; `deadreckon explain {file.parent}` explains it as it is now."
+    return join(tag("h3", found.name), note(again))
 
 
 def part(found: Explained) -> Markup:

@@ -31,7 +31,6 @@ from deadreckon.data.info import warnings_for
 from deadreckon.data.leaks import leaks
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
-from deadreckon.files import write_json
 from deadreckon.ope.behavior_model import PROPENSITIES
 from deadreckon.ope.costs import limits_of
 from deadreckon.ope.features import Features
@@ -41,6 +40,7 @@ from deadreckon.ope.settings import EvidenceSettings
 from deadreckon.runs import offline
 from deadreckon.runs.callback import StopTraining
 from deadreckon.runs.candidates import CONTINUOUS, DISCRETE, Candidate, agent_of, units
+from deadreckon.runs.decision_record import write_results
 from deadreckon.runs.durations import in_words
 from deadreckon.runs.holdout import divided, of_share, too_few, usual
 from deadreckon.runs.settings import JudgeSettings, RecommendSettings
@@ -396,7 +396,7 @@ class Attempt:
                 each = (time.perf_counter() - again) / 2
                 episodes = min(int(0.7 * self.left() / max(each, 1e-9)), EPISODES)
                 if episodes >= FEW:
-                    write_json(self.out / offline.NAME, judged.results | {"truth": seen(episodes)})
+                    write_results(self.out / offline.NAME, judged.results | {"truth": seen(episodes)})
                     self.send("state", {"checked": True})
                     return
         took = in_words(time.perf_counter() - begun)

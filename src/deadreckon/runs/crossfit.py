@@ -36,6 +36,7 @@ from deadreckon.versions import differences
 
 Deliver = Literal["mixture", "refit"]
 NAME, MIXTURE, REFIT = "crossfit.json", "mixture.npz", "refit"
+MIXTURE_OF = "mixture-seed{}.npz"  # of one seed, where there are several
 
 
 @dataclass(frozen=True)
@@ -78,10 +79,11 @@ class CrossFit:
         return Mixture.of([run.policies[run.seeds.index(seed)] for run in self.runs])
 
     def file_of(self, seed: int) -> Path | None:
-        """The file of `policy_of`; None where there is only one of all seeds together."""
+        """The file of `policy_of`; None where a fold's policy of that seed failed, or in folders of before there was one."""
         if self.config["deliver"] != "mixture":
             return Folder(self.policy_path).policy(seed)
-        return self.policy_path if len(self.runs[0].seeds) == 1 else None
+        file = self.policy_path if len(self.runs[0].seeds) == 1 else self.path / MIXTURE_OF.format(seed)
+        return file if file.exists() else None
 
     def __str__(self) -> str:
         held = [run.config["data"]["holdout"]["held"] for run in self.runs]
@@ -169,7 +171,12 @@ def _cross_fit(agent: Any, log: Dataset, path: Path, config: dict[str, Any], sha
         config["members"] = [[k, runs[k].seeds[i]] for k, i in picked]
         mixture = Mixture.of([runs[k].policies[i] for k, i in picked])
         meta = {"agent": config["agent"], "members": config["members"], "log": noted(log)}
-        store.save(path / MIXTURE, mixture, meta, taught=log.episode_ids, held=np.zeros(0, np.uint64))
+        known = {"taught": log.episode_ids, "held": np.zeros(0, np.uint64)}
+        store.save(path / MIXTURE, mixture, meta, **known)
+        for i in {*range(len(runs[0].seeds))}.intersection(*healthy) if len(runs[0].seeds) > 1 else ():
+            one = Mixture.of([run.policies[i] for run in runs])  # what is judged as this seed's
+            of = meta | {"members": [[k, run.seeds[i]] for k, run in enumerate(runs)]}
+            store.save(path / MIXTURE_OF.format(runs[0].seeds[i]), one, of, **known)
     else:
         train(agent, log, out=path / REFIT, holdout=0, **shared)
     write_json(path / NAME, config)
@@ -208,5 +215,6 @@ def _begin(path: Path, config: dict[str, Any], resume: bool) -> None:
             raise UserError(f"{path} holds another cross-fit: {different[0]}; choose another --out")
     elif path.exists() and not (path.is_dir() and all(p.suffix == ".tmp" for p in path.iterdir())):
         raise UserError(f"{path} exists and is not a cross-fit; choose another --out")
-    (path / MIXTURE).unlink(missing_ok=True)  # the folds may be made longer; it is made of them anew
+    for mixture in path.glob("mixture*.npz"):
+        mixture.unlink()  # the folds may be made longer; they are made of them anew
     write_json(path / NAME, config)

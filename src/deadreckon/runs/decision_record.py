@@ -1,11 +1,15 @@
-"""The shape of `estimates.json`, which `judge` and `recommend` write: it is checked before anything looks into it."""
+"""`estimates.json`, which `judge` and `recommend` write: its shape, which is checked before anything looks into it, numbers
+that JSON does not have, and which file it means by a policy.
+"""
 
+import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, NotRequired, TypedDict
 
 from deadreckon.errors import UserError
-from deadreckon.files import is_there, read_json
+from deadreckon.files import content_digest, is_there, read_json, write_json
 from deadreckon.foreign.shapes import checked, same_length, wrong
 
 Number = float | None
@@ -27,6 +31,8 @@ class JudgedPolicy(TypedDict):
     run: str
     seed: int | None
     file: NotRequired[str | None]
+    beside: NotRequired[str | None]
+    digest: NotRequired[str | None]
 
 
 class JudgedOn(TypedDict):
@@ -165,6 +171,60 @@ class Estimates(TypedDict):
     recommend: NotRequired[Recommended]
 
 
+def saved_at(file: Path | None, out: Path | str | None) -> dict[str, str | None]:
+    """What is noted of a policy's file: its path, the same from the record's folder `out`, and its content."""
+    if file is None:
+        return {"file": None}
+    beside = None
+    if out is not None and Path(file).absolute().drive == Path(out).absolute().drive:
+        beside = os.path.relpath(Path(file).absolute(), Path(out).absolute())
+    return {"file": str(file), "beside": beside, "digest": content_digest(file)}
+
+
+def file_of(policy: Mapping[str, Any], folder: Path) -> Path | None:
+    """The file of a policy that was judged: at its place from the record's folder, or where it was; None: it is gone.
+
+    Raises:
+        UserError: there is a file, and another policy in it.
+    """
+    places = [folder / beside] if (beside := policy.get("beside")) else []
+    places += [Path(file)] if (file := policy.get("file")) else []
+    there = [place for place in places if is_there(place)]
+    same = [place for place in there if is_same(policy, place)]
+    if there and not same:
+        text = f"{there[0]} is not the policy that was judged as {policy['name']}: it was trained further, or exchanged"
+        raise UserError(f"{folder}: {text}; estimate it again, or name its run to use it all the same")
+    return same[0] if same else None
+
+
+def is_same(policy: Mapping[str, Any], file: Path) -> bool:
+    """Whether a file holds the policy that was judged, as far as the record tells."""
+    return policy.get("digest") is None or content_digest(file) == policy["digest"]
+
+
+def write_results(path: Path | str, results: Mapping[str, Any]) -> None:
+    """Writes `estimates.json`; numbers that are not finite, which JSON does not have, as null. Atomic."""
+    write_json(path, _finite(results))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _ends(values: list[Number], unknown: float) -> list[float]:
+    """Numbers, of which null was one that JSON does not have."""
+    return [unknown if value is None else value for value in values]
+
+
+def _interval(triple: list[Number]) -> list[float]:
+    """An estimate and its interval, where null is no number, and the ends of one without bounds."""
+    return [no if value is None else value for value, no in zip(triple, (math.nan, -math.inf, math.inf))]
+
+
 def is_from(policy: Mapping[str, Any], folder: Path) -> bool:
     """Whether a policy that was judged is of a run's or cross-fit's folder: by its file, or by its name where that is gone."""
     if policy["run"] != folder.name:
@@ -184,7 +244,10 @@ def read_results(path: Path | str) -> dict[str, Any]:
         raise UserError(f"{path} is from a version that judged policies on the rows that taught them; estimate them again")
     checked(found, Estimates, path)
     policies, choice = len(found["policies"]), found["choice"]
+    choice["gain"] = _interval(choice["gain"])
     for number, each in enumerate(found["results"]):
+        each["value"], each["low"] = _ends(each["value"], math.nan), _ends(each["low"], -math.inf)
+        each["high"], each["gain"] = _ends(each["high"], math.inf), list(map(_interval, each["gain"]))
         for field in ("value", "low", "high", *(["effective"] if each["effective"] else [])):
             same_length(path, f"results[{number}].{field}", each[field], policies + 1)
         if len(each["gain"]) not in (policies, policies + 1):
@@ -202,6 +265,7 @@ def read_results(path: Path | str) -> dict[str, Any]:
         same_length(path, f"support.{key}", found["support"][key], policies)
     same_length(path, "choice.objections", choice["objections"], policies)
     for number, cost in enumerate(choice.get("costs", ())):
+        cost["ends"] = list(map(_interval, cost["ends"]))
         same_length(path, f"choice.costs[{number}].ends", cost["ends"], policies + 1)
     for key in ("mean", "error") if found["truth"] else ():
         same_length(path, f"truth.{key}", found["truth"][key], policies)

@@ -7,7 +7,7 @@ policy itself and not of the tree: its values are exchanged between fresh rows, 
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import jax
@@ -19,7 +19,7 @@ from deadreckon.data.history import stacked
 from deadreckon.data.split import clusters, group_of
 from deadreckon.data.told import action_names, columns_of, observation_names, schema_of
 from deadreckon.errors import UserError, extra
-from deadreckon.files import write_json
+from deadreckon.files import content_digest, write_json
 from deadreckon.policies.deployed import history_of
 from deadreckon.policies.pure import MEMBER, Pure, pure
 from deadreckon.provided import Shown
@@ -70,6 +70,7 @@ class Explained(Shown):
         explains: whether the tree is surely better than the constant action.
         tree: its root; None where it explains nothing.
         columns: what matters, most first.
+        digest: of the content of the policy's file, by which a page knows whether it is still that policy; None: not known.
     """
 
     name: str
@@ -84,6 +85,7 @@ class Explained(Shown):
     explains: bool
     tree: Node | None
     columns: tuple[Matters, ...]
+    digest: str | None = None
 
     def as_json(self) -> dict[str, Any]:
         """As JSON values."""
@@ -138,6 +140,7 @@ def explain(run: Any, log: Any = None, *, seed: int | None = None) -> Explained:
     if len(data.spec.observation_shape) > 1:
         raise UserError(f"{data.name}: image observations (shape {data.spec.observation_shape}) cannot be explained by columns")
     found = _explained(one.name, function, data, history_of(one.policy))
+    found = replace(found, digest=None if one.file is None else content_digest(one.file))
     if one.folder is not None and log is None:
         write_json(one.folder / NAME, found.as_json())
     return found
@@ -148,8 +151,8 @@ def _explained(name: str, function: Pure, data: Dataset, steps: int) -> Explaine
     at = np.unique(np.linspace(0, len(data) - 1, min(len(data), ROWS)).astype(int))
     x = np.asarray(stacked(data, steps).observations[at], np.float32)
     unit, discrete = _units(data, at), data.spec.discrete
-    ask = _asker(function, len(x))
-    done = ask(x)
+    ask = _asker(function)
+    done = ask(x, np.arange(len(x)))
     first, chooses, fresh = _parted(unit, rng)
     scale = np.ones(1) if discrete else done[first].std(0)
     scale = np.where(scale > 1e-9, scale, np.inf)  # an action that never changes is no mistake
@@ -176,19 +179,21 @@ def _explained(name: str, function: Pure, data: Dataset, steps: int) -> Explaine
     tree = None
     if explains:
         tree = node_of(trees[depth], names, marks, _units_of(data, names), said, _units_of(data, said), discrete)
-    matters = _matters(ask, x[fresh], done[fresh], unit[fresh], _groups(data, names, steps), scale, discrete, rng)
+    again = lambda other: ask(other, fresh)  # noqa: E731
+    matters = _matters(again, x[fresh], done[fresh], unit[fresh], _groups(data, steps), scale, discrete, rng)
     ends = fidelity.value, fidelity.low, fidelity.high
     return Explained(name, data.name, discrete, len(own), depth, *ends, still, bool(explains), tree, matters)
 
 
-def _asker(function: Pure, rows: int) -> Any:
-    """What gives actions at (rows, size) observations; of a mixture each member acts in its share of the rows."""
+def _asker(function: Pure) -> Any:
+    """What gives actions at (rows, size) observations, with the numbers of these rows: of a mixture each member acts in its
+    share of them, and in the same rows whenever it is asked."""
     call = jax.jit(lambda *given: function.call(*given)[0])
 
-    def ask(x: np.ndarray) -> np.ndarray:
+    def ask(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
         given = [jnp.asarray(x)]
         if MEMBER in function.inputs:
-            given.append(jnp.asarray(np.arange(len(x)) % function.members, jnp.int32))
+            given.append(jnp.asarray(rows % function.members, jnp.int32))
         return np.asarray(call(*given))
 
     return ask
@@ -273,13 +278,20 @@ def _units_of(data: Dataset, names: Sequence[str]) -> list[str]:
     return [known.get(name, known.get(name.rpartition(", ")[0], "")) for name in names]  # of a history "age, 1 back"
 
 
-def _groups(data: Dataset, names: Sequence[str], steps: int) -> list[tuple[str, list[int]]]:
+def _groups(data: Dataset, steps: int) -> list[tuple[str, list[int]]]:
     """Columns with the numbers that each became; their values are exchanged together."""
-    if steps > 1:
-        return [(name, [i]) for i, name in enumerate(names)]
+    size, acts = len(observation_names(data)), action_names(data)
     groups = [(each.name, list(each.dimensions)) for each in columns_of(data) if each.role == "observation" and each.dimensions]
-    rest = sorted(set(range(len(names))) - {i for _, dimensions in groups for i in dimensions})
-    return [*groups, ("legal actions", rest)] if rest else groups
+    rest = sorted(set(range(size)) - {i for _, dimensions in groups for i in dimensions})
+    groups += [("legal actions", rest)] if rest else []
+    width = size + len(acts)  # of a step that is past
+    done = [("action", list(range(size, width)))]  # marks of one where it is discrete
+    done = done if data.spec.discrete else [(f"action {name}", [size + i]) for i, name in enumerate(acts)]
+    past = [
+        (f"{name}, {back} back", [(steps - 1 - back) * width + i for i in each])
+        for back in range(steps - 1, 0, -1) for name, each in [*groups, *done]
+    ]  # fmt: skip
+    return [*past, *((name, [(steps - 1) * width + i for i in each]) for name, each in groups)]
 
 
 def _matters(

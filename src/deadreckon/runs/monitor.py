@@ -125,6 +125,9 @@ def monitor(
         raise UserError(f"alpha must be between 0 and 1, got {alpha:g}")
     if made_by not in (None, "policy", "reference"):
         raise UserError(f"made_by is policy or reference, got {made_by!r}")
+    said = {"--return-range": return_range, "--greedy": greedy}
+    if made_by == "reference" and (idle := next((option for option, value in said.items() if value is not None), None)):
+        raise UserError(f"{idle} is about the policy's actions or value, and --made-by reference compares neither")
     one = subject(run, seed)
     told = estimates_of(one, estimates)
     option = "--reference (in Python reference=)"
@@ -148,7 +151,10 @@ def monitor(
     columns = compared.drifts(before, new, which, first, DRIFT * alpha)
     outside = compared.outside(old, new, which, first, OUTSIDE * alpha)
     value: Realised | str = "not compared: the new log was not made by the policy of the run"
-    if made_by != "reference":
+    if told is not None and bool(told[0]["estimand"]["greedy"]) != greedy:
+        kinds = ("sampled", "greedy")[greedy], ("sampled", "greedy")[not greedy]
+        value = f"not compared: the policy's {kinds[0]} actions are in use, and its {kinds[1]} ones were estimated"
+    elif made_by != "reference":
         value = realised(new, old, told, return_range, VALUE * alpha)
     tested = "" if new.episodes >= drift.FIRST else f"not tested: {drift.FIRST} finished episodes are needed"
     if len(before.starts) < compared.FEWEST:

@@ -13,7 +13,7 @@ from deadreckon.data.spec import Spec
 from deadreckon.data.split import RANDOM, TIME, group_of
 from deadreckon.data.split import clusters as clusters_of
 from deadreckon.errors import UserError
-from deadreckon.files import alone, digest, write_json
+from deadreckon.files import alone, digest
 from deadreckon.interrupts import resumable
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.decide import Decision, automatic, check, decide
@@ -25,7 +25,7 @@ from deadreckon.ope.registry import Function, as_estimators, fits_name, titled
 from deadreckon.ope.select import Choice, gains, supported
 from deadreckon.ope.settings import DecisionSettings, EstimateSettings
 from deadreckon.provided import provided
-from deadreckon.runs.decision_record import read_results
+from deadreckon.runs.decision_record import read_results, saved_at, write_results
 from deadreckon.runs.evaluate import evaluate
 from deadreckon.runs.gather import Gathered, check_encodings, for_case, fresh, gather
 from deadreckon.runs.looks import Look, look
@@ -116,6 +116,8 @@ def judge_alone(
     if isinstance(estimators, str) and estimators == "auto":
         estimators = automatic(case, settings.model, settings.accept_model_based)
     estimators = as_estimators(estimators)
+    for each in estimators:
+        each.check(case)
     current = Look(1, ALPHA, len(candidates))
     if settings.counted:
         # What the intervals of gains come of: another estimator, or other clusters, would be another try.
@@ -128,7 +130,7 @@ def judge_alone(
         "log": data.name, "estimand": case.estimand.as_json() | {"words": str(case.estimand)}, "seed": settings.seed,
         "truth": None,
         "policies": [
-            {"name": name, "run": each.run, "seed": each.seed, "file": None if each.file is None else str(each.file)}
+            {"name": name, "run": each.run, "seed": each.seed, **saved_at(each.file, settings.out)}
             for name, each in zip(case.names, candidates)
         ],
         "propensities": "logged" if "behavior_log_probs" in data.extras else "learned",
@@ -148,7 +150,7 @@ def judge_alone(
 
 def _write(settings: JudgeSettings, results: dict[str, Any]) -> None:
     if settings.out is not None:
-        write_json(Path(settings.out) / NAME, results)
+        write_results(Path(settings.out) / NAME, results)
 
 
 def _told_apart(estimator: Estimator) -> str:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from deadreckon.errors import UserError, reading
 from deadreckon.policies.file import fitting, numpy_player, read_policy
 from deadreckon.policies.table_predict import Predictor
-from deadreckon.runs.decision_record import read_results
+from deadreckon.runs.decision_record import file_of, read_results
 from deadreckon.runs.folder import Folder, policy_seed
 from deadreckon.runs.records import read_status
 
@@ -36,26 +36,30 @@ def chosen(path: Path | str, seed: int | None = None) -> Chosen:
     """The policy that `path` stands for.
 
     Args:
-        path: a policy file; a run, whose first seed that has not failed is meant; a cross-fit, whose mixture is; or a folder of
-            `ope` or `recommend`, whose policy to deploy is.
+        path: a policy file; a folder of `ope` or `recommend`, whose policy to deploy is meant, also where that is the run's own
+            folder; a run, whose first seed that has not failed is; or a cross-fit, whose mixture is.
         seed: another seed of a run.
 
     Raises:
         UserError: it is none of these, has no such policy, or the decision is to deploy none.
     """
     path = Path(path)
+    own = (path / "run.json").exists() or (path / CROSS_FIT).exists()
+    decided = read_results(path / ESTIMATES)["choice"] if seed is None and (path / ESTIMATES).exists() else None
+    if decided is not None and (decided["deploy"] or not own):
+        return _of_decision(path)
+    against = "" if decided is None else f"; {path / ESTIMATES} says: do not deploy"
     if (path / "run.json").exists():
-        return _of_run(Folder(path), seed)
+        found = _of_run(Folder(path), seed)
+        return found._replace(words=f"{found.words}{against}")
     if seed is not None:
         raise UserError(f"{path} is no run, so it has no seeds; leave it out")
-    if (path / ESTIMATES).exists():
-        return _of_decision(path)
     if (path / CROSS_FIT).exists():
         from deadreckon.runs.crossfit import load_cross_fit
 
         delivered = load_cross_fit(path).policy_path
         found = _of_run(Folder(delivered), None) if delivered.is_dir() else Chosen(delivered, "the policy of the cross-fit")
-        return found._replace(owner=path)
+        return found._replace(owner=path, words=f"{found.words}{against}")
     if path.is_file() and _is_archive(path):
         return Chosen(path, path.name)
     what = "a folder without a run, a cross-fit or estimates" if path.is_dir() else "no file or folder"
@@ -85,11 +89,11 @@ def _of_decision(path: Path) -> Chosen:
     if not choice["deploy"]:
         reason = f": {choice['reason']}" if choice["reason"] else ""
         raise UserError(f"{path}: the decision is to deploy none of its policies{reason}; name a run to use one all the same")
-    file = next((each["file"] for each in results["policies"] if each["name"] == choice["name"]), None)
-    if file is None or not Path(file).exists():
-        raise UserError(f"{path}: the policy to deploy, {choice['name']}, is not at {file}; name its run")
+    judged = next((each for each in results["policies"] if each["name"] == choice["name"]), {})
+    if (file := file_of(judged, path)) is None:
+        raise UserError(f"{path}: the policy to deploy, {choice['name']}, is not at {judged.get('file')}; name its run")
     sampled = not (results.get("estimand") or {}).get("greedy", True)
-    return Chosen(Path(file), f"{choice['name']}, the policy to deploy by {path}", sampled, _owner(Path(file)), path)
+    return Chosen(file, f"{choice['name']}, the policy to deploy by {path}", sampled, _owner(file), path)
 
 
 def _owner(file: Path) -> Path | None:

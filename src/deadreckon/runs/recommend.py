@@ -19,13 +19,13 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.folder import write_folder
 from deadreckon.errors import UserError, cannot_write
-from deadreckon.files import alone, write_json
+from deadreckon.files import alone
 from deadreckon.ope.select import Choice
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.provided import Shown
 from deadreckon.runs.attempt import Job
 from deadreckon.runs.clock import Clock
-from deadreckon.runs.decision_record import read_results
+from deadreckon.runs.decision_record import read_results, write_results
 from deadreckon.runs.durations import in_words
 from deadreckon.runs.follow import Found, followed
 from deadreckon.runs.offline import NAME, checked, supports
@@ -175,7 +175,7 @@ def _written(out: Path, log: str, again: str | None, found: Found, clock: Clock)
         told["choice"]["warnings"].append(f"what follows judging was not done: {found.fault}")
     told["choice"]["warnings"] += state.get("leaks", [])
     told["recommend"] = mine
-    write_json(path, told)
+    write_results(path, told)
     return told
 
 

@@ -6,6 +6,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from deadreckon.data import catalogue
 from deadreckon.data.arrow import to_arrow
 from deadreckon.data.dataset import Dataset
@@ -19,7 +21,7 @@ from deadreckon.names import shown
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.runs.crossfit import MIXTURE
-from deadreckon.runs.decision_record import is_from, read_results
+from deadreckon.runs.decision_record import is_from, is_same, read_results
 from deadreckon.runs.gather import gather
 from deadreckon.runs.offline import NAME
 from deadreckon.runs.player import CROSS_FIT, chosen
@@ -105,9 +107,12 @@ class Subject:
         return found
 
     def learned_from(self, log: Dataset) -> bool:
-        """Whether a log is the one that the policy learned from, with the same content wherever it lies."""
+        """Whether a log is the one that the policy learned from, with the same content wherever it lies; where only a policy's
+        file is there, whether it knows all episodes."""
+        if "fingerprint" not in self.data:
+            return self.read.episodes is not None and bool(np.isin(log.episode_ids, self.read.episodes).all())
         kept = {name: column for name, column in log.extras.items() if not name.startswith(GAPS)}
-        return replace(log, extras=kept).fingerprint == self.data.get("fingerprint")
+        return replace(log, extras=kept).fingerprint == self.data["fingerprint"]
 
     def _checked(self, log: Dataset) -> Dataset:
         """The log, if its columns are the numbers that the policy takes."""
@@ -235,22 +240,25 @@ def estimates_of(one: Subject, given: Path | str | None = None) -> tuple[dict[st
         if not told["results"]:
             continue
         policies = told["policies"]
-        named = [i for i, each in enumerate(policies) if (each["run"], each["seed"]) == (one.run, one.seed)]
+        same = [one.file is None or is_same(each, one.file) for each in policies]
+        named = [i for i, each in enumerate(policies) if same[i] and (each["run"], each["seed"]) == (one.run, one.seed)]
         alike = named
         if given is None:
             alike = [i for i in named if place in own and one.folder is not None and is_from(policies[i], one.folder)]
-        saved = [i for i, each in enumerate(policies) if _is_saved(one, each.get("file"), i in named)]
+        saved = [i for i, each in enumerate(policies) if same[i] and _is_saved(one, each, i in named)]
         if saved or len(alike) == 1:
             return told, [*saved, *alike][0]
     if given is not None:
         how = f"`deadreckon ope --data LOG --policies {one.folder or one.file or one.run} --out FOLDER` writes them"
         which = one.name if one.file is None else f"{one.name} ({one.file})"
-        raise UserError(f"{given} has no estimates of {which}; {how}")
+        raise UserError(f"{given} has no estimates of {which} as it is now; {how}")
     return None
 
 
-def _is_saved(one: Subject, file: str | None, named: bool) -> bool:
-    """Whether a policy that was judged is this one by its file; both may have none, and then the same names."""
+def _is_saved(one: Subject, judged: Mapping[str, Any], named: bool) -> bool:
+    """Whether a policy that was judged is this one by its file, which holds the same; both may have none, and then the same
+    names."""
+    file = judged.get("file")
     if file is None or one.file is None:
         return file is one.file and named
-    return is_there(file) and one.file.samefile(file)
+    return judged.get("digest") is not None or (is_there(file) and one.file.samefile(file))
