@@ -14,7 +14,10 @@ import deadreckon as dr
 from deadreckon.cli.main import main
 from deadreckon.data.history import stacked
 from deadreckon.errors import UserError
+from deadreckon.nets.mlp import MLP
 from deadreckon.policies import portable, store
+from deadreckon.policies.deployed import EnvPolicy, Mixture
+from deadreckon.policies.kinds import Categorical
 from deadreckon.policies.table_encoder import TableEncoder
 from deadreckon.policies.table_rows import RowsError
 from deadreckon.runs.crossfit import cross_fit
@@ -362,6 +365,23 @@ def test_the_mixture_of_a_cross_fit_is_a_file_like_others(tmp_path):
         found = policy.predict(offers(1), seed=seed)
         np.testing.assert_array_equal(play.predict(offers(1), seed=seed), found)
         assert (found == members).any(0).all()
+
+
+def test_one_member_of_a_mixture_acts_to_the_end_of_an_episode_that_flags_alone_tell(tmp_path):
+    frame = {"x": np.arange(200.0), "done": np.arange(200) % 4 == 3, "action": ["call", "mail"] * 100, "reward": np.ones(200)}
+    log = dr.Dataset.from_frame(frame, terminal="done")
+    weight, biases = np.zeros((1, 2), np.float32), (np.array(each, np.float32) for each in ([4.6, 0.0], [0.0, 4.6]))
+    members = [EnvPolicy(Categorical(MLP((weight,), (bias,))), None, None, None, None) for bias in biases]
+    store.save(tmp_path / "m.npz", Mixture.of(members), {"log": noted(log)})
+    for play in (dr.load_policy(tmp_path / "m.npz"), portable.load(tmp_path / "m.npz")):
+        found = play.predict({"x": frame["x"], "done": frame["done"]}, probabilities=True, seed=1)
+        acted = np.asarray(found.actions).reshape(50, 4)
+        assert (acted == acted[:, :1]).all()  # a member was drawn for each row
+        assert 10 < (acted[:, 0] == "call").sum() < 40
+        own = np.where(acted == "call", 1, 0) + np.where(acted == "call", -1, 1) / (1 + np.exp(4.6))
+        np.testing.assert_allclose(found.probabilities["call"].reshape(50, 4), own, rtol=1e-5)
+        alone = play.predict({"x": frame["x"], "done": np.ones(200, bool)}, probabilities=True, seed=1)
+        np.testing.assert_allclose(alone.probabilities["call"], 0.5, rtol=1e-5)
 
 
 def test_a_log_of_one_action_has_nothing_to_choose_between(tmp_path):
