@@ -10,6 +10,7 @@ import pytest
 from deadreckon.agents import COMBO, MOBILE, MOPO, MOReL
 from deadreckon.agents.cql import soft_maximum
 from deadreckon.agents.mopo import deviation
+from deadreckon.agents.morel import units
 from deadreckon.agents.offline_mbrl import OfflineMBRL
 from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.data.dataset import Dataset
@@ -231,3 +232,12 @@ def test_without_a_discount_nothing_is_worse_than_negative_rewards_for_good():
     with pytest.raises(UserError, match="MOReL.discount must be below 1 where rewards are negative"):
         MOReL(**TINY, discount=1.0).resolve(LOG.spec, 1)
     assert MOReL(**TINY).resolve(LOG.spec, 1).discount < 1
+
+
+def test_morel_counts_disagreement_in_units_of_what_changes():
+    """Zeros that pad observations and a reward of 1 a step have none: errors of the fit there would be all that counts."""
+    rng = np.random.default_rng(0)
+    before = np.concatenate([rng.normal(size=(50, 2)), np.zeros((50, 3))], 1)
+    after = before + np.concatenate([rng.normal(0, [0.5, 2.0], (50, 2)), np.zeros((50, 3))], 1)
+    scale = np.asarray(units({"observation": before, "next_observation": after, "reward": np.ones(50)}))
+    np.testing.assert_allclose(scale, [*(after - before)[:, :2].std(0), 1.0, 1.0, 1.0, 1.0], rtol=1e-5)

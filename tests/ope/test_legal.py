@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Discrete
+from deadreckon.dynamics.model import Change, Limits
 from deadreckon.errors import UserError
 from deadreckon.ope import FQE, ImportanceSampling, LinearFQE, OPEInput
 from deadreckon.ope import tables as op_tables
@@ -118,3 +120,21 @@ def test_the_behaviour_policy_is_learned_over_legal_actions():
     assert (chances[~mask] == 0).all()
     np.testing.assert_allclose(chances.sum(1), 1, atol=1e-6)
     np.testing.assert_allclose(chances, mask / mask.sum(1, keepdims=True), atol=0.12)
+
+
+def test_a_model_believes_what_is_legal_where_it_mostly_is():
+    """An action that is legal in nearly all rows was clipped below what counts as legal, one that always is to 0."""
+    rng = np.random.default_rng(0)
+    legal = np.stack([np.ones(200), rng.random(200) < 0.95, np.arange(200) % 5 == 0], 1).astype(bool)
+    actions = np.array([rng.choice(np.flatnonzero(row)) for row in legal])
+    data = Dataset.from_arrays(
+        observations=rng.normal(3.0, 2.0, (200, 2)), actions=actions, rewards=rng.normal(size=200), legal=legal,
+        terminals=np.arange(200) % 10 == 9,
+    )  # fmt: skip
+    limits = Limits.of(data.spec)
+    np.testing.assert_array_equal(limits.high[-3:], [1, 1, 1])
+    np.testing.assert_array_equal(limits.low[-3:], [1, 0, 0])
+    view = Normalizer.of(data.spec, standardise=True)
+    np.testing.assert_allclose(limits.high[:2], view.observe(data.observations)[:, :2].max(0), rtol=1e-5)
+    held = limits.hold(Change(np.array([0.0, 0.0, 0.97, 0.9, 0.2], np.float32), np.float32(0), np.float32(0)))
+    np.testing.assert_allclose(held.observation[-3:], [1.0, 0.9, 0.2], rtol=1e-6)

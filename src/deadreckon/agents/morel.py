@@ -20,6 +20,7 @@ from deadreckon.errors import UserError
 from deadreckon.training.hyperparameters import NonNegative, Positive
 
 ROWS = 10_000  # of the log, from which the threshold is taken
+LEAST = 1e-6  # deviation of what changes
 
 
 class MOReL(OfflineMBRL):
@@ -57,9 +58,14 @@ class MOReL(OfflineMBRL):
 
 
 def units(known: dict[str, np.ndarray]) -> Float[Array, "d"]:
-    """What disagreement is counted in: the deviations of changes and of the reward over some rows."""
+    """What disagreement is counted in: the deviations of changes and of the reward over some rows.
+
+    Of what never changes, such as zeros that pad an observation or a reward of 1 a step, it is 1: in units of nothing, errors
+    of the fit there would be all that counts.
+    """
     change = known["next_observation"] - known["observation"]
-    return jnp.asarray(np.append(change.std(0), known["reward"].std()) + 1e-6)
+    deviation = np.append(change.std(0), known["reward"].std())
+    return jnp.asarray(np.where(deviation < LEAST, 1.0, deviation + LEAST))
 
 
 @eqx.filter_jit

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from deadreckon.data.batch import Batch, BatchSpec
-from deadreckon.data.normalizer import STD_FLOOR
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Spec
 from deadreckon.nets.mlp import joined, split, stacks
 from deadreckon.nets.optim import apply_gradients, init_opt
@@ -40,9 +40,9 @@ class Limits(NamedTuple):
     @classmethod
     def of(cls, spec: Spec) -> "Limits":
         """The range of a log."""
-        o, r = spec.observation, spec.reward
-        std, unit = o.std + STD_FLOOR, reward_unit(spec)
-        low, high = (jnp.asarray((edge - o.mean) / std, jnp.float32).reshape(-1) for edge in (o.min, o.max))
+        o, r, unit = spec.observation, spec.reward, reward_unit(spec)
+        view = Normalizer.of(spec, standardise=True)  # in which marks of legal actions are as they are
+        low, high = (jnp.asarray(view.observe(edge), jnp.float32).reshape(-1) for edge in (o.min, o.max))
         # Arrays, because numbers of Python would be part of a compiled program, which another log then could not use.
         return cls(low, high, jnp.float32(r.min / unit), jnp.float32(r.max / unit))
 
