@@ -1,9 +1,11 @@
 """Logs made by policies, beside a rollout written here in plain Python; kills, cuts, densities."""
 
+import dataclasses
 import itertools
 from dataclasses import replace
 
 import equinox as eqx
+import gymnasium
 import jax
 import numpy as np
 import pytest
@@ -367,3 +369,40 @@ def test_played_is_the_same_log_in_memory(tmp_path):
     for name in ("observations", "actions", "rewards", "terminals", "timeouts"):
         np.testing.assert_array_equal(getattr(found, name), getattr(made, name))
         assert not isinstance(getattr(found, name), np.memmap)
+
+
+class Pull(gymnasium.Env):
+    """Of two pulls nothing tells but what it does."""
+
+    def __init__(self, pull):
+        self.pull, box = pull, gymnasium.spaces.Box(-9, 9, (1,), np.float32)
+        self.observation_space, self.action_space = box, gymnasium.spaces.Discrete(2)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action):
+        return np.full(1, self.pull, np.float32), self.pull, False, False, {}
+
+
+def test_a_killed_log_of_an_environment_that_is_an_object_is_not_gone_on_with(tmp_path):
+    asked = {"steps": 300, "out": tmp_path / "log.hdf5"}
+    with pytest.raises(Killed):
+        collect_in_task(tasks.task(Pull(5.0), 20), **asked, progress=lambda done, total: _kill_at(done, 100))
+    for again in (tasks.task(Pull(8.0), 20), tasks.task(Pull(5.0), 20)):
+        with pytest.raises(UserError, match="maybe by another environment; delete it to begin anew"):
+            collect_in_task(again, **asked)
+
+
+def test_tasks_of_one_copy_are_collected_one_episode_after_the_other(tmp_path):
+    class Single(type(HOPPER)):
+        most_copies = 1
+
+        def simulate(self, seeds, threads=None):
+            assert len(seeds) == 1
+            return super().simulate(seeds, threads)
+
+    single = Single(**{each.name: getattr(HOPPER, each.name) for each in dataclasses.fields(HOPPER) if each.init})
+    made = log(tmp_path / "one", [Segment(None, 40)], single)
+    assert made.fingerprint == log(tmp_path / "many", [Segment(None, 40)]).fingerprint

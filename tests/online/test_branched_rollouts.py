@@ -145,6 +145,17 @@ def test_a_run_goes_on_where_it_stopped(whole, tmp_path, killed):
         third.resume()
 
 
+def test_a_checkpoint_holds_the_rollouts_that_are_still_learned_from(tmp_path):
+    """Of more fits between two checkpoints than are kept, those of the first are gone."""
+    _, experience = job(paths=[tmp_path / "replay" / "seed0.bin"])
+    experience._waiting, experience._batches = [0, 1, 2, 3], {turn: np.full((1, 2, 3), turn) for turn in (2, 3)}
+    experience.flush()
+    assert sorted(file.name for file in (tmp_path / "replay").glob("*made-up*")) == [
+        "seed0-made-up-000002.npy", "seed0-made-up-000003.npy",
+    ]  # fmt: skip
+    assert experience._waiting == []
+
+
 def leaves(fit):
     return jax.tree.leaves(fit.states)
 

@@ -5,7 +5,7 @@ import re
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium import spaces
+from gymnasium import spaces, wrappers
 
 import deadreckon as dr
 import deadreckon.tasks.envs
@@ -13,6 +13,7 @@ from deadreckon import imports
 from deadreckon.data.entries import ENTRIES as CATALOGUE
 from deadreckon.data.environments import IDS, task_of
 from deadreckon.data.formats.flatten import flatten_space, join_actions
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 from deadreckon.policies.policy import BlackBoxPolicy
@@ -325,6 +326,10 @@ def test_the_shorter_horizon_counts():
         (lambda: Custom(BOX, spaces.Box(-np.inf, np.inf, (1,), np.float32)), "actions have infinite bounds"),
         (lambda: Custom(BOX, spaces.MultiDiscrete([99, 99, 99])), "970,299 combinations"),
         (lambda: Custom(BOX, spaces.Tuple([spaces.Discrete(2), BOX])), "actions are Discrete, Box"),
+        (lambda: Custom(spaces.Box(0, 255, (4, 84, 84), np.uint8), BOX), "no picture of .height, width, channels.; put its"),
+        (lambda: wrappers.NormalizeReward(toys.short_cart()), "NormalizeReward keeps statistics over episodes"),
+        (lambda: wrappers.FlattenObservation(wrappers.NormalizeObservation(toys.short_cart())),
+         "NormalizeObservation keeps statistics over episodes"),
     ],
     ids=lambda value: value if isinstance(value, str) else type(value).__name__,
 )
@@ -463,3 +468,58 @@ def test_a_picture_without_opengl_names_the_remedy(monkeypatch):
     monkeypatch.setattr(env.simulator, "renderer", absent)
     with pytest.raises(UserError, match="^hopper is drawn with OpenGL, which MuJoCo does not find; without a screen"):
         env.render()
+
+
+def test_actions_lie_on_bounds_that_rounding_puts_them_beyond():
+    """Of a policy that is saturated: -0.7 + 0.8 is 0.10000002 in 32 bits, and 0.1 in 32 bits is more than 0.1 in 64."""
+    for space in (
+        spaces.Box(-0.7, 0.1, (2,), np.float32), spaces.Box(-0.7, 0.1, (2,), np.float64),
+        spaces.Dict({"a": spaces.Box(-0.7, 0.1, (1,), np.float64), "b": spaces.Box(-0.7, 0.1, (1,), np.float64)}),
+    ):  # fmt: skip
+        task = dr.task(lambda space=space: Custom(BOX, space), horizon=5)
+        simulator = task.simulate([0])
+        simulator.reset()
+        view = Normalizer(None, None, *(np.float32(each) for each in (task.action_space.low, task.action_space.high)))
+        for end in (-1.0, 1.0):
+            simulator.step(view.from_unit(np.full((1, 2), end, np.float32)))  # which the environment asserts to be allowed
+    task = dr.task(lambda: Custom(BOX, spaces.Box(-1, 1, (2,), np.float32)), horizon=5)
+    np.testing.assert_array_equal(task.spaces.act(np.array([1.5, -3.0], np.float32)), np.float32([1.5, -3.0]))  # as before
+
+
+def test_dicts_keep_the_order_that_gymnasium_flattens_in():
+    observation = spaces.Dict(velocity=spaces.Box(-1, 1, (1,), np.float32), angle=spaces.Box(5, 6, (2,), np.float32))
+    task = dr.task(lambda: Custom(observation, BOX), horizon=5)
+    assert list(observation.spaces) == ["velocity", "angle"]
+    seen = task.simulate([3]).reset()[0]
+    assert abs(seen[0]) <= 1
+    assert (seen[1:] >= 5).all()
+
+
+def test_an_option_may_be_an_array():
+    task = dr.task(gymnasium.make("FrozenLake-v1", desc=np.array([[b"S", b"F"], [b"F", b"G"]]), is_slippery=False))
+    assert task.observation_shape == (4,)
+    assert "\n" not in task.name
+    assert task.name.startswith("gymnasium:FrozenLake-v1?desc=")
+
+
+class Owing(gymnasium.Wrapper):
+    """Pays from what it has kept of all episodes."""
+
+    paid = 0.0
+
+    def step(self, action):
+        seen, reward, *rest = super().step(action)
+        self.paid += 1.0
+        return seen, self.paid, *rest
+
+
+def test_rewards_that_depend_on_earlier_episodes_are_told_when_copies_are_restored():
+    task = dr.task(lambda: Owing(gymnasium.make("CartPole-v1", max_episode_steps=5)), horizon=5)
+    simulator = task.simulate([0, 1])
+    simulator.reset()
+    for _ in range(3):
+        simulator.step(np.zeros(2, int))
+    assert task.simulate([0, 1]).restore(simulator.state()) is None  # of the first episode nothing was before
+    simulator.reset()
+    simulator.step(np.zeros(2, int))
+    np.testing.assert_array_equal(task.simulate([0, 1]).restore(simulator.state()), [0, 1])

@@ -20,6 +20,7 @@ from deadreckon.names import file_part
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.resolve import policies_of
 from deadreckon.progress import Progress
+from deadreckon.tasks.gymnasium_task import SPEC, GymnasiumTask
 from deadreckon.tasks.registry import task as find_task
 
 RANDOM = "random"  # uniform actions, in place of a policy
@@ -40,8 +41,8 @@ def collect_in_task(
     """Lets a policy act in a task and writes the log as an HDF5 file with D4RL's column names.
 
     Actions are drawn, not greedy, and their log-probabilities are logged where the policy has any. After a kill the same
-    command goes on where it was: what is done so far lies in a hidden folder beside the file. A policy of code of its own,
-    which cannot be told from another, begins anew once that folder is deleted.
+    command goes on where it was: what is done so far lies in a hidden folder beside the file. A policy of code of its own, or
+    an environment that is an object without a spec, cannot be told from another: it begins anew once that folder is deleted.
 
     Args:
         task: a task, its name, or a Gymnasium environment; see `tasks.registry.task`.
@@ -63,6 +64,7 @@ def collect_in_task(
     """
     from deadreckon.data.formats.hdf5 import write_hdf5
 
+    named = isinstance(task, str)
     task = find_task(task)
     if steps < 1:
         raise UserError(f"steps must be 1 or more, got {steps}")
@@ -83,10 +85,13 @@ def collect_in_task(
     extra |= task.described | ({} if content is None else {"policy_content": content})
     provenance = Provenance("collected", None, seed, {**versions, **task.versions}, extra=extra)
     scratch = path.parent / f".{path.name}.part"
-    known = chance or content is not None
+    # Of an environment that is given as an object nobody knows the settings, unless Gymnasium can make it again.
+    alike = named or not isinstance(task, GymnasiumTask) or SPEC in task.described
+    known = alike and (chance or content is not None)
     with alone(path), resumable(*[scratch] if known else []):
+        who = "policy" if alike else "environment"
         if scratch.exists() and not known:
-            raise UserError(f"{scratch} holds the beginning of a collection, maybe by another policy; delete it to begin anew")
+            raise UserError(f"{scratch} holds the beginning of a collection, maybe by another {who}; delete it to begin anew")
         log = collect_rollouts(
             task, [Segment(found[0], steps)], name=name, seed=seed, provenance=provenance, threads=threads, scratch=scratch,
             progress=progress,

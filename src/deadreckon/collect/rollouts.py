@@ -132,7 +132,7 @@ def _collect(
     progress: Progress | None,
 ) -> None:
     total = sum(segment.rows for segment in segments)
-    simulator = task.simulate([0] * COPIES, threads)
+    simulator = task.simulate([0] * copies_of(task), threads)
     for which, segment in enumerate(segments):
         before = sum(each.rows for each in segments[:which])
         if stage.rows - before >= segment.rows:
@@ -145,6 +145,11 @@ def _collect(
             stage.append(episodes, segment.rows - (stage.rows - before), which)
             if progress:
                 progress(stage.rows, total)
+
+
+def copies_of(task: Task) -> int:
+    """How many episodes are acted side by side; the log is the same whatever it is."""
+    return min(COPIES, task.most_copies or COPIES)
 
 
 @eqx.filter_jit
@@ -178,8 +183,8 @@ class _Scene:
     """Episodes of one act, side by side: a copy that has ended one begins the next.
 
     Attributes:
-        episode: (COPIES,) which each copy is in, -1 at rest.
-        age: (COPIES,) steps of it done.
+        episode: (copies,) which each copy is in, -1 at rest.
+        age: (copies,) steps of it done.
     """
 
     def __init__(self, task: Task, simulator: Simulator, policy: Any, root: PRNGKeyArray, seed: list[int]):
@@ -187,10 +192,11 @@ class _Scene:
         space = task.action_space
         bounds = (space.low, space.high) if isinstance(space, Box) else (0, space.n - 1)
         self.low, self.high = (np.asarray(side, action_kind(task)[1]) for side in bounds)
-        self.episode, self.age = np.full(COPIES, -1), np.zeros(COPIES, int)
-        self.seen = np.zeros((COPIES, *task.observation_shape), task.observation_dtype)
+        self.copies = copies_of(task)
+        self.episode, self.age = np.full(self.copies, -1), np.zeros(self.copies, int)
+        self.seen = np.zeros((self.copies, *task.observation_shape), task.observation_dtype)
         kinds = column_kinds(task, policy)
-        self.columns = {key: np.zeros((COPIES, task.horizon, *shape), dtype) for key, (shape, dtype) in kinds.items()}
+        self.columns = {key: np.zeros((self.copies, task.horizon, *shape), dtype) for key, (shape, dtype) in kinds.items()}
 
     def play(self, first: int, rows: int, wanted: int, progress: Callable[[int], None] | None) -> Iterator["list[Episode]"]:
         """Runs the episodes `first`, `first` + 1, ... until `rows` and theirs are `wanted`; gives them in order, bit by bit.
@@ -208,7 +214,7 @@ class _Scene:
             # As many side by side as will be needed, going by how long those before were.
             guess = lengths / ended if ended else self.task.horizon
             free = np.flatnonzero(self.episode < 0)
-            running = COPIES - len(free)
+            running = self.copies - len(free)
             missing = wanted - (rows + lengths + running * guess)
             more = free[: int(np.clip(np.ceil(missing / guess), int(running == 0), len(free)))]
             if len(more):
@@ -251,7 +257,7 @@ class _Scene:
                 actions, told = self.policy.act(self.seen, alive)
             else:
                 actions = self.policy(self.seen)
-            actions, log_probs = np.array(actions, self.low.dtype), np.full(COPIES, np.nan, np.float32)
+            actions, log_probs = np.array(actions, self.low.dtype), np.full(self.copies, np.nan, np.float32)
         actions[self.episode < 0] = 0
         seen, rewards, terminals, timeouts = self.simulator.step(actions)
         parts = dict(zip(COLUMNS, (self.seen, actions, rewards, terminals, timeouts, log_probs))) | told

@@ -123,7 +123,7 @@ class BranchedRollouts(ModelLearning):
         super().flush()
         if not self.paths:
             return
-        for turn in self._waiting:
+        for turn in (turn for turn in self._waiting if turn in self._batches):  # others are learned from no more
             for lane, path in enumerate(self.paths):
                 with replacing(self._file(path, turn)) as temporary, open(temporary, "wb") as file:
                     np.save(file, self._batches[turn][lane], allow_pickle=False)

@@ -38,6 +38,7 @@ class GymnasiumCopies:
         self._seen = np.zeros((copies, *task.observation_shape), task.observation_dtype)
         self._age = np.zeros(copies, int)
         self._alive = np.zeros(copies, bool)
+        self._gained = np.zeros(copies)  # rewards of the episode under way
         self._end = weakref.finalize(self, _close, self._envs)
 
     def reset(self, which: np.ndarray | None = None, seeds: Sequence[int] | None = None) -> np.ndarray:
@@ -48,7 +49,7 @@ class GymnasiumCopies:
         for i in which.tolist():
             self._starts.next(i)
             self._seen[i] = self._begin(i)
-        self._age[which], self._alive[which] = 0, True
+        self._age[which], self._alive[which], self._gained[which] = 0, True, 0.0
         return self._seen[which]
 
     def _begin(self, copy: int) -> np.ndarray:
@@ -92,6 +93,7 @@ class GymnasiumCopies:
         terminals, timeouts = np.zeros((2, len(self._age)), bool)
         for i in running.tolist():
             self._seen[i], rewards[i], terminals[i], timeouts[i] = self._advance(i, actions[i])
+        self._gained += rewards
         self._taken[running, self._age[running]] = actions[running]
         self._age[running] += 1
         timeouts = self._alive & ~terminals & (timeouts | (self._age >= self.task.horizon))
@@ -118,26 +120,30 @@ class GymnasiumCopies:
     def state(self) -> dict[str, np.ndarray]:
         """See `Simulator.state`. What the environments hold is left out: it follows from seeds and the episodes' actions."""
         return {"taken": self._taken.copy(), "last": self._seen.copy(), "age": self._age.copy(), "alive": self._alive.copy(),
-                **self._starts.state()}  # fmt: skip
+                "gained": self._gained.copy(), **self._starts.state()}  # fmt: skip
 
     def restore(self, state: dict[str, np.ndarray]) -> np.ndarray | None:
         """See `Simulator.restore`. The episodes under way are played again, at most a horizon of steps.
 
         Returns:
-            Copies that show something else then than they did: their environment draws from elsewhere than from its seed.
+            Copies that show or pay something else then than they did: their environment draws from elsewhere than from its
+            seed, or keeps something from episode to episode.
         """
         self._taken[:], self._seen[:] = state["taken"], state["last"]
         self._age[:], self._alive[:] = state["age"], state["alive"]
         self._starts.restore(state)
+        before = state.get("gained")  # not in checkpoints of before
         lost = []
         for i in np.flatnonzero(self._alive).tolist():
-            seen, over = self._begin(i), False
+            seen, over, self._gained[i] = self._begin(i), False, 0.0
             for action in self._taken[i, : self._age[i]]:
                 if over:
                     break
-                seen, _, terminated, truncated = self._advance(i, action)
+                seen, reward, terminated, truncated = self._advance(i, action)
+                self._gained[i] += reward
                 over = terminated or truncated
-            if over or not np.array_equal(seen, self._seen[i], equal_nan=True):
+            paid = before is None or self._gained[i] == before[i]
+            if over or not paid or not np.array_equal(seen, self._seen[i], equal_nan=True):
                 lost.append(i)
         return np.array(lost) if lost else None
 

@@ -27,4 +27,4 @@ def options_of(name: str, text: str) -> dict[str, Any]:
 
 def written(options: Mapping[str, Any]) -> str:
     """The inverse of `options_of`, in the order of names."""
-    return "?" * bool(options) + "&".join(f"{key}={value}" for key, value in sorted(options.items()))
+    return "?" * bool(options) + "&".join(f"{key}={' '.join(str(value).split())}" for key, value in sorted(options.items()))

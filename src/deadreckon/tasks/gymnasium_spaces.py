@@ -15,6 +15,8 @@ from deadreckon.errors import UserError
 
 PICTURE = 32  # pixels: uint8 observations of this height and width or more are pictures, which keep their shape
 
+ROUNDED = 1e-6  # of an action's size or range, by which 32 bits may be beyond a bound
+
 DISCRETE = spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary
 _LEAVES = spaces.Box, *DISCRETE
 _READ = "Box, Discrete, MultiBinary, MultiDiscrete, and Dict and Tuple of these are taken"
@@ -54,6 +56,9 @@ class Spaces:
         if (count := spaces.flatdim(observed)) > MOST_NUMBERS:
             raise UserError(f"{name}: an observation has {count:,} numbers, at most {MOST_NUMBERS:,} are taken")
         picture = isinstance(observed, spaces.Box) and observed.dtype == np.uint8 and min((*observed.shape, 0)[:2]) >= PICTURE
+        if not picture and isinstance(observed, spaces.Box) and observed.dtype == np.uint8 and _large(observed.shape):
+            how = "put its channels last (gymnasium.wrappers.TransformObservation, numpy.moveaxis)"
+            raise UserError(f"{name}: an observation of {observed.shape} is no picture of (height, width, channels); {how}")
         shape, dtype = (tuple(observed.shape or ()), "uint8") if picture else ((count,), "float32")
         actions, choices = _actions(env.action_space, name)
         return cls(observed, env.action_space, shape, dtype, actions, choices, tuple(left_out))
@@ -68,9 +73,20 @@ class Spaces:
         """What the environment takes for (size,) continuous actions, or for the number of a discrete one."""
         if self.choices:
             return self.choices[int(action)]
-        if isinstance(self.acted, spaces.Box):
-            return action.reshape(self.acted.shape).astype(self.acted.dtype)
-        return spaces.unflatten(self.acted, action)
+        flat: Any = self.acted if isinstance(self.acted, spaces.Box) else spaces.flatten_space(self.acted)
+        action = _within(action.reshape(flat.shape).astype(flat.dtype), flat.low, flat.high)
+        return action if isinstance(self.acted, spaces.Box) else spaces.unflatten(self.acted, action)
+
+
+def _large(shape: tuple[int, ...]) -> bool:
+    """Whether numbers of this shape are several pictures, or one whose channels come first."""
+    return len(shape) > 2 and sum(size >= PICTURE for size in shape) > 1
+
+
+def _within(action: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Actions, where those that lie beyond the bounds by rounding alone lie on them."""
+    inside = np.clip(action, low, high)
+    return np.where(np.abs(action - inside) <= ROUNDED * np.maximum(np.abs(inside), high - low), inside, action)
 
 
 def _numeric(space: Any, name: str, left_out: list[str]) -> spaces.Space:
@@ -87,7 +103,7 @@ def _numeric(space: Any, name: str, left_out: list[str]) -> spaces.Space:
             else:
                 parts[key] = _numeric(inner, f"{name}/{key}", left_out)
         if parts:
-            return spaces.Dict(parts)
+            return spaces.Dict(list(parts.items()))  # of a dictionary it would sort the names
     if isinstance(space, spaces.Tuple):
         return spaces.Tuple([_numeric(inner, f"{name}/{i}", left_out) for i, inner in enumerate(space.spaces)])
     if not isinstance(space, _LEAVES):

@@ -177,7 +177,7 @@ def _of_object(env: Any, horizon: int | None) -> Task:
     options = {key: value for key, value in spec.kwargs.items() if key != "render_mode"}
     registered = gymnasium.registry.get(spec.id)
     usual = registered is not None and registered.max_episode_steps == spec.max_episode_steps
-    own = {} if registered is None else {k: v for k, v in options.items() if registered.kwargs.get(k, _NOTHING) != v}
+    own = {} if registered is None else {k: v for k, v in options.items() if not _same(registered.kwargs.get(k, _NOTHING), v)}
     own |= {} if usual or spec.max_episode_steps is None else {LIMIT: spec.max_episode_steps}
     own |= {} if horizon is None else {LIMIT: horizon}
     wrapped = "".join(f"+{wrapper.name}" for wrapper in spec.additional_wrappers)
@@ -192,6 +192,14 @@ def _of_object(env: Any, horizon: int | None) -> Task:
 
 
 _NOTHING = object()
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Whether two options are equal, also where they hold arrays, whose comparison is no truth value."""
+    try:
+        return bool(a == b)
+    except ValueError:
+        return type(a) is type(b) and repr(a) == repr(b)
 
 
 def _spec(env: Any) -> EnvSpec | None:
@@ -237,6 +245,16 @@ def _check(env: Any, name: str) -> None:
     if not isinstance(env, gymnasium.Env):
         what = "a task is a name, a Task, a Gymnasium environment, or a function that makes one"
         raise UserError(f"{name} is no environment but {type(env).__name__}; {what}")
+    around = env
+    while isinstance(around, gymnasium.Wrapper):
+        kind = type(around).__name__
+        if isinstance(around, _NORMALISING) and around.update_running_mean:
+            how = "leave it out (agents standardise from data themselves), or set its update_running_mean to False"
+            raise UserError(f"{name}: {kind} keeps statistics over episodes, so that no episode follows from its seed; {how}")
+        around = around.env
+
+
+_NORMALISING = gymnasium.wrappers.NormalizeObservation, gymnasium.wrappers.NormalizeReward
 
 
 def _for_several(name: str) -> UserError:
