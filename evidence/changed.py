@@ -21,16 +21,16 @@ MORE = ["defaults-decide", "defaults-hopper", "defaults-awac", "defaults-iql"]
 def changed(suites: Sequence[Suite], store: Store) -> str:
     """A table of all agents that are paired with what they were, in Markdown: score now less score before, in points.
 
-    A difference is between runs of the same seed, over all seeds that both have in any of the suites, with Student's 95 %
-    interval; the last column is the mean over the logs that have one, each counted alike (`stats.comparison.paired`). A log
-    on which a run has no finite score has no difference.
+    A difference is between runs of the same seed on the same collection of a log, over all seeds that both have in any of the
+    suites, with Student's 95 % interval; the last column is the mean over the logs that have one, each counted alike
+    (`stats.comparison.paired`). A log on which a run has no finite score has no difference.
 
     Args:
         suites: of which those of `PAIRS` and `MORE` count, at their own size.
         store: the results.
     """
-    rows = {row["cell"]: row["score"] for row in store.results().to_pylist()}
-    scores: dict[str, dict[int, float]] = {}  # by what a job is, whatever its seeds
+    rows = {row["cell"]: (row["score"], row["log"]) for row in store.results().to_pylist()}
+    scores: dict[str, dict[int, tuple[float, str]]] = {}  # by what a job is, whatever its seeds, with the log's fingerprint
     jobs: list[Job] = []
     for suite in suites:
         if suite.name not in PAIRS + MORE:
@@ -49,13 +49,13 @@ def changed(suites: Sequence[Suite], store: Store) -> str:
     return "\n".join([*lines, ""])
 
 
-def _line(method: str, logs: Sequence[str], found: dict[tuple[str, str], dict[int, float]]) -> str:
+def _line(method: str, logs: Sequence[str], found: dict[tuple[str, str], dict[int, tuple[float, str]]]) -> str:
     sides: tuple[dict[str, np.ndarray], dict[str, np.ndarray]] = {}, {}
     cells = []
     for log in logs:
         both = [found.get((name, log), {}) for name in (method, f"{method}{BEFORE}")]
-        seeds = sorted(both[0].keys() & both[1].keys())
-        pair = np.array([[each[seed] for seed in seeds] for each in both])
+        seeds = sorted(seed for seed in both[0].keys() & both[1].keys() if both[0][seed][1] == both[1][seed][1])
+        pair = np.array([[each[seed][0] for seed in seeds] for each in both])
         if len(seeds) < 2:
             cells.append("-")
         elif not np.isfinite(pair).all():

@@ -42,6 +42,11 @@ class _Runs:
     scores: np.ndarray
 
     @property
+    def whole(self) -> bool:
+        """Whether all seeds of the suite are there."""
+        return len(self.scores) == self.suite.seeds
+
+    @property
     def own(self) -> float:
         """The log's own mean."""
         return BEHAVIOUR[self.on, self.suite.rows]
@@ -76,8 +81,10 @@ def improved(suites: Sequence[Suite], store: Store) -> str:
             there = [cell for cell in job.cells if cell in rows]
             scores = np.array([rows[cell]["score"] for cell in there], float)
             runs = _Runs(agents[job.method], job.method, job.on, suite, scores)
-            if there and np.isfinite(runs.scores).all():
-                found.setdefault(runs.agent, {})[frozenset(there)] = runs  # the same cells of two suites count once
+            own = found.setdefault(runs.agent, {}) if there else {}
+            # The same cells of two suites count once, as those of the one that has all of its own.
+            if there and np.isfinite(runs.scores).all() and (frozenset(there) not in own or runs.whole):
+                own[frozenset(there)] = runs
             if len(there) < len(job.cells):
                 waiting.setdefault(runs.agent, []).append(f"`{suite.name}.toml`")
     titles = "agent", "log", "updates", "seeds", "score", "the log's own", "gain", "improves"
@@ -88,7 +95,7 @@ def improved(suites: Sequence[Suite], store: Store) -> str:
         if not agent_class(agent).offline:
             continue
         places = [*dict.fromkeys(waiting.get(agent, ()))]
-        if agent not in found:
+        if not found.get(agent):
             none.append(f"`{agent}`{f' ({words(places)})' if places else ''}")
             continue
         name, line, improves = _line(list(found[agent].values()))
@@ -102,7 +109,7 @@ def improved(suites: Sequence[Suite], store: Store) -> str:
 def _line(runs: list[_Runs]) -> tuple[str, str, bool]:
     """The agent's name, its row, and whether it improves."""
     level = 1.0 - ALPHA / len(runs)
-    several = [each for each in runs if len(each.scores) == each.suite.seeds > 1]
+    several = [each for each in runs if each.whole and each.suite.seeds > 1]
     if several:
         best = max(several, key=lambda each: each.gain(level).low)
         gain = best.gain(level)

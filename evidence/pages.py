@@ -132,12 +132,12 @@ def curves(names: str, files: dict[str, bytes]) -> str:
     suites, store = _joined(names)
     first, methods = suites[0], [method.name for suite in suites for method in suite.methods]
     known = {row["cell"] for row in store.results().to_pylist()}
-    points: dict[str, list[tuple[int, float]]] = {}
+    points: dict[str, dict[int, float]] = {}  # a cell that two machines have done is in two files
     for row in store.curves().to_pylist():
-        points.setdefault(row["cell"], []).append((row["step"], row["score"]))
+        points.setdefault(row["cell"], {})[row["step"]] = row["score"]
     found: dict[str, dict[str, list[list[tuple[int, float]]]]] = {}
     for job in (job for suite in suites for job in plan(suite)):
-        own = [sorted(points[cell]) for cell in job.cells if cell in known]
+        own = [sorted(points[cell].items()) for cell in job.cells if cell in known]
         found.setdefault(job.on, {}).setdefault(job.method, []).extend(own)
     panels = {}
     for on in first.on:
@@ -227,7 +227,8 @@ def _effect(one: Comparison) -> str:
     level = "" if one.level == LEVEL else f" ({one.level:.1%} interval)"
     same = f", the same with every seed on {words([*one.constant])}" if one.constant else ""
     logs = f", from several collections of {words([*one.collections])}" if one.collections else ""
-    found = f"{'' if test.among else 'gain '}{one.gain:.3g}{level}{margin}{same}{logs}, {one.alone}"
+    lost = f", the last good policies of {len(one.diverged):,} runs that diverged" if one.diverged else ""
+    found = f"{'' if test.among else 'gain '}{one.gain:.3g}{level}{margin}{same}{logs}{lost}, {one.alone}"
     if one.undefined:
         found = f"{len(one.undefined):,} of {len(one.cells):,} scores are not finite"
     return f"`{test.suite.name}`, {told}: " + ("not there yet" if one.missing else found)

@@ -7,7 +7,10 @@ from deadreckon.bench.jobs import Job
 from deadreckon.bench.store import JobResult, Store
 
 
-def keep(store: Store, job: Job, scores: Sequence[float], curves: Sequence[dict] = (), **more: Sequence[float]) -> None:
+def keep(
+    store: Store, job: Job, scores: Sequence[float], curves: Sequence[dict] = (), log: str = "", failure: str = "",
+    **more: Sequence[float],
+) -> None:  # fmt: skip
     """Keeps a job's scores: if there are fewer than seeds, those of the first seeds.
 
     Args:
@@ -15,9 +18,11 @@ def keep(store: Store, job: Job, scores: Sequence[float], curves: Sequence[dict]
         job: whose they are.
         scores: one a seed.
         curves: points of learning curves, of all seeds.
+        log: fingerprint of the log.
+        failure: of all seeds; "": none.
         **more: further numbers, one a seed.
     """
-    told = {"raw": 0.0, "steps": 100, "seconds": 1.0, "failure": "", "versions": "{}"}
+    told = {"raw": 0.0, "steps": 100, "seconds": 1.0, "failure": failure, "versions": "{}", "log": log}
     rows = [
         {"seed": seed, "score": score, "more": json.dumps({name: values[i] for name, values in more.items()}), **told}
         for i, (seed, score) in enumerate(zip(job.seeds, scores))

@@ -38,10 +38,10 @@ def row(tmp_path, monkeypatch):
     suites = [read("one.toml"), read("two.toml")]
     store = store_of(suites, tmp_path)
 
-    def told(scores):
+    def told(scores, logs=()):
         for job in (job for suite in suites for job in plan(suite)):
-            if values := scores.get((job.method, job.on.partition("-")[0])):
-                keep(store, job, values)
+            if values := scores.get(where := (job.method, job.on.partition("-")[0])):
+                keep(store, job, values, **({"log": logs[where]} if where in logs else {}))
         (line,) = changed(suites, store).splitlines()[2:]
         return [cell.strip() for cell in line.strip("|").split("|")]
 
@@ -56,6 +56,11 @@ def test_differences_are_of_the_same_seeds_of_all_suites(row):
 
 def test_a_log_with_one_seed_in_common_or_a_score_that_is_not_finite_does_not_count(row):
     assert row(HOPPER | {("CRR", "door"): [3.0, 5.0], ("CRR, before", "door"): [9.0]})[2:] == ["-", "2.0 [-0.5, 4.5]"]
+
+
+def test_runs_on_different_collections_of_a_log_are_no_pairs(row):
+    found = row(HOPPER | {("CRR", "door"): [3.0, 5.0], ("CRR, before", "door"): [9.0, 7.0]}, {("CRR", "door"): "elsewhere"})
+    assert found[2:] == ["-", "2.0 [-0.5, 4.5]"]
 
 
 def test_a_score_that_is_not_finite_is_told(row):

@@ -68,6 +68,19 @@ def test_the_best_of_two_logs_has_to_be_above_at_a_level_for_two(row):
     assert found[-2:] == ["3.0 [-0.6, 6.6]", "not shown"]
 
 
+def test_a_suite_that_has_fewer_of_its_seeds_does_not_hide_one_that_has_all(tmp_path, monkeypatch):
+    monkeypatch.setattr("evidence.improved.SUITES", ["one", "two"])
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "one.toml").write_text(SUITE)
+    (tmp_path / "two.toml").write_text(SUITE.replace("seeds = 3", "seeds = 5"))
+    suites = [read("one.toml"), read("two.toml")]
+    store = store_of(suites, tmp_path)
+    job = next(job for job in plan(suites[0]) if (job.method, job.on) == ("AWAC", "hopper-medium-v2"))
+    keep(store, job, [HOPPER + x for x in (10.0, 11.0, 12.0)])
+    lines = [line for line in improved(suites, store).splitlines() if line.startswith("| AWAC |")]
+    assert lines[0].endswith("| yes |")
+
+
 def test_a_part_of_the_seeds_shows_nothing(row):
     assert row({("AWAC", "hopper"): [99.0, 99.5]})[-2:] == [f"{99.25 - HOPPER:.1f}", "2 of 3 seeds"]
     assert row.below == ["- Not shown, and more runs are declared: AWAC (`one.toml`)"]

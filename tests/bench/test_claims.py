@@ -16,6 +16,7 @@ from deadreckon.bench.suite import read
 from deadreckon.errors import UserError
 from deadreckon.stats.comparison import paired
 from deadreckon.stats.interval import Interval
+from evidence.pages import _effect
 from tests.results import keep
 
 SUITE = """
@@ -234,6 +235,21 @@ def test_the_average_score_is_the_mean_of_a_runs_curve_once_it_has_learned(folde
     keep(store, job, [99.0] * 4, curves=points)
     found = verdict(claim, store)
     assert (found.state, found.comparisons[0].gain.value) == ("holds", pytest.approx(20.0 - (0.9 * 12.0 + 0.1 * 22.0)))
+
+
+def test_runs_that_diverged_are_counted_and_keep_their_last_score(folder):
+    (folder / "claims.toml").write_text(CLAIMS.replace("than = 20.0", 'metric = "average score", than = 20.0'))
+    claim, store = claims("claims.toml")[2], kept({})
+    job = next(each for each in plan(read("suite.toml")) if (each.method, each.on) == ("TD3", "walker2d-medium-v2"))
+    points = [
+        {"cell": cell, "step": step, "score": score, "raw": 0.0, "spread": 0.0}
+        for cell, own in zip(job.cells, (10.0, 11.0, 13.0, 10.0)) for step, score in ((0, 0.0), (20, 1.0), (40, own))
+    ]  # fmt: skip
+    keep(store, job, [99.0] * 4, curves=points, failure="q was not finite at update 45")
+    [found] = verdict(claim, store).comparisons
+    assert found.gain.value == pytest.approx(20.0 - (0.2 * 1.0 + 0.8 * 11.0))
+    assert len(found.diverged) == 4
+    assert "the last good policies of 4 runs that diverged" in _effect(found)
 
 
 def test_the_full_size_of_a_claim_is_that_of_the_suites_that_have_one(folder):

@@ -341,7 +341,8 @@ def test_a_table_says_of_how_many_copies_of_a_log_it_is_and_who_scored_designs()
     def row(on, log, more):
         return {"kind": "learn", "on": on, "log": log, "more": more, "score": 1.0, "cell": "c", "versions": "{}", "failure": ""}
 
-    jobs = [SimpleNamespace(on=on, data=f"{on}@dr1", kind="design", method="m", preset="", cells=["c"]) for on in ("a", "b")]
+    about = {"kind": "design", "method": "m", "preset": "", "cells": ["c"], "options": {}}
+    jobs = [SimpleNamespace(on=on, data=f"{on}@dr1", **about) for on in ("a", "b")]
     judged = '{"oracle": "a forest"}'
     found = [row("a", "1", "{}"), row("a", "2", ""), row("b", "3", judged), row("b", "3", judged)]
     notes = _notes(jobs, [], None, found)

@@ -45,6 +45,20 @@ BC = { agent = "bc", fields = { hidden = [8], batch_size = 16 } }
 TD3 = { agent = "td3", fields = { hidden = [8], batch_size = 16 } }
 """
 
+ONLINE = """
+kind = "online"
+seeds = 2
+steps = 640
+evaluations = 2
+episodes = 2
+tasks = ["maze2d-umaze"]
+data = { maze2d-umaze = "maze2d-umaze-v1" }
+offline = 30
+
+[methods]
+SAC = { agent = "sac", log = "first" }
+"""
+
 
 class Noted:
     """A tracker that keeps what it is told."""
@@ -123,9 +137,38 @@ def test_a_process_that_always_dies_is_given_up(suite, tmp_path):
                 os.kill(child.pid, signal.SIGKILL)
             deaths.append(event)
 
-    run(jobs[:1], store, told, Local(store.path, workers=1))
+    run([dataclasses.replace(jobs[0], seeds=(1,))], store, told, Local(store.path, workers=1))
     assert len(deaths) == 3
     assert "died 3 times" in store.failure(jobs[0], 1)["error"]
+
+
+def test_a_seed_that_fails_does_not_take_the_others_with_it(suite, tmp_path):
+    """A designer's program raises if any of its seeds diverges."""
+    job, store, done = plan(suite, 2)[0], Store(tmp_path), []
+
+    def work(program, folder, watch):
+        done.append(program.jobs[0].seeds)
+        if 0 in program.jobs[0].seeds:
+            raise UserError("the loss of seed 0 was not finite")
+        return [made(program.jobs[0], (11.0,))]
+
+    events = []
+    run([job], store, events.append, InProcess(store.path, work=work))
+    assert done == [(0, 1), (0,), (1,)]
+    assert [event.what for event in events if event.what in ("split", "failed", "done")] == ["split", "failed", "done"]
+    assert store.results()["seed"].to_pylist() == [1]
+    assert store.failure(job, 0)["error"] == "the loss of seed 0 was not finite"
+
+
+def test_the_note_on_collected_logs_names_logs_and_no_tasks(tmp_path):
+    path = tmp_path / "online.toml"
+    path.write_text(ONLINE)
+    asked = read(path)
+    [shown, *_] = tables(asked, plan(asked), Store(tmp_path))
+    assert [note for note in shown.notes if "collected" in note] == [
+        "collected again by this package, not the original files: maze2d-umaze-v1",
+    ]
+    assert "evaluated from the same starts, and intervals do not include how starts vary" in shown.notes[0]
 
 
 def test_a_table_shows_scores_what_is_missing_and_what_failed(suite, tmp_path):

@@ -20,8 +20,9 @@ Where a test has `among`, logs of a task are claimed to differ, in either direct
 task over that between seeds (`stats.comparison.variance_ratio`). Tasks with one log do not count.
 """
 
+import json
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -131,6 +132,7 @@ class Comparison:
         again: the same with fresh seeds, where this one leaves it open with all cells and they are declared.
         collections: logs of which its cells have learned from several collections: how these differ is in the gain, and, as it
             is the same for every seed, not in the interval.
+        diverged: of the cells, those whose runs diverged: their last good policies count.
     """
 
     test: Test
@@ -145,6 +147,7 @@ class Comparison:
     constant: tuple[str, ...] = ()
     again: "Comparison | None" = None
     collections: tuple[str, ...] = ()
+    diverged: frozenset[str] = frozenset()
 
     @property
     def state(self) -> State:
@@ -253,16 +256,19 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
     return Verdict(claim, tuple(staged(*pair, ALPHA) for pair in pairs))
 
 
-def _averages(store: Store, cells: Collection[str]) -> dict[str, float]:
+def _averages(store: Store, rows: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
     """The mean of each cell's learning curve, of cells that were evaluated since it began to learn: each evaluation counts as
-    long as the time since the one before it, as the last comes when the run ends."""
+    long as the time since the one before it, as the last comes when the run ends. A run that diverged keeps the score of its
+    last good policy to the end."""
     points: dict[str, dict[int, float]] = {}
     curves = store.curves()
-    for point in curves.filter(np.isin(curves["cell"].to_numpy(), list(cells))).to_pylist():
+    for point in curves.filter(np.isin(curves["cell"].to_numpy(), list(rows))).to_pylist():
         if point["step"] > 0:
             points.setdefault(point["cell"], {})[point["step"]] = math.nan if point["score"] is None else point["score"]
     found = {}
     for cell, scores in points.items():
+        if rows[cell]["failure"]:
+            scores.setdefault(json.loads(rows[cell]["asked"])["steps"], scores[max(scores)])
         steps = sorted(scores)
         found[cell] = float(np.average([scores[step] for step in steps], weights=np.diff(steps, prepend=0)))
     return found
@@ -313,15 +319,18 @@ def _compared(
     missing = cells.keys() - rows.keys()
     undefined = {cell for cell, value in cells.items() if not math.isfinite(value)} - missing
     needed = frozenset(cells), frozenset(missing), frozenset(undefined)
+    diverged = frozenset(cell for cell in cells if cell in rows and rows[cell]["failure"])
     several = tuple(log for log, prints in logs_of.items() if len(prints) > 1)
     if missing or undefined:
         nothing = Interval(math.nan, math.nan, math.nan)
-        return Comparison(test, rival, on, nothing, nothing, *needed, 1.0 - alpha, collections=several)
+        return Comparison(test, rival, on, nothing, nothing, *needed, 1.0 - alpha, collections=several, diverged=diverged)
     if test.less:
         ours, theirs = theirs, ours
     gain, strict = (_gain(test, ours, theirs, level) for level in (1.0 - alpha, 1.0 - alpha / count))
     same = () if test.among or test.beside is not None else (log for log in ours if np.ptp(ours[log] - theirs[log]) == 0.0)
-    return Comparison(test, rival, on, gain, strict, *needed, 1.0 - alpha, tuple(same), collections=several)
+    return Comparison(
+        test, rival, on, gain, strict, *needed, 1.0 - alpha, tuple(same), collections=several, diverged=diverged
+    )
 
 
 def _scaled(test: Test, values: np.ndarray) -> np.ndarray:

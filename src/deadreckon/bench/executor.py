@@ -1,5 +1,6 @@
 """Jobs until all are done, wherever they run: what an executor is, and what becomes of a program that fails or is lost."""
 
+import dataclasses
 import time
 import traceback
 from collections import Counter, deque
@@ -121,9 +122,9 @@ def run(
                 continue
             running -= 1
             event = _judged(event, lost)
-            if event.what == "failed" and len(event.program.jobs) > 1:
-                # Settings that are refused, or too many for the memory, must not take the others with them.
-                waiting.extend(Program((job,)) for job in event.program.jobs)
+            if event.what == "failed" and event.program.lanes > 1:
+                # Settings that are refused, a seed that diverged, or too many for the memory, must not take others with them.
+                waiting.extend(_parts(event.program))
                 event = Event("split", event.program, event.payload[0])
             elif event.what == "died":
                 waiting.appendleft(event.program)
@@ -134,6 +135,13 @@ def run(
                 for job, found in zip(event.program.jobs, event.payload, strict=True):
                     store.keep(job, found, event.program.run(job))
             on_event(event)
+
+
+def _parts(program: Program) -> list[Program]:
+    """A program for each of its jobs, or for each seed of its only one."""
+    if len(program.jobs) > 1:
+        return [Program((job,)) for job in program.jobs]
+    return [Program((dataclasses.replace(job, seeds=(seed,)),)) for job in program.jobs for seed in job.seeds]
 
 
 def _judged(event: Event, lost: Counter[str]) -> Event:

@@ -11,7 +11,7 @@ import numpy as np
 from deadreckon.agents import agent_class
 from deadreckon.bench import published
 from deadreckon.bench.checked import names_of, number
-from deadreckon.bench.jobs import Job
+from deadreckon.bench.jobs import Job, log_name
 from deadreckon.bench.store import RESULT, Store
 from deadreckon.bench.suite import Metric, Suite
 from deadreckon.data.entries import has_original
@@ -179,7 +179,12 @@ def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_
     printed = {on: _printed(suite, on, metric) for on in suite.on}
     missing = [(job, s) for job in jobs for s in job.seeds if name(job, s) not in by_cell]
     spread = f"{suite.seeds} seeds; means with Student's {PERCENT} intervals over seeds, wide where these are few"
+    if suite.kind in ("learn", "online"):
+        spread += "; all seeds are evaluated from the same starts, and intervals do not include how starts vary"
     notes = [spread if suite.seeds > 1 else "1 seed, so that nothing says how far seeds differ; the best of a row is marked"]
+    if means and len(suite.on) > 1:
+        told = "over all logs or tasks intervals are a bootstrap's over runs"
+        notes.append(f"{told} ({PERCENT}), too narrow where seeds are few")
     beside = {source for own in printed.values() for source in own}
     notes += [f"{source}: {told}" for source, told in SOURCES.get(suite.kind, {}).items() if source in beside]
     if suite.kind == "learn":
@@ -240,14 +245,15 @@ def _best(suite: Suite) -> list[str]:
 
 def _notes(jobs: Sequence[Job], missing: Sequence[tuple[Job, int]], store: Store, found: list[dict[str, Any]]) -> list[str]:
     notes = []
-    again = sorted({job.on for job in jobs if "@dr" in job.data})
+    again = sorted({log_name(job) for job in jobs if "@dr" in job.data})
     if again:
         own = [on for on in again if not has_original(on)]
         if remade := [on for on in again if on not in own]:
             notes.append(f"collected again by this package, not the original files: {', '.join(remade)}")
         if own:
             notes.append(f"collected by this package; there are no others: {', '.join(own)}")
-    copies = {on: len({row["log"] for row in found if row["on"] == on and row["log"]}) for on in again}
+    logs = {job.on: log_name(job) for job in jobs}
+    copies = {log: len({row["log"] for row in found if logs.get(row["on"]) == log and row["log"]}) for log in again}
     if several := [f"{on} ({count} logs)" for on, count in copies.items() if count > 1]:
         told = "collected on machines that round differently, so methods have learned from copies that differ"
         notes.append(f"{told}: {', '.join(several)}")

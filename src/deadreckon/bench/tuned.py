@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from deadreckon.ope.metrics import Metrics
+from deadreckon.stats.interval import PERCENT
 from deadreckon.stats.means import student
 
 By = Literal["ope", "simulator"]
@@ -63,6 +64,8 @@ class Tuned:
                 words.append(f"score {_interval(trial.scores.mean(0))}")
             words += [f"FAILED, not chosen: {trial.failure}"] if trial.failure else []
             lines.append("  ".join(words))
+        if any(len(trial.values) > 1 for trial in self.trials):
+            lines.append(f"intervals ({PERCENT}) are over seeds of training; how few episodes estimates rest on is not in them")
         if self.lost is not None:
             spread = np.ptp([trial.scores.mean() for trial in self.trials])
             share = f", {100 * self.lost / spread:.0f} % of the range of all" if spread > 0 else ""

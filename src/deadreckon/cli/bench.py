@@ -239,9 +239,10 @@ def _page(suite, jobs, store, full: bool = False):
         from deadreckon.ope.dope import from_json
         from deadreckon.report.dope import write_bench
 
-        rows = store.of(jobs).to_pylist()
-        # By their names in the suite, which may have one estimator with several settings.
-        results = [dataclasses.replace(from_json(json.loads(row["more"])["result"]), method=row["method"]) for row in rows]
+        # By their names in the suite, which may have one estimator with several settings, and not in the one that did them.
+        names = {cell: job.method for job in jobs for cell in job.cells}
+        told = [(names[row["cell"]], json.loads(row["more"])["result"]) for row in store.of(jobs).to_pylist()]
+        results = [dataclasses.replace(from_json(result), method=name) for name, result in told]
         return write_bench(results, store.path / "reports" / f"{name}.html") if results else None
     pages = []
     folders = {row["cell"]: store.run_of(row) for row in store.of(jobs).to_pylist()}
