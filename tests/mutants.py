@@ -2513,8 +2513,8 @@ MUTANTS = (
     ),
     Mutant(
         "next-observations-in-the-tables-order", "data/draft.py",
-        "observed = asked if named else rest",
-        "observed = sorted(asked, key=self.names.index) if named else rest",
+        "observed = [column for column in self.several(self.asked.observations) if column in have] if named else rest",
+        "observed = self.having(\"observation\") if named else rest",
         "next observations go with other observations than those that were asked for",
         ("data/test_misreadings.py::test_next_observations_in_any_order_are_those_of_the_observations_asked_for",),
     ),
@@ -2652,9 +2652,9 @@ MUTANTS = (
         ("tasks/test_gymnasium.py::test_rewards_that_depend_on_earlier_episodes_are_told_when_copies_are_restored",),
     ),
     Mutant(
-        "seeds-fall-together", "bench/executor.py",
-        "for seed in job.seeds]",
-        "for seed in job.seeds[:1]]",
+        "seeds-fall-together", "bench/jobs.py",
+        "for job in alone for seed in job.seeds]",
+        "for job in alone for seed in job.seeds[:1]]",
         "the seeds of a program in which one failed are never done",
         ("bench/test_runner.py::test_a_seed_that_fails_does_not_take_the_others_with_it",),
     ),

@@ -56,6 +56,6 @@ def differences(before: Any, now: Any, keys: Sequence[str] | None = None, prefix
         if isinstance(a, dict) and isinstance(b, dict):
             inner = [k for k in dict.fromkeys([*a, *b]) if k not in ("path", "created")]
             out += differences(a, b, inner, f"{prefix}{key}.")
-        elif a != b:
+        elif a != b and not (key == "marked" and not a and not b):  # which schemas of before did not say where it is False
             out.append(f"{prefix}{key} was {a}, now {b}")
     return out

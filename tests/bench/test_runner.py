@@ -137,14 +137,14 @@ def test_a_process_that_always_dies_is_given_up(suite, tmp_path):
                 os.kill(child.pid, signal.SIGKILL)
             deaths.append(event)
 
-    run([dataclasses.replace(jobs[0], seeds=(1,))], store, told, Local(store.path, workers=1))
+    run(jobs[:1], store, told, Local(store.path, workers=1))
     assert len(deaths) == 3
     assert "died 3 times" in store.failure(jobs[0], 1)["error"]
 
 
 def test_a_seed_that_fails_does_not_take_the_others_with_it(suite, tmp_path):
     """A designer's program raises if any of its seeds diverges."""
-    job, store, done = plan(suite, 2)[0], Store(tmp_path), []
+    job, store, done = dataclasses.replace(plan(suite, 2)[0], kind="design"), Store(tmp_path), []
 
     def work(program, folder, watch):
         done.append(program.jobs[0].seeds)

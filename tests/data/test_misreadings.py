@@ -673,3 +673,24 @@ def test_no_last_row_of_noise_is_taken_for_a_total():
         few, flags, counts = rng.integers(-1, 2, (2, rows)), rng.random((2, rows)) < 1 / rows, rng.integers(0, 4, (2, rows))
         columns = {f"{i}": column for i, column in enumerate([*few, *flags.astype(int), *counts, *rng.normal(size=(2, rows))])}
         assert of_totals(pa.table(columns)) == []
+
+
+def test_a_new_customer_is_no_customer_of_the_next_row():
+    flag = np.arange(N) % 4 == 0
+    table = base(customer=EPISODE, new_customer=flag, amazon=X, amazon_prime=flag)
+    log = Dataset.from_frame(table, group="customer", ignore="amazon")
+    assert named(log) == ["x", "new_customer", "amazon_prime"]
+
+
+def test_times_that_are_observed_have_next_ones():
+    table = {"t": STEP, "x": X, "action": np.arange(N) % 3, "reward": R, "next_t": STEP + 1, "next_x": np.roll(X, -1)}
+    log = Dataset.from_frame(table | {"terminal": STEP == 11})
+    assert named(log) == ["t", "x"]
+    np.testing.assert_array_equal(log.next_observations[:, 0], STEP + 1)
+
+
+def test_rows_in_the_order_of_time_over_all_customers_are_no_pieces():
+    table = base(customer=np.tile(np.arange(12), 10), visit_no=np.repeat(np.arange(10), 12), date=np.arange(N))
+    log = Dataset.from_frame(table, episode="customer", time="date")
+    assert log.episodes == 12
+    assert not told(log, "pieces of rows")

@@ -10,7 +10,8 @@ import pytest
 from deadreckon.errors import UserError
 from deadreckon.files import write_json
 from deadreckon.runs.decision_record import file_of, read_results, saved_at, write_results
-from deadreckon.runs.player import chosen
+from deadreckon.runs.player import _own_decision, chosen
+from deadreckon.versions import differences
 from tests.recorded import decision
 
 
@@ -61,9 +62,32 @@ def test_numbers_that_json_does_not_have(tmp_path):
     told = decision([{"name": "a"}], [result], choice={"gain": gains[0]})
     write_results(tmp_path / "e.json", told)
     strict = json.loads((tmp_path / "e.json").read_text(), parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
-    assert strict["results"][0]["low"] == [None, 0.5]
+    assert strict["results"][0]["low"] == ["-Infinity", 0.5]
+    assert strict["results"][0]["value"] == [None, 1.0]
     again = read_results(tmp_path / "e.json")
     assert again["results"][0]["low"] == [-math.inf, 0.5]
     assert again["results"][0]["high"] == [math.inf, 2.0]
     assert math.isnan(again["results"][0]["value"][0])
     assert again["choice"]["gain"][1:] == again["results"][0]["gain"][0][1:] == [-math.inf, math.inf]
+
+
+def test_a_runs_own_folder_stands_for_its_policy_where_a_decision_is_of_another(may):
+    run = may / "run"
+    (run / "policies").mkdir(parents=True)
+    (run / "policies" / "seed0.npz").write_bytes(b"PK first")
+    policy = {"name": "run seed 0", **saved_at(run / "policies" / "seed0.npz", run)}
+    write_json(run / "estimates.json", decision([policy]))
+    assert _own_decision(run)[0].decision == run
+    (run / "policies" / "seed0.npz").write_bytes(b"PK more")
+    found, told = _own_decision(run)
+    assert found is None
+    assert "is about was another, before it was trained further" in told
+    write_json(run / "estimates.json", decision([policy], choice={"deploy": False}))
+    assert _own_decision(run) == (None, f"; {run / 'estimates.json'} says: do not deploy")
+    write_json(run / "estimates.json", {"policies": []})  # of another version
+    assert _own_decision(run) == (None, "")
+
+
+def test_notes_of_before_do_not_say_that_a_column_has_no_marks():
+    assert differences({"x": {"kind": "number"}}, {"x": {"kind": "number", "marked": False}}) == []
+    assert differences({"x": {"marked": True}}, {"x": {"marked": False}}) == ["x.marked was True, now False"]

@@ -27,6 +27,7 @@ def test_rows_alike_within_clusters_are_worth_one_each_and_others_all():
     alike, rng = np.arange(5.0)[codes], np.random.default_rng(0)
     assert effective(codes, alike) == 5.0
     assert effective(np.arange(20), rng.standard_normal(20)) == 20.0
+    assert effective(np.zeros(20, int), rng.standard_normal(20)) == 1.0  # of a single cluster nothing tells
     within = np.tile([0.0, 1.0, 2.0, 3.0], 5)  # nothing in common within a cluster
     assert effective(codes, alike, within) == 20.0
     y = alike + rng.standard_normal(20)

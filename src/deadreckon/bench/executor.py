@@ -1,6 +1,5 @@
 """Jobs until all are done, wherever they run: what an executor is, and what becomes of a program that fails or is lost."""
 
-import dataclasses
 import time
 import traceback
 from collections import Counter, deque
@@ -21,7 +20,7 @@ TRIES = 3  # of a program whose process dies; what went on until then is on disk
 class Event(NamedTuple):
     """What happens to a program: `begun`, `progress` (done, total), `done` (what was found, one per job), `failed` (why),
     `elsewhere` (another command is at it), `skipped` (another command has done it since), `split` (it failed for a reason, and
-    its jobs go on one by one) or `died` (and is begun again)."""
+    its jobs, or its only job's seeds, go on one by one) or `died` (and is begun again)."""
 
     what: str
     program: Program
@@ -122,9 +121,9 @@ def run(
                 continue
             running -= 1
             event = _judged(event, lost)
-            if event.what == "failed" and event.program.lanes > 1:
+            if event.what == "failed" and len(event.program.parts) > 1:
                 # Settings that are refused, a seed that diverged, or too many for the memory, must not take others with them.
-                waiting.extend(_parts(event.program))
+                waiting.extend(event.program.parts)
                 event = Event("split", event.program, event.payload[0])
             elif event.what == "died":
                 waiting.appendleft(event.program)
@@ -135,13 +134,6 @@ def run(
                 for job, found in zip(event.program.jobs, event.payload, strict=True):
                     store.keep(job, found, event.program.run(job))
             on_event(event)
-
-
-def _parts(program: Program) -> list[Program]:
-    """A program for each of its jobs, or for each seed of its only one."""
-    if len(program.jobs) > 1:
-        return [Program((job,)) for job in program.jobs]
-    return [Program((dataclasses.replace(job, seeds=(seed,)),)) for job in program.jobs for seed in job.seeds]
 
 
 def _judged(event: Event, lost: Counter[str]) -> Event:

@@ -1,5 +1,6 @@
 """Jobs, which are cells of one run, programs of such jobs, and the methods that jobs name."""
 
+import dataclasses
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -88,6 +89,15 @@ class Program:
     def _where(self) -> str:
         logs = len({job.data for job in self.jobs})
         return self.jobs[0].on if logs == 1 else f"{logs} logs"
+
+    @property
+    def parts(self) -> "list[Program]":
+        """What is tried alone where the program fails: its jobs; of a single one its seeds, if one that diverges is an error of
+        all, as in designs and in what goes on from runs on logs."""
+        if len(self.jobs) > 1:
+            return [Program((job,)) for job in self.jobs]
+        alone = [job for job in self.jobs if job.kind == "design" or "log" in job.options]
+        return [Program((dataclasses.replace(job, seeds=(seed,)),)) for job in alone for seed in job.seeds]
 
     @property
     def lanes(self) -> int:

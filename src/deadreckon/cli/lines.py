@@ -38,7 +38,9 @@ class Lines:
             self._left += 1
             print(f"{event.program}: another command is at it, and it is left to that one", flush=True)
         elif event.what == "split":
-            self.total += len(event.program.jobs) - 1
-            print(f"{event.program}: {event.payload}; its settings go on one by one", flush=True)
+            parts = event.program.parts
+            self.total += len(parts) - 1
+            what = "settings" if len(event.program.jobs) > 1 else "seeds"
+            print(f"{event.program}: {event.payload}; its {what} go on one by one", flush=True)
         elif event.what == "died":
             print(f"{event.program}: its process ended ({event.payload}); it is begun again where it was", flush=True)

@@ -19,6 +19,7 @@ from deadreckon.data.rest import rest
 from deadreckon.data.schema import ONE, Column, Role, Schema
 from deadreckon.errors import UserError
 
+_AHEAD: tuple[Role, ...] = ("action", "reward", "terminal", "timeout", "cost", "propensity")
 _LEGAL: tuple[Role, ...] = ("legal", "next_legal")
 
 
@@ -109,8 +110,8 @@ class _Maker:
         following = self.several(self.asked.next_observations)
         named = self.asked.observations is not None
         rest = [column for column in self.rest_but(following) if not roles.not_observed(column)]
-        asked = [column for column in self.several(self.asked.observations) if column in self.having("observation")]
-        observed = asked if named else rest
+        have = {*self.having("observation")}
+        observed = [column for column in self.several(self.asked.observations) if column in have] if named else rest
         pairs = {c: o for c, o in roles.next_of(self.names).items() if c in following and o in observed}
         if len(pairs) < len(following):
             if len(following) != len(observed):
@@ -210,8 +211,8 @@ class _Maker:
 
     def ahead_by_name(self) -> None:
         """Actions, rewards and flags of the next row, which nobody knows when an action is chosen."""
-        others = {c: of for c, of in roles.next_of(self.names).items() if of in self.roles or roles.not_observed(of)}
-        ahead = {c: of for c, of in others.items() if self.roles.get(of, ("",))[0] != "observation"}
+        known = {column.lower(): column for role in _AHEAD for column in self.having(role)}
+        ahead = {c: known[of] for c in self.names if (of := c.lower().removeprefix("next_")) in known and of != c.lower()}
         for column, of in (roles.next_flags(self.names) | ahead).items():
             if column not in self.roles:
                 self.give([column], "ignore", f"the next row's {of}")

@@ -36,6 +36,8 @@ from deadreckon.names import natural
 OTHERS = "other_levels"  # the entry of `Provenance.extra`: values that are none of a column's levels, by column
 _SHOWN, _KEPT = 5, 50  # unknown levels named in a message, and kept in `extra`
 
+MOST_NATURAL = 100_000  # names of episodes that are put in the order of the numbers in them; of more it would take long
+
 
 class Encoder:
     """Encodes columns of `table`, and keeps what should be told about it.
@@ -293,10 +295,11 @@ class Encoder:
         if not ordered:
             return codes
         ranks = np.empty(len(encoded.dictionary), np.int64)
-        order = sorted_indices(encoded.dictionary)
-        if is_text(encoded.dictionary.type):
+        if is_text(encoded.dictionary.type) and len(ranks) <= MOST_NATURAL:
             texts = encoded.dictionary.to_pylist()
             order = sorted(range(len(texts)), key=lambda i: natural(texts[i]))
+        else:
+            order = sorted_indices(encoded.dictionary)
         ranks[order] = np.arange(len(ranks))
         return ranks[codes]
 

@@ -52,7 +52,7 @@ def _merged(table: pa.Table, episode: str, columns: list[str], codes: np.ndarray
     """What to say of episodes that stand in several pieces, each with a value of a column, as a machine or a patient."""
     starts = np.append(0, np.flatnonzero(codes[1:] != codes[:-1]) + 1)
     episodes = int(codes.max()) + 1
-    if len(starts) == episodes:
+    if len(starts) == episodes or 2 * len(starts) > len(codes):  # of rows in the order of time each is a piece
         return []
     for name in columns:
         values = flat(table, name, ignored=True)

@@ -27,7 +27,7 @@ def section(page: Page) -> Markup | None:
 def _of(file: Path) -> Markup:
     """The part of one file, if the policy that it explains is still there."""
     found = Explained.from_json(read_json(file, Explained))
-    there = [*file.parent.glob("policies/*.npz"), *file.parent.glob("*.npz")]
+    there = [policy for pattern in ("policies/*.npz", "*.npz", "refit/policies/*.npz") for policy in file.parent.glob(pattern)]
     if found.digest is None or found.digest in map(content_digest, there):
         return part(found)
     again = f"The policy has changed since it was explained; `deadreckon explain {file.parent}` explains it as it is now."

@@ -12,7 +12,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import content_digest, is_there, read_json, write_json
 from deadreckon.foreign.shapes import checked, same_length, wrong
 
-Number = float | None
+Number = float | None | Literal["Infinity", "-Infinity"]
 
 
 class Estimand(TypedDict):
@@ -173,11 +173,11 @@ class Estimates(TypedDict):
 
 def saved_at(file: Path | None, out: Path | str | None) -> dict[str, str | None]:
     """What is noted of a policy's file: its path, the same from the record's folder `out`, and its content."""
-    if file is None:
-        return {"file": None}
+    if file is None or not is_there(file):  # of a run in memory, whose folder is gone
+        return {"file": None if file is None else str(file)}
     beside = None
     if out is not None and Path(file).absolute().drive == Path(out).absolute().drive:
-        beside = os.path.relpath(Path(file).absolute(), Path(out).absolute())
+        beside = Path(os.path.relpath(Path(file).absolute(), Path(out).absolute())).as_posix()
     return {"file": str(file), "beside": beside, "digest": content_digest(file)}
 
 
@@ -203,7 +203,7 @@ def is_same(policy: Mapping[str, Any], file: Path) -> bool:
 
 
 def write_results(path: Path | str, results: Mapping[str, Any]) -> None:
-    """Writes `estimates.json`; numbers that are not finite, which JSON does not have, as null. Atomic."""
+    """Writes `estimates.json`, with "Infinity", "-Infinity" and null for numbers that JSON does not have. Atomic."""
     write_json(path, _finite(results))
 
 
@@ -212,17 +212,16 @@ def _finite(value: Any) -> Any:
         return {key: _finite(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
         return [_finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    if not isinstance(value, float) or math.isfinite(value):
+        return value
+    return None if math.isnan(value) else ("Infinity" if value > 0 else "-Infinity")
 
 
-def _ends(values: list[Number], unknown: float) -> list[float]:
-    """Numbers, of which null was one that JSON does not have."""
-    return [unknown if value is None else value for value in values]
-
-
-def _interval(triple: list[Number]) -> list[float]:
-    """An estimate and its interval, where null is no number, and the ends of one without bounds."""
-    return [no if value is None else value for value, no in zip(triple, (math.nan, -math.inf, math.inf))]
+def _known(value: Any) -> Any:
+    """The inverse of `_finite` in lists of numbers, where null was no number."""
+    if isinstance(value, list):
+        return [_known(each) for each in value]
+    return math.nan if value is None else float(value)
 
 
 def is_from(policy: Mapping[str, Any], folder: Path) -> bool:
@@ -244,10 +243,9 @@ def read_results(path: Path | str) -> dict[str, Any]:
         raise UserError(f"{path} is from a version that judged policies on the rows that taught them; estimate them again")
     checked(found, Estimates, path)
     policies, choice = len(found["policies"]), found["choice"]
-    choice["gain"] = _interval(choice["gain"])
+    choice["gain"] = _known(choice["gain"])
     for number, each in enumerate(found["results"]):
-        each["value"], each["low"] = _ends(each["value"], math.nan), _ends(each["low"], -math.inf)
-        each["high"], each["gain"] = _ends(each["high"], math.inf), list(map(_interval, each["gain"]))
+        each |= {field: _known(each[field]) for field in ("value", "low", "high", "gain")}
         for field in ("value", "low", "high", *(["effective"] if each["effective"] else [])):
             same_length(path, f"results[{number}].{field}", each[field], policies + 1)
         if len(each["gain"]) not in (policies, policies + 1):
@@ -265,7 +263,7 @@ def read_results(path: Path | str) -> dict[str, Any]:
         same_length(path, f"support.{key}", found["support"][key], policies)
     same_length(path, "choice.objections", choice["objections"], policies)
     for number, cost in enumerate(choice.get("costs", ())):
-        cost["ends"] = list(map(_interval, cost["ends"]))
+        cost["ends"] = _known(cost["ends"])
         same_length(path, f"choice.costs[{number}].ends", cost["ends"], policies + 1)
     for key in ("mean", "error") if found["truth"] else ():
         same_length(path, f"truth.{key}", found["truth"][key], policies)

@@ -100,6 +100,7 @@ def judge_alone(
     """See `judge`; for callers that hold the lock of `settings.out`, or have no folder."""
     groups = None if settings.by_group is None else Groups.of(data, settings.by_group)
     candidates = gather(policies)
+    files = [saved_at(each.file, settings.out) for each in candidates]  # as they are judged, whatever is made of them meanwhile
     check_encodings(candidates, data)
     task = None if task is None else find_task(task)
     if task is not None:
@@ -130,8 +131,8 @@ def judge_alone(
         "log": data.name, "estimand": case.estimand.as_json() | {"words": str(case.estimand)}, "seed": settings.seed,
         "truth": None,
         "policies": [
-            {"name": name, "run": each.run, "seed": each.seed, **saved_at(each.file, settings.out)}
-            for name, each in zip(case.names, candidates)
+            {"name": name, "run": each.run, "seed": each.seed, **file}
+            for name, each, file in zip(case.names, candidates, files)
         ],
         "propensities": "logged" if "behavior_log_probs" in data.extras else "learned",
         "judged": {"words": episodes.told, "episodes": len(episodes.held), "of": data.episodes,

@@ -4,9 +4,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from deadreckon.errors import UserError, reading
+from deadreckon.files import read_json
 from deadreckon.policies.file import fitting, numpy_player, read_policy
 from deadreckon.policies.table_predict import Predictor
-from deadreckon.runs.decision_record import file_of, read_results
+from deadreckon.runs.decision_record import file_of, is_same, read_results
 from deadreckon.runs.folder import Folder, policy_seed
 from deadreckon.runs.records import read_status
 
@@ -44,11 +45,13 @@ def chosen(path: Path | str, seed: int | None = None) -> Chosen:
         UserError: it is none of these, has no such policy, or the decision is to deploy none.
     """
     path = Path(path)
-    own = (path / "run.json").exists() or (path / CROSS_FIT).exists()
-    decided = read_results(path / ESTIMATES)["choice"] if seed is None and (path / ESTIMATES).exists() else None
-    if decided is not None and (decided["deploy"] or not own):
-        return _of_decision(path)
-    against = "" if decided is None else f"; {path / ESTIMATES} says: do not deploy"
+    against = ""
+    if seed is None and (path / ESTIMATES).exists():
+        if not ((path / "run.json").exists() or (path / CROSS_FIT).exists()):
+            return _of_decision(path)
+        decided, against = _own_decision(path)
+        if decided is not None:
+            return decided
     if (path / "run.json").exists():
         found = _of_run(Folder(path), seed)
         return found._replace(words=f"{found.words}{against}")
@@ -81,6 +84,19 @@ def _of_run(folder: Folder, seed: int | None) -> Chosen:
         raise UserError(f"{folder.path} is not finished; `deadreckon train ... --out {folder.path} --resume` goes on with it")
     others = f", one of {len(config['seeds'])} (--policy-seed)" if len(config["seeds"]) > 1 else ""
     return Chosen(file, f"seed {which} of {folder.path}{others}", owner=folder.path)
+
+
+def _own_decision(path: Path) -> tuple[Chosen | None, str]:
+    """What a decision in a run's own folder says to use; None, and what to tell of that, where it is to be passed over."""
+    if "estimand" not in read_json(path / ESTIMATES, dict):  # of another version
+        return None, ""
+    results = read_results(path / ESTIMATES)
+    if not results["choice"]["deploy"]:
+        return None, f"; {path / ESTIMATES} says: do not deploy"
+    judged = next((each for each in results["policies"] if each["name"] == results["choice"]["name"]), {})
+    if (file := judged.get("file")) is not None and Path(file).exists() and not is_same(judged, Path(file)):
+        return None, f"; the policy that {path / ESTIMATES} is about was another, before it was trained further"
+    return _of_decision(path), ""
 
 
 def _of_decision(path: Path) -> Chosen:

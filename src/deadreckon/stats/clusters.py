@@ -5,7 +5,8 @@ import numpy as np
 
 def intraclass(values: np.ndarray, codes: np.ndarray) -> float:
     """The intraclass correlation of (rows,) values in clusters: the share of their variance that rows of one have in common, by
-    one-way analysis of variance (Donner 1986, eq. 2.2), in [0, 1]; 0 where each row is a cluster, or all are one.
+    one-way analysis of variance (Donner 1986, eq. 2.2), in [0, 1]; 0 where each row is a cluster, and 1 where all are one, as
+    nothing tells.
 
     Args:
         values: (rows,).
@@ -13,7 +14,9 @@ def intraclass(values: np.ndarray, codes: np.ndarray) -> float:
     """
     size = np.bincount(codes).astype(np.float64)
     size, n, clusters = size[size > 0], len(values), int((size > 0).sum())
-    if clusters in (1, n) or np.ptp(values) == 0:
+    if clusters == 1 < n:
+        return 1.0
+    if clusters == n or np.ptp(values) == 0:
         return 0.0
     count = np.maximum(np.bincount(codes), 1)
     mean = (np.bincount(codes, values) / count)[codes]

@@ -150,7 +150,7 @@ def _named_ours(path: Path | str, table: pa.Table, horizon: int | None, scratch:
         columns["terminals"] = np.ones(table.num_rows, bool)  # nothing tells of episodes: decisions that stand alone
         warnings.append(ALONE)
     clock = [key for key in table.column_names if like("time", key) and "episode" not in table.column_names and key in columns]
-    if clock and (falls := int((np.diff(columns[clock[0]]) < 0).sum())):
+    if clock and (falls := int((columns[clock[0]][1:] < columns[clock[0]][:-1]).sum())):
         text = f"rows are taken in the table's order, in which {clock[0]} falls {falls:,} times"
         warnings.append(f"{text}: --time {clock[0]} puts them in its order")
     if "propensity" in columns and LOG_PROBS not in columns:

@@ -202,7 +202,8 @@ def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> t
     rows = sum(count for _, count in groups)
     if not rows:
         raise UserError(f"{source}: the table has no rows")
-    files = {str(file): [os.stat(file).st_size, os.stat(file).st_mtime_ns] for file in found.files}
+    ordered = sorted(map(str, found.files), key=natural)  # as `_groups` has them
+    files = [[file, os.stat(file).st_size, os.stat(file).st_mtime_ns] for file in ordered]
     journal = {"files": files, "rows": rows, "part": _PART}
     if not (work / "source.json").is_file() or read_json(work / "source.json") != journal:
         shutil.rmtree(work, ignore_errors=True)  # of another source
