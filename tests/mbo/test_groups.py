@@ -32,7 +32,7 @@ def read(frame, **more):
 
 def test_a_model_that_knows_what_a_batch_has_in_common_is_not_praised():
     frame = batches()
-    with pytest.warns(UserWarning, match="rows with the same lot are held out together .* 8 parts"):
+    with pytest.warns(UserWarning, match="rows with the same lot are held out together .*8 parts"):
         data = read(frame, groups="lot")
     assert [v.name for v in data.variables] == ["a", "b"]
     np.testing.assert_array_equal(data.units, np.repeat(np.arange(8), 6))
@@ -123,3 +123,12 @@ def test_the_command_and_a_schema_say_groups(tmp_path, capsys):
     both = ["design", table, "--targets", "y", "z", "--groups", "lot", "-n", "2", "--out", str(tmp_path / "three")]
     assert cli.main(both) == 0
     assert "2 variables (a, b)" in capsys.readouterr().out
+
+
+@pytest.mark.filterwarnings("ignore:.*")
+def test_a_column_that_is_called_like_a_batch_is_reported():
+    frame = batches(4, 5)
+    line = "column lot is taken for an input; if it is no setting and tells which rows belong together, --groups lot holds"
+    assert any(line in each for each in read(frame).noticed)
+    assert not any("--groups" in each for each in read(frame, groups="lot").noticed)
+    assert not any("--groups" in each for each in read({**frame, "lots_of": frame["lot"]}, ignore=["lot"]).noticed)

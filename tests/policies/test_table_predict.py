@@ -40,8 +40,12 @@ def test_a_mixture_keeps_its_member_for_an_episode():
     assert (days == days[:, :1]).all()
     assert 10 < days[:, 0].sum() < 40
     assert 70 < policy.predict({"x": [0.0] * 200}).sum() < 130
-    told = policy.predict(frame, probabilities=True, greedy=False).probabilities
-    np.testing.assert_array_equal([told[0], told[1]], np.full((2, 200), 0.5))
+    told = policy.predict(frame, probabilities=True, greedy=False, seed=1)
+    acted = np.asarray(told.actions)
+    own = [told.probabilities[0], told.probabilities[1]]  # of the one that acts
+    np.testing.assert_array_equal(own, [acted == 0, acted == 1])
+    alone = policy.predict({"x": [0.0] * 200}, probabilities=True, greedy=False).probabilities
+    np.testing.assert_array_equal([alone[0], alone[1]], np.full((2, 200), 0.5))
 
 
 def test_a_mixture_that_is_asked_row_by_row_draws_its_member_each_time():

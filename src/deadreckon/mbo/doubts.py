@@ -1,5 +1,6 @@
 """What may be a mistake in a table of experiments and is read all the same: one line each."""
 
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
@@ -24,6 +25,7 @@ _RELATED = 1e-3  # deviation, in those of the variables, by which a linear relat
 _SAME = 0.98  # rank correlation with the score from which on an input may be another outcome
 _LEAST = 0.01  # weight of a column within the space of constant sums, of parts of one at least a hundredth
 _MANY = 200  # variables beyond which sums are not looked for
+_GROUPS = re.compile(r"(batch|lot|plate|operator|day|campaign)(es|s)?(_?(id|no|nr|number|name))?")
 _WHOLES = (1, 100)  # what parts of a whole sum to
 
 
@@ -46,6 +48,11 @@ def of_inputs(
     """
     lines = []
     for column, v in enumerate(variables):
+        if _GROUPS.fullmatch(v.name.lower()):
+            lines.append(
+                f"column {v.name} is taken for an input; if it is no setting and tells which rows belong together, "
+                f"--groups {shlex.quote(v.name)} holds these out together where predictions are tested"
+            )
         if v.leveled:
             lines += _of_levels(v, x[:, column])
         elif (row := far(x[:, column])) is not None and _not_meant((bounds or {}).get(v.name), x[:, column]):

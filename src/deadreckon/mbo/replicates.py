@@ -127,7 +127,7 @@ def _linked(z: np.ndarray) -> np.ndarray:
 def units_told(data: "Designs", groups: str | None) -> list[str]:
     """Lines on rows that are held out together: the groups of a column, and rows that are taken for replicates."""
     told = f"rows with the same {groups} are held out together where predictions of unseen designs are tested"
-    lines = [] if groups is None else [f"{told}; {int(data.units.max()) + 1:,} parts are held out by turns"]
+    lines = [] if groups is None else [f"{told} ({int(data.units.max()) + 1:,} parts)"]
     count, designs = int(data.recipes.max()) + 1, len(np.unique(data.x, axis=0))
     return lines if count == designs else [*lines, (
         f"{designs:,} different designs are {count:,} recipes whose settings differ slightly from row to row: a recipe is held "
