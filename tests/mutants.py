@@ -2673,6 +2673,27 @@ MUTANTS = (
         ("mbo/test_groups.py::test_four_groups_with_nothing_else_in_them_tell_no_skill_from_chance",),
     ),
     Mutant(
+        "losses-that-are-not-there", "ope/losses.py",
+        "if chance > alpha / 2 and low <= shift:",
+        "if False:",
+        "a policy whose few rows lack the log's rare losses by chance is deployed",
+        ("ope/test_losses.py::test_a_policy_whose_few_rows_have_no_loss_by_chance_is_not_deployed",),
+    ),
+    Mutant(
+        "costs-that-are-not-there", "ope/costs.py",
+        "[np.ptp(case.data.rewards[own]) == 0.0 for own in rows]",
+        "[False for own in rows]",
+        "a limit is met by a cost that a policy's few rows lack by chance",
+        ("ope/test_losses.py::test_a_cost_that_the_rows_of_a_policy_lack_is_not_within_a_limit",),
+    ),
+    Mutant(
+        "weights-above-one", "ope/support.py",
+        "self.ratio_low[which] > LONG",
+        "False",
+        "propensities that are those of another action pass for good ones",
+        ("ope/test_losses.py::test_propensities_that_are_those_of_another_action_are_objected_to",),
+    ),
+    Mutant(
         "rounded-parts-break-the-sum", "mbo/effects.py", "if each.equal and rounded:", "if False:",
         "the best row, whose parts are rounded, is none that satisfies the rules, and gains are measured from a worse one",
         ("report/test_design_page.py::test_a_mixture_of_rounded_parts_is_one",),

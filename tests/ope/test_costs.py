@@ -138,7 +138,7 @@ def test_a_cost_that_never_occurred_has_no_upper_end(judge):
     log = bandit(100, 0)
     never = replace(log, extras=log.extras | {"cost": np.zeros(100)})
     case = OPEInput(never, [policy(CHANCES[2])], discount=0.0, horizon=1, logged=True)
-    (cost,) = costs_of(case, judge, _support(case), {"cost": 0.001}, 0.025)
+    (cost,) = costs_of(case, judge, _support(case), {"cost": 0.001}, 0.025, SMALL)
     assert cost.ends[0].tolist() == [0.0, -np.inf, np.inf]
     assert cost.objection(0, 0.975) == (
         "nobody knows whether its cost stays within 0.001: in every judged episode that counts for it the total is 0, which "
@@ -153,7 +153,7 @@ def test_a_cost_whose_fit_has_not_settled_is_not_known():
         def solve(self, case):
             return replace(ImportanceSampling().solve(case), diagnostics={"settled": np.array([0.0, 1.0, 1.0])})
 
-    (cost,) = costs_of(case(), Diverging(), _support(case()), {"cost": 99.0}, 0.05)
+    (cost,) = costs_of(case(), Diverging(), _support(case()), {"cost": 99.0}, 0.05, SMALL)
     assert np.isinf(cost.ends[0, 1:]).all()
     assert cost.objection(0, 0.95) == "nobody knows whether its cost stays within 99: the fit of its estimate has not settled"
     assert cost.objection(1, 0.95) is None
@@ -193,7 +193,7 @@ def test_intervals_of_costs_cover(rows):
     covered = 0
     for seed in range(300):
         own = OPEInput(bandit(rows, seed), [policy(p) for p in CHANCES[1:]], logged=True)
-        (cost,) = costs_of(own, ImportanceSampling(), _support(own), {"cost": None}, 0.05)
+        (cost,) = costs_of(own, ImportanceSampling(), _support(own), {"cost": None}, 0.05, SMALL)
         exact = TRUE["cost"][[1, 2, 0]]
         covered += bool(((cost.ends[:, 1] <= exact) & (exact <= cost.ends[:, 2])).all())
     assert covered >= 0.92 * 300

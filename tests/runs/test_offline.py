@@ -148,6 +148,14 @@ def test_what_nobody_knows_is_not_deployed_unless_the_user_says_so(noise, tmp_pa
 
 
 @pytest.mark.slow
+def test_what_a_user_says_of_one_policy_brings_no_episodes_back_that_taught_another(noise):
+    log, run, _ = noise
+    told = judge([run, run.policy], log, "is", unseen=True, **QUICK).results
+    assert told["judged"]["episodes"] == len(run.held) < log.episodes
+    assert "equal episodes that taught" not in told["judged"]["words"]
+    assert judge([run.policy], log, "is", unseen=True, **QUICK).results["judged"]["episodes"] == log.episodes
+
+
 def test_python_functions_are_judged_too_and_what_they_have_no_support_for_has_no_ends():
     """Action 1 is never taken: nothing that any estimator says of a policy that takes it has an end."""
     rng = np.random.default_rng(0)

@@ -18,9 +18,11 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
+from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.estimator import Estimator
+from deadreckon.ope.importance import counting, log_ratios
 from deadreckon.ope.select import gains, supported
 from deadreckon.ope.support import Support
 from deadreckon.stats.interval import level_in_words
@@ -125,8 +127,9 @@ def limits_of(given: float | Mapping[str, float] | Sequence[str] | None, log: Da
 
 
 def costs_of(
-    case: OPEInput, estimator: Estimator, support: Support, limits: Mapping[str, float | None], alpha: float
-) -> list[Cost]:
+    case: OPEInput, estimator: Estimator, support: Support, limits: Mapping[str, float | None], alpha: float,
+    model: BehaviorModel,
+) -> list[Cost]:  # fmt: skip
     """The totals of costs of a case's policies.
 
     Args:
@@ -135,25 +138,29 @@ def costs_of(
         support: of the policies in the log.
         limits: {column: limit, or None}.
         alpha: share of logs for which one of the intervals may miss.
+        model: how the behaviour policy is learned where propensities were not logged.
     """
     found = []
     for column, limit in limits.items():
         own = _with_cost(case, column)
         told = estimator.on(own)
-        unknown = _unknown(told, own)
+        unknown = _unknown(told, own, model)
         ends = totals(told, alpha / len(limits), supported(told, support) & [not why for why in unknown])
         discount = case.estimand.discount if case.given.lengths.max() > 1 and case.estimand.horizon != 1 else 1.0
         found.append(Cost(column, limit, ends, told.warnings, discount, unknown))
     return found
 
 
-def _unknown(found: Estimates, case: OPEInput) -> tuple[str, ...]:
+def _unknown(found: Estimates, case: OPEInput, model: BehaviorModel) -> tuple[str, ...]:
     """For each policy why its total has no interval, a phrase; empty where nothing speaks against one."""
     same = np.full(len(found.names), np.ptp(case.data.returns(case.discount)) == 0.0)
     if found.influence is not None:  # of weighted episodes some policies may have those without the cost alone
         with np.errstate(over="ignore", invalid="ignore"):  # where products of weights are huge, and nothing is known either
             spread = found.influence.std(0)
             same |= spread <= ROUNDING * np.maximum(spread.max(), np.abs(found.value).max())
+    if case.data.lengths.max() == 1 and not case.degenerate.any():
+        rows = counting(log_ratios(case, "auto", model, None)[: len(same)])
+        same[: len(rows)] |= [np.ptp(case.data.rewards[own]) == 0.0 for own in rows]
     if found.ess is not None:  # without any weight that is the reason
         same &= found.ess > 0
     settled = found.diagnostics.get("settled", np.ones(len(found.names)))

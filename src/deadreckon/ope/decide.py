@@ -21,6 +21,7 @@ from deadreckon.ope.groups import Groups, by_group
 from deadreckon.ope.guarantee import guaranteed, refuse
 from deadreckon.ope.importance import ImportanceSampling, learns, log_ratios
 from deadreckon.ope.linear import Fit, LinearFQE
+from deadreckon.ope.losses import without_losses
 from deadreckon.ope.registry import as_estimators
 from deadreckon.ope.select import MOVED, Choice, moved_most, select, supported, unbounded_where_unsupported
 from deadreckon.ope.settings import DecisionOptions, DecisionSettings
@@ -87,8 +88,10 @@ def decide(
         each.check(case)
     checked = support(case, model)
     estimates = [each.on(case) for each in asked]
-    costs = costs_of(case, asked[0], checked, limits_of(settings.cost_limit, case.given), alpha)
+    costs = costs_of(case, asked[0], checked, limits_of(settings.cost_limit, case.given), alpha, model)
     against = [[told for each in costs if (told := each.objection(i, 1 - alpha))] for i in range(len(case.policies))]
+    for own, lucky in zip(against, without_losses(case, estimates[0], checked, model, alpha)):
+        own += [lucky] if lucky else []
     choice = select(estimates, checked, seen=seen, against=against, accept_model_based=accept_model_based, alpha=alpha)
     which = case.names.index(choice.name)
     more: dict[str, Any] = {"costs": as_json(costs)} if costs else {}

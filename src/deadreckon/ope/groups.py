@@ -10,6 +10,7 @@ policies that the one may have been chosen among by the same episodes (Bonferron
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy import special
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.split import groups as groups_of
@@ -18,7 +19,7 @@ from deadreckon.ope.basis import Basis
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import WEIGHTLESS, OPEInput
 from deadreckon.ope.doubly_robust import DoublyRobust, stretched
-from deadreckon.ope.importance import log_ratios
+from deadreckon.ope.importance import learns, log_ratios
 from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.support import Support, mean_weights, missing_by_row
 from deadreckon.stats import inference
@@ -96,11 +97,16 @@ def by_group(
     missing = missing_by_row(case, model)[:, which] if case.data.spec.discrete else None
     why = ["; ".join(_doubts(case, row, missing, code == g)) if size[g] else None for g in range(len(size))]
     known = np.array([line == "" for line in why])
-    factor = inference.simultaneous(influence[:, known], alpha / len(case.policies), case.seed)
+    level = alpha / len(case.policies)
+    factor = inference.simultaneous(influence[:, known], level, case.seed)
     # What lies beyond the recording is that of all groups together.
     along = case.episodes.cumulate(row)
     beyond = stretched([case.beyond_of(along)])
     more = case.inflation[which] * (1.0 if beyond is None else beyond[0])
+    # Units without episodes of a group say nothing of how its others scatter: its own are as many as count.
+    own = np.array([len(np.unique(unit[code == g])) for g in range(len(size))])
+    student = special.stdtrit(np.maximum(own - 1, 1), 1 - level / max(int(known.sum()), 1) / 2)
+    factor = np.maximum(factor, student) * (own / np.maximum(own - 1, 1)) ** 0.5
     half = more * inference.errors(influence) * factor + wider
     known &= np.isfinite(half)
     return [
@@ -122,7 +128,7 @@ def _doubts(case: OPEInput, log_ratios: np.ndarray, missing: np.ndarray | None, 
     """
     rows = some[case.data.episode_of]
     unit = np.unique(case.units[case.data.episode_of[rows]], return_inverse=True)[1]
-    ratio, high = mean_weights(log_ratios[None, rows], unit)
+    ratio, low, high = mean_weights(log_ratios[None, rows], unit)
     share = np.array([np.nan if missing is None else missing[rows].mean()])
-    shown = Support(share, ratio, high, np.zeros(1, bool))
+    shown = Support(share, ratio, high, np.zeros(1, bool), None if learns(case, "auto") else low)
     return [*Basis.of_weights(case, log_ratios, some, whole=False).unreliable, *shown.objections(0)]

@@ -24,6 +24,7 @@ from deadreckon.stats import inference, means
 from deadreckon.training.hyperparameters import Count, Positive, static
 
 PUBLIC_RANGE = (-6.0, 2.0)  # of a step's log-ratio in the public implementation that the thesis used
+NEGLIGIBLE = 1e-3  # weights beside a policy's largest, below which a row does not count for it
 
 
 class ImportanceSampling(Estimator):
@@ -202,6 +203,11 @@ def multiplied(episodes: Episodes, ess: np.ndarray, average: Sequence[np.ndarray
 def learns(case: OPEInput, behavior: Literal["auto", "logged", "learned"]) -> bool:
     """Whether propensities are those of a fitted model."""
     return behavior == "learned" or (behavior == "auto" and "behavior_log_probs" not in case.data.extras)
+
+
+def counting(log_ratios: np.ndarray) -> np.ndarray:
+    """(policies, rows) bool, which rows count for each policy: those whose weights are not negligible beside its largest."""
+    return log_ratios > log_ratios.max(1, keepdims=True) + np.log(NEGLIGIBLE)
 
 
 def log_ratios(

@@ -12,12 +12,13 @@ from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.coverage import LEVEL, coverage
-from deadreckon.ope.importance import log_ratios
+from deadreckon.ope.importance import learns, log_ratios
 from deadreckon.stats import inference
 
 RARE = 0.1  # of the probability of a uniform choice: actions below that have no support
 MISSING = 0.10  # of a policy's mass without support is too much
 SHORT = 0.95  # what the mean weight of one step must be able to be
+LONG = 1.05  # mean weight of one step above which logged propensities are wrong
 
 
 class Support(NamedTuple):
@@ -29,6 +30,7 @@ class Support(NamedTuple):
             the log's own actions lie within.
         ratio: mean weight of one step, pi(a|s) / beta(a|s) of the logged action, which is one where there is support.
         ratio_high: upper end of its one-sided 99 % interval.
+        ratio_low: its lower end, where propensities were logged, which none that are right have above one; None: not known.
         degenerate: whether the weights mean nothing; see `Actor.degenerate`.
     """
 
@@ -36,6 +38,7 @@ class Support(NamedTuple):
     ratio: np.ndarray
     ratio_high: np.ndarray
     degenerate: np.ndarray
+    ratio_low: np.ndarray | None = None
 
     def objections(self, which: int) -> list[str]:
         """Why the log cannot speak for a policy, a phrase each."""
@@ -47,6 +50,11 @@ class Support(NamedTuple):
                 f"its importance weights average {self.ratio[which]:.2f} per step instead of 1 (at most "
                 f"{self.ratio_high[which]:.2f} with 99 % confidence): it takes actions that the log does not show, or "
                 "propensities are wrong"
+            )
+        if self.ratio_low is not None and self.ratio_low[which] > LONG:
+            found.append(
+                f"its importance weights average {self.ratio[which]:.2f} per step instead of 1 (at least "
+                f"{self.ratio_low[which]:.2f} with 99 % confidence): logged propensities are wrong"
             )
         return found
 
@@ -72,9 +80,9 @@ def _support(case: OPEInput, model: BehaviorModel, folds: int) -> Support:
         missing = 1.0 - (coverage(case, model) / LEVEL).clip(max=1.0)
     if degenerate.all():
         return Support(missing, nothing, nothing, degenerate)
-    mean, high = mean_weights(log_ratios(case, "auto", model, None, folds)[:count], case.units[case.data.episode_of])
+    mean, low, high = mean_weights(log_ratios(case, "auto", model, None, folds)[:count], case.units[case.data.episode_of])
     blank = lambda x: np.where(degenerate, np.nan, x)  # noqa: E731
-    return Support(missing, blank(mean), blank(high), degenerate)
+    return Support(missing, blank(mean), blank(high), degenerate, None if learns(case, "auto") else blank(low))
 
 
 def missing_by_row(case: OPEInput, model: BehaviorModel, folds: int = 5) -> np.ndarray:
@@ -85,8 +93,8 @@ def missing_by_row(case: OPEInput, model: BehaviorModel, folds: int = 5) -> np.n
     return (case.current_actions(1)[:, : len(case.policies)] * rare[:, None]).sum(-1).astype(float)
 
 
-def mean_weights(log_ratios: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(policies,) mean weights of one step, and the upper ends of their one-sided 99 % intervals.
+def mean_weights(log_ratios: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(policies,) mean weights of one step, and the lower and upper ends of their one-sided 99 % intervals.
 
     Args:
         log_ratios: (policies, rows) log of pi(a|s) / beta(a|s) of each logged action.
@@ -96,4 +104,4 @@ def mean_weights(log_ratios: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, 
     rows, mean = np.bincount(unit, minlength=units), ratios.mean(1)
     totals = np.stack([np.bincount(unit, row, units) for row in ratios], 1)
     influence = units * (totals - mean * rows[:, None]) / len(unit)
-    return mean, inference.student(mean, influence, 2 * inference.SURE)[1]
+    return mean, *inference.student(mean, influence, 2 * inference.SURE)

@@ -157,10 +157,16 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
     taught = int((~known.unseen).sum())
     against: list[str | None] = [None] * len(found)
     if unseen:
-        held = np.flatnonzero(left)
-        if not len(held):
+        if not left.any():
             raise UserError("no episode is left that all of these cross-fits have held out; judge each by itself")
-        more = f", although {taught:,} of them equal episodes that taught a policy" if taught else ""
+        # Of a policy whose file knows all of these episodes, the log is its own, and it is known which of them taught it.
+        own = [g for g in found if g.taught is not None and not isinstance(g.policy, tuple) and _covers(g.read.episodes, data)]
+        fresh_too = left & Seen.of([g.taught for g in own], data).unseen
+        held = np.flatnonzero(fresh_too if fresh_too.any() else left)
+        if not fresh_too.any():
+            against = ["it has learned from these episodes" if any(g is each for each in own) else None for g in found]
+        equal = int((~known.unseen[held]).sum())
+        more = f", although {equal:,} of them equal episodes that taught a policy" if equal else ""
         told = f"{len(held):,} episodes, which no policy has learned from as the user says{more}"
         return Fresh(held, against, told)
     crossed = not left.all()
@@ -179,6 +185,11 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
     if taught:
         those = f"{len(held):,} held-out episodes of {data.episodes:,}"
     return Fresh(held, against, those + (", as far as is known" if any(unknown) else ""))
+
+
+def _covers(episodes: np.ndarray | None, data: Dataset) -> bool:
+    """Whether a policy's file knows all episodes of a log, which is then its own or a part of it."""
+    return episodes is not None and bool(np.isin(data.episode_ids, episodes).all())
 
 
 def for_case(g: Gathered, data: Dataset) -> Any:

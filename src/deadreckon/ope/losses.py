@@ -1,0 +1,48 @@
+"""Losses that a policy's rows lack by chance, in logs of single steps.
+
+Where all rewards are alike but for rare losses, the few rows in which the log did what the policy does may have none of these.
+Then nothing that is redrawn has one either: estimate and interval are those of a policy that never loses. So it is asked how
+likely so many rows have none if losses do not depend on the action, and what the lower end would be with as many as the log
+has.
+"""
+
+import numpy as np
+
+from deadreckon.ope.basis import Basis
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.case import OPEInput
+from deadreckon.ope.confounding import one_step
+from deadreckon.ope.estimates import LOGGED, Estimates
+from deadreckon.ope.importance import counting, log_ratios
+from deadreckon.ope.select import gains, supported
+from deadreckon.ope.support import Support
+
+
+def without_losses(case: OPEInput, found: Estimates, support: Support, model: BehaviorModel, alpha: float) -> list[str | None]:
+    """For each policy why its gain may rest on losses that its rows lack, a phrase; None where it does not.
+
+    Args:
+        case: log and policies, with the behaviour policy.
+        found: the estimates that decide.
+        support: of the policies in the log.
+        model: how the behaviour policy is learned where propensities were not logged.
+        alpha: share of logs for which one of the intervals may miss.
+    """
+    out: list[str | None] = [None] * len(case.policies)
+    if found.ess is None or not one_step(case):
+        return out
+    rewards, every = np.asarray(case.data.rewards, np.float64), gains(found, alpha, supported(found, support))
+    every = every[[name != LOGGED for name in found.names]]
+    rows = counting(log_ratios(case, "auto", model, None)[: len(out)])
+    for i in np.flatnonzero(~case.degenerate & (every[:, 1] > 0) & np.isfinite(every[:, 1])).tolist():
+        least = rewards[rows[i]].min()
+        share, shift = float((rewards < least).mean()), float(np.maximum(least - rewards, 0.0).mean())
+        count, low = Basis.of(found, i).rest[0], every[i, 1]
+        chance = (1.0 - share) ** count
+        if chance > alpha / 2 and low <= shift:
+            out[i] = (
+                f"the {count:.0f} rows that its weights amount to have no reward below {least:.4g}, as {share:.1%} of all rows "
+                f"have; so many have none by chance in {chance:.0%} of logs, and with as many its lower end would be "
+                f"{low - shift:+.4g}"
+            )
+    return out

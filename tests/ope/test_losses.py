@@ -1,0 +1,100 @@
+"""Losses that a policy's rows lack by chance, costs that they lack, wrong propensities, small groups: nothing is promised."""
+
+import numpy as np
+import pytest
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.ope import OPEInput
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.decide import decide
+from deadreckon.ope.losses import without_losses
+from deadreckon.ope.select import gains
+from deadreckon.ope.support import support
+from deadreckon.policies import BlackBoxPolicy
+
+ARMS, ROWS = 20, 400
+MODEL = BehaviorModel(hidden=(8,), steps=50, lr=1e-2)
+
+
+def uniform(seed, rows=ROWS, arms=ARMS, lost=0.05, lucky=True, **more):
+    """A log of uniform actions whose rewards are 1 but for rare losses, whatever is done, and a policy that takes one arm.
+
+    Also which rows did so; `lucky`: of these none has lost.
+    """
+    rng = np.random.default_rng(seed)
+    actions = rng.integers(0, arms, rows)
+    rewards = (rng.random(rows) >= lost).astype(float)
+    if lucky:
+        rewards[actions == 0] = 1.0
+    log = Dataset.from_arrays(
+        observations=rng.normal(size=(rows, 2)), actions=actions, rewards=rewards, terminals=np.ones(rows),
+        behavior_log_probs=np.full(rows, -np.log(arms)), **more,
+    )  # fmt: skip
+    return log, always(arms), actions == 0
+
+
+def always(arms):
+    """The policy that takes the first of so many arms."""
+    first = np.eye(arms)[:1]
+    return BlackBoxPolicy(lambda seen, rng: np.zeros(len(seen), int), action_probs=lambda seen: np.repeat(first, len(seen), 0))
+
+
+@pytest.mark.parametrize("estimators", ["dr-linear", "wis"])
+def test_a_policy_whose_few_rows_have_no_loss_by_chance_is_not_deployed(estimators):
+    """Of about 20 rows a third of logs have none of the losses of one in twenty: the gain looked like 0.05 for certain."""
+    for seed in range(1 if estimators == "dr-linear" else 3):
+        log, policy, rows = uniform(seed)
+        found = decide(OPEInput(log, [policy], names=["first"], logged=True), [estimators], alpha=0.025, model=MODEL)
+        assert not found.choice.deploy
+        [line] = [each for each in found.choice.objections[0] if "rows that its weights amount to" in each]
+        assert f"the {rows.sum()} rows that its weights amount to have no reward below 1, as " in line
+
+
+def test_a_policy_that_surely_never_loses_is_deployed():
+    log, policy, _ = uniform(0, rows=2000, arms=5)
+    found = decide(OPEInput(log, [policy], names=["first"], logged=True), ["dr-linear"], alpha=0.025, model=MODEL)
+    assert found.choice.deploy  # so many rows without a loss are no chance
+    assert found.choice.objections[0] == ()
+
+
+def test_by_hand():
+    log, policy, rows = uniform(1)
+    case = OPEInput(log, [policy], names=["first"], logged=True)
+    [found] = decide(case, ["wis"], alpha=0.025, model=MODEL).estimates
+    [line] = without_losses(case, found, support(case, MODEL), MODEL, 0.025)
+    share, count = float((log.rewards < 1).mean()), int(rows.sum())
+    low = gains(found, 0.025)[found.names.index("first"), 1]
+    assert low > 0
+    assert f"{share:.1%} of all rows" in line
+    assert f"by chance in {(1 - share) ** count:.0%} of logs" in line
+    assert line.endswith(f"its lower end would be {low - share:+.4g}")
+
+
+def test_a_cost_that_the_rows_of_a_policy_lack_is_not_within_a_limit():
+    rng = np.random.default_rng(0)
+    cost = (rng.random(600) < 0.05).astype(float)
+    log, policy, rows = uniform(0, rows=600, lucky=False)
+    cost[rows] = 0.0
+    log = Dataset.from_arrays(
+        observations=log.observations, actions=log.actions, rewards=log.rewards, terminals=log.terminals,
+        behavior_log_probs=log.extras["behavior_log_probs"], cost=cost,
+    )  # fmt: skip
+    found = decide(
+        OPEInput(log, [policy], names=["first"], logged=True), ["dr-linear"], cost_limit=0.04, alpha=0.025, model=MODEL
+    )
+    assert any("in every judged episode that counts for it the total is" in line for line in found.choice.objections[0])
+    assert found.more["costs"][0]["ends"][0][2] == np.inf
+
+
+def test_propensities_that_are_those_of_another_action_are_objected_to():
+    """The column holds 0.1 in all rows, of which nine tenths took the other action, with 0.9."""
+    rng = np.random.default_rng(0)
+    actions = (rng.random(600) < 0.1).astype(int)
+    log = Dataset.from_arrays(
+        observations=rng.normal(size=(600, 2)), actions=actions, rewards=rng.random(600), terminals=np.ones(600),
+        behavior_log_probs=np.full(600, np.log(0.1)),
+    )  # fmt: skip
+    found = decide(OPEInput(log, [always(2)], names=["never"], logged=True), ["pdis"], model=MODEL)
+    assert not found.choice.deploy
+    [line] = [each for each in found.choice.objections[0] if "logged propensities are wrong" in each]
+    assert "instead of 1 (at least 8" in line
