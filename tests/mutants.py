@@ -2674,15 +2674,15 @@ MUTANTS = (
     ),
     Mutant(
         "losses-that-are-not-there", "ope/losses.py",
-        "if chance > alpha / 2 and low <= shift:",
+        "if chance > alpha / 2 / len(out) and low <= shift:",
         "if False:",
         "a policy whose few rows lack the log's rare losses by chance is deployed",
         ("ope/test_losses.py::test_a_policy_whose_few_rows_have_no_loss_by_chance_is_not_deployed",),
     ),
     Mutant(
         "costs-that-are-not-there", "ope/costs.py",
-        "[np.ptp(case.data.rewards[own]) == 0.0 for own in rows]",
-        "[False for own in rows]",
+        "alone = np.ptp(paid) == 0.0 and (1.0 - share) ** basis > alpha / 2 / len(rows)",
+        "alone = False",
         "a limit is met by a cost that a policy's few rows lack by chance",
         ("ope/test_losses.py::test_a_cost_that_the_rows_of_a_policy_lack_is_not_within_a_limit",),
     ),

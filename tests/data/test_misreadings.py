@@ -694,3 +694,11 @@ def test_rows_in_the_order_of_time_over_all_customers_are_no_pieces():
     log = Dataset.from_frame(table, episode="customer", time="date")
     assert log.episodes == 12
     assert not told(log, "pieces of rows")
+
+
+def test_next_times_and_ends_in_other_spellings_are_of_the_next_row():
+    table = {"episode": EPISODE, "t": STEP, "x": X, "action": np.arange(N) % 3, "reward": R, "cost": R, "done": STEP == 11}
+    nexts = {"next_t": STEP + 1, "next_x": np.roll(X, -1), "next_cost": R, "done_next": STEP == 10, "reward_next": R}
+    log = Dataset.from_frame(table | nexts)
+    assert named(log) == ["x"]
+    np.testing.assert_array_equal(log.next_observations[:, 0], np.roll(X, -1).astype(np.float32))

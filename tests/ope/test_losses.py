@@ -7,6 +7,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.ope import OPEInput
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.decide import decide
+from deadreckon.ope.importance import counting
 from deadreckon.ope.losses import without_losses
 from deadreckon.ope.select import gains
 from deadreckon.ope.support import support
@@ -98,3 +99,26 @@ def test_propensities_that_are_those_of_another_action_are_objected_to():
     assert not found.choice.deploy
     [line] = [each for each in found.choice.objections[0] if "logged propensities are wrong" in each]
     assert "instead of 1 (at least 8" in line
+
+
+def test_a_policy_that_is_nearly_deterministic_and_one_without_any_row():
+    """Of the first 20 rows weigh 45 and all others 0.1; the second takes an arm that nobody has tried."""
+    log, _, rows = uniform(1)
+    mixed = np.full(ARMS, 0.1 / (ARMS - 1))
+    mixed[0] = 0.9
+    mostly = BlackBoxPolicy(
+        lambda seen, rng: rng.choice(ARMS, len(seen), p=mixed), action_probs=lambda seen: np.tile(mixed, (len(seen), 1))
+    )
+    found = decide(OPEInput(log, [mostly], names=["mostly"], logged=True), ["wis"], alpha=0.025, model=MODEL)
+    assert any("rows that its weights amount to have no reward below 1" in line for line in found.choice.objections[0])
+    counts = counting(np.log(np.where(rows, 0.9 * ARMS, mixed[1] * ARMS))[None])
+    np.testing.assert_array_equal(counts[0], rows)
+    assert counting(np.zeros((1, 10))).all()
+    assert not counting(np.full((1, 10), -np.inf)).any()
+    untried = log.select(np.flatnonzero(~rows))
+    costly = Dataset.from_arrays(
+        observations=untried.observations, actions=untried.actions, rewards=untried.rewards, terminals=untried.terminals,
+        behavior_log_probs=untried.extras["behavior_log_probs"], cost=1.0 - untried.rewards,
+    )  # fmt: skip
+    case = OPEInput(costly, [always(ARMS), mostly], names=["first", "mostly"], logged=True)
+    assert not decide(case, ["wis"], alpha=0.025, model=MODEL, cost_limit=0.5).choice.deploy

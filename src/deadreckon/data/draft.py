@@ -211,8 +211,11 @@ class _Maker:
 
     def ahead_by_name(self) -> None:
         """Actions, rewards and flags of the next row, which nobody knows when an action is chosen."""
-        known = {column.lower(): column for role in _AHEAD for column in self.having(role)}
-        ahead = {c: known[of] for c in self.names if (of := c.lower().removeprefix("next_")) in known and of != c.lower()}
+        timed = self.asked.episode is not None or bool(self.free("episode"))  # else a time is observed, and has a next one
+        known = {column for role in _AHEAD for column in self.having(role)}
+        named = {c for c in self.names if c not in self.roles and roles.not_observed(c)}
+        named -= set() if timed else {c for c in named if roles.like("time", c)}
+        ahead = {c: of for c, of in roles.next_of(self.names).items() if of in known | named | {*self.having("time")}}
         for column, of in (roles.next_flags(self.names) | ahead).items():
             if column not in self.roles:
                 self.give([column], "ignore", f"the next row's {of}")

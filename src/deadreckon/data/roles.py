@@ -55,7 +55,7 @@ def numbered(names: Sequence[str], prefix: str) -> list[str]:
 
 def next_flags(names: Sequence[str]) -> dict[str, str]:
     """{name: what} for those of `names` that say of the next row whether it is an end, or its action or reward."""
-    stems = {name: stem[1] for name in names if (stem := re.fullmatch(r"next_(.+)", name.lower()))}
+    stems = {name: stem[1] or stem[2] for name in names if (stem := re.fullmatch(r"next_(.+)|(.+)_next", name.lower()))}
     like_one = lambda stem: any(like(role, stem) for role in ("terminal", "timeout", "reward", "action"))  # noqa: E731
     return {name: stem for name, stem in stems.items() if like_one(stem) or DONE.fullmatch(stem)}
 

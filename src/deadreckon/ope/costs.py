@@ -18,6 +18,7 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError, unknown
+from deadreckon.ope.basis import Basis
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimates import LOGGED, Estimates
@@ -144,30 +145,35 @@ def costs_of(
     for column, limit in limits.items():
         own = _with_cost(case, column)
         told = estimator.on(own)
-        unknown = _unknown(told, own, model)
+        unknown = _unknown(told, own, model, alpha / len(limits))
         ends = totals(told, alpha / len(limits), supported(told, support) & [not why for why in unknown])
         discount = case.estimand.discount if case.given.lengths.max() > 1 and case.estimand.horizon != 1 else 1.0
         found.append(Cost(column, limit, ends, told.warnings, discount, unknown))
     return found
 
 
-def _unknown(found: Estimates, case: OPEInput, model: BehaviorModel) -> tuple[str, ...]:
+def _unknown(found: Estimates, case: OPEInput, model: BehaviorModel, alpha: float) -> tuple[str, ...]:
     """For each policy why its total has no interval, a phrase; empty where nothing speaks against one."""
     same = np.full(len(found.names), np.ptp(case.data.returns(case.discount)) == 0.0)
     if found.influence is not None:  # of weighted episodes some policies may have those without the cost alone
         with np.errstate(over="ignore", invalid="ignore"):  # where products of weights are huge, and nothing is known either
             spread = found.influence.std(0)
             same |= spread <= ROUNDING * np.maximum(spread.max(), np.abs(found.value).max())
-    if case.data.lengths.max() == 1 and not case.degenerate.any():
+    total = found.value.copy()
+    if case.data.lengths.max() == 1 and found.ess is not None and not case.degenerate.any():
         rows = counting(log_ratios(case, "auto", model, None)[: len(same)])
-        same[: len(rows)] |= [np.ptp(case.data.rewards[own]) == 0.0 for own in rows]
+        for i in np.flatnonzero(rows.any(1)).tolist():  # whatever critics add to them
+            paid, basis = case.data.rewards[rows[i]], Basis.of(found, i).rest[0]
+            share = float((case.data.rewards > paid.max()).mean())
+            alone = np.ptp(paid) == 0.0 and (1.0 - share) ** basis > alpha / 2 / len(rows)
+            same[i], total[i] = same[i] or alone, float(paid[0]) if alone else total[i]
     if found.ess is not None:  # without any weight that is the reason
         same &= found.ess > 0
     settled = found.diagnostics.get("settled", np.ones(len(found.names)))
     alike = "in every judged episode that counts for it the total is {:.4g}, which does not tell how rare others are"
     return tuple(
         alike.format(value) if alone else "" if known >= 1 else "the fit of its estimate has not settled"
-        for value, alone, known in zip(found.value, same, settled)
+        for value, alone, known in zip(total, same, settled)
     )
 
 

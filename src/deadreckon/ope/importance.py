@@ -24,7 +24,7 @@ from deadreckon.stats import inference, means
 from deadreckon.training.hyperparameters import Count, Positive, static
 
 PUBLIC_RANGE = (-6.0, 2.0)  # of a step's log-ratio in the public implementation that the thesis used
-NEGLIGIBLE = 1e-3  # weights beside a policy's largest, below which a row does not count for it
+NEARLY = 0.99  # share of the sum of squared weights that is had by rows that count
 
 
 class ImportanceSampling(Estimator):
@@ -206,8 +206,14 @@ def learns(case: OPEInput, behavior: Literal["auto", "logged", "learned"]) -> bo
 
 
 def counting(log_ratios: np.ndarray) -> np.ndarray:
-    """(policies, rows) bool, which rows count for each policy: those whose weights are not negligible beside its largest."""
-    return log_ratios > log_ratios.max(1, keepdims=True) + np.log(NEGLIGIBLE)
+    """(policies, rows) bool, which rows count for each policy: the fewest with nearly all of the sum of squared weights."""
+    out = np.zeros(log_ratios.shape, bool)
+    for own, rows in zip(log_ratios, out):
+        if np.isfinite(most := own.max()):
+            square = np.exp(2.0 * (own - most))
+            ordered = np.sort(square)[::-1]
+            rows[:] = square >= ordered[int((np.cumsum(ordered) >= NEARLY * square.sum()).argmax())]
+    return out
 
 
 def log_ratios(

@@ -14,7 +14,7 @@ from deadreckon.ope.case import OPEInput
 from deadreckon.ope.confounding import one_step
 from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.importance import counting, log_ratios
-from deadreckon.ope.select import gains, supported
+from deadreckon.ope.select import doubted, gains
 from deadreckon.ope.support import Support
 
 
@@ -31,7 +31,7 @@ def without_losses(case: OPEInput, found: Estimates, support: Support, model: Be
     out: list[str | None] = [None] * len(case.policies)
     if found.ess is None or not one_step(case):
         return out
-    rewards, every = np.asarray(case.data.rewards, np.float64), gains(found, alpha, supported(found, support))
+    rewards, every = np.asarray(case.data.rewards, np.float64), gains(found, alpha, doubted(found, support)[1])
     every = every[[name != LOGGED for name in found.names]]
     rows = counting(log_ratios(case, "auto", model, None)[: len(out)])
     for i in np.flatnonzero(~case.degenerate & (every[:, 1] > 0) & np.isfinite(every[:, 1])).tolist():
@@ -39,7 +39,7 @@ def without_losses(case: OPEInput, found: Estimates, support: Support, model: Be
         share, shift = float((rewards < least).mean()), float(np.maximum(least - rewards, 0.0).mean())
         count, low = Basis.of(found, i).rest[0], every[i, 1]
         chance = (1.0 - share) ** count
-        if chance > alpha / 2 and low <= shift:
+        if chance > alpha / 2 / len(out) and low <= shift:
             out[i] = (
                 f"the {count:.0f} rows that its weights amount to have no reward below {least:.4g}, as {share:.1%} of all rows "
                 f"have; so many have none by chance in {chance:.0%} of logs, and with as many its lower end would be "

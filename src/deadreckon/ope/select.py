@@ -144,9 +144,7 @@ def select(
         raise UserError(f"support must have a number for each of {len(names)} policies, got {len(support.missing)}")
     if seen is not None and len(seen) != len(names):
         raise UserError(f"seen must have an entry for each of {len(names)} policies, got {len(seen)}")
-    unknown = [Basis.of(first, i).unreliable + ([] if support is None else support.objections(i)) for i in range(len(names))]
-    known = np.ones(len(first.names), bool)
-    known[[first.names.index(name) for name in names]] = [not own for own in unknown]
+    unknown, known = doubted(first, support)
     every = gains(first, alpha, known)
     shown = supported(first, support)
     found = [every, *(gains(each, alpha, shown) for each in estimates[1:])]
@@ -198,6 +196,18 @@ def select(
         name, deploy, float(difference), float(low), float(high), reason, tuple(evidence), tuple(warnings), every[keep],
         tuple(objections), 1 - alpha, MOVED * moved,
     )  # fmt: skip
+
+
+def doubted(found: Estimates, support: Support | None) -> tuple[list[list[str]], np.ndarray]:
+    """For each policy why no interval of its estimate can be believed, phrases; and (policies,) whether one can be.
+
+    The latter has the behaviour policy too, of which one always can be.
+    """
+    names = [name for name in found.names if name != LOGGED]
+    unknown = [Basis.of(found, i).unreliable + ([] if support is None else support.objections(i)) for i in range(len(names))]
+    known = np.ones(len(found.names), bool)
+    known[[found.names.index(name) for name in names]] = [not own for own in unknown]
+    return unknown, known
 
 
 def supported(found: Estimates, support: Support | None) -> np.ndarray:

@@ -168,6 +168,8 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
         equal = int((~known.unseen[held]).sum())
         more = f", although {equal:,} of them equal episodes that taught a policy" if equal else ""
         told = f"{len(held):,} episodes, which no policy has learned from as the user says{more}"
+        if not fresh_too.any():
+            told = f"{len(held):,} episodes, which policies have learned from: their estimates are optimistic"
         return Fresh(held, against, told)
     crossed = not left.all()
     left &= known.unseen
@@ -188,8 +190,13 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
 
 
 def _covers(episodes: np.ndarray | None, data: Dataset) -> bool:
-    """Whether a policy's file knows all episodes of a log, which is then its own or a part of it."""
-    return episodes is not None and bool(np.isin(data.episode_ids, episodes).all())
+    """Whether a log is the one that a policy's file knows, or a part of it.
+
+    Single decisions may be equal by chance, so of these it must have as many.
+    """
+    if episodes is None or not np.isin(data.episode_ids, episodes).all():
+        return False
+    return bool(data.lengths.max() > 1) or len(np.unique(episodes)) == data.episodes
 
 
 def for_case(g: Gathered, data: Dataset) -> Any:

@@ -7,7 +7,7 @@ from deadreckon.errors import UserError, reading
 from deadreckon.files import read_json
 from deadreckon.policies.file import fitting, numpy_player, read_policy
 from deadreckon.policies.table_predict import Predictor
-from deadreckon.runs.decision_record import file_of, is_same, read_results
+from deadreckon.runs.decision_record import file_of, read_results
 from deadreckon.runs.folder import Folder, policy_seed
 from deadreckon.runs.records import read_status
 
@@ -94,7 +94,11 @@ def _own_decision(path: Path) -> tuple[Chosen | None, str]:
     if not results["choice"]["deploy"]:
         return None, f"; {path / ESTIMATES} says: do not deploy"
     judged = next((each for each in results["policies"] if each["name"] == results["choice"]["name"]), {})
-    if (file := judged.get("file")) is not None and Path(file).exists() and not is_same(judged, Path(file)):
+    try:
+        there = file_of(judged, path) is not None
+    except UserError:  # a file of that name is there, and another policy in it
+        there = False
+    if not there:
         return None, f"; the policy that {path / ESTIMATES} is about was another, before it was trained further"
     return _of_decision(path), ""
 
