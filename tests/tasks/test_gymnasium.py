@@ -499,7 +499,9 @@ def test_an_option_may_be_an_array():
     task = dr.task(gymnasium.make("FrozenLake-v1", desc=np.array([[b"S", b"F"], [b"F", b"G"]]), is_slippery=False))
     assert task.observation_shape == (4,)
     assert "\n" not in task.name
-    assert task.name.startswith("gymnasium:FrozenLake-v1?desc=")
+    assert task.name.startswith("gymnasium:FrozenLake-v1?desc=array-")
+    other = dr.task(gymnasium.make("FrozenLake-v1", desc=np.array([[b"S", b"F"], [b"H", b"G"]]), is_slippery=False))
+    assert other.name != task.name
 
 
 class Owing(gymnasium.Wrapper):

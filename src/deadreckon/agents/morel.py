@@ -26,7 +26,9 @@ LEAST = 1e-6  # deviation of what changes
 class MOReL(OfflineMBRL):
     """SAC in a world that ends where the model does not know it."""
 
-    revision: ClassVar[int] = 4  # 3: what ends a rollout is worse than any other way to go on, also where rewards are negative
+    # 3: what ends a rollout is worse than any other way to go on, also where rewards are negative; 4: what never changes in the
+    # log does not count in the disagreement
+    revision: ClassVar[int] = 4
 
     threshold: Positive = 1.0 / 3.0
     """disagreement beyond which rollouts end, in multiples of the largest on 10,000 logged transitions"""

@@ -11,6 +11,7 @@ import numpy as np
 
 from deadreckon._version import __version__
 from deadreckon.collect.rollouts import Segment, collect_rollouts
+from deadreckon.data.environments import SPEC
 from deadreckon.data.provenance import Provenance
 from deadreckon.devices import acting_platform
 from deadreckon.errors import UserError
@@ -20,7 +21,6 @@ from deadreckon.names import file_part
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.resolve import policies_of
 from deadreckon.progress import Progress
-from deadreckon.tasks.gymnasium_task import SPEC, GymnasiumTask
 from deadreckon.tasks.registry import task as find_task
 
 RANDOM = "random"  # uniform actions, in place of a policy
@@ -86,7 +86,7 @@ def collect_in_task(
     provenance = Provenance("collected", None, seed, {**versions, **task.versions}, extra=extra)
     scratch = path.parent / f".{path.name}.part"
     # Of an environment that is given as an object nobody knows the settings, unless Gymnasium can make it again.
-    alike = named or not isinstance(task, GymnasiumTask) or SPEC in task.described
+    alike = named or SPEC in extra or not _of_gymnasium(task)
     known = alike and (chance or content is not None)
     with alone(path), resumable(*[scratch] if known else []):
         who = "policy" if alike else "environment"
@@ -99,6 +99,13 @@ def collect_in_task(
         write_hdf5(log, path, compress=True)
         shutil.rmtree(scratch, ignore_errors=True)
     return path
+
+
+def _of_gymnasium(task: Any) -> bool:
+    """Whether a task is an environment of Gymnasium, which costs 150 ms to import."""
+    from deadreckon.tasks.gymnasium_task import GymnasiumTask
+
+    return isinstance(task, GymnasiumTask)
 
 
 def _content(policy: Any) -> str | None:

@@ -35,8 +35,7 @@ from deadreckon.names import natural
 
 OTHERS = "other_levels"  # the entry of `Provenance.extra`: values that are none of a column's levels, by column
 _SHOWN, _KEPT = 5, 50  # unknown levels named in a message, and kept in `extra`
-
-MOST_NATURAL = 100_000  # names of episodes that are put in the order of the numbers in them; of more it would take long
+_NATURAL = 100_000  # names of episodes that are put in the order of the numbers in them; of more it would take long
 
 
 class Encoder:
@@ -295,7 +294,7 @@ class Encoder:
         if not ordered:
             return codes
         ranks = np.empty(len(encoded.dictionary), np.int64)
-        if is_text(encoded.dictionary.type) and len(ranks) <= MOST_NATURAL:
+        if is_text(encoded.dictionary.type) and len(ranks) <= _NATURAL:
             texts = encoded.dictionary.to_pylist()
             order = sorted(range(len(texts)), key=lambda i: natural(texts[i]))
         else:

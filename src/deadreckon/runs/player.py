@@ -1,7 +1,7 @@
 """The policy that a folder or file stands for, as what takes rows of a table: by numpy alone where it can, else in JAX."""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from deadreckon.errors import UserError, reading
 from deadreckon.files import read_json
@@ -93,27 +93,38 @@ def _own_decision(path: Path) -> tuple[Chosen | None, str]:
     results = read_results(path / ESTIMATES)
     if not results["choice"]["deploy"]:
         return None, f"; {path / ESTIMATES} says: do not deploy"
-    judged = next((each for each in results["policies"] if each["name"] == results["choice"]["name"]), {})
     try:
-        there = file_of(judged, path) is not None
-    except UserError:  # a file of that name is there, and another policy in it
-        there = False
-    if not there:
+        return _decided(path, results), ""
+    except UserError:  # the file is gone, or has another policy in it
         return None, f"; the policy that {path / ESTIMATES} is about was another, before it was trained further"
-    return _of_decision(path), ""
 
 
 def _of_decision(path: Path) -> Chosen:
+    """The policy to deploy of a folder that holds a decision alone.
+
+    Raises:
+        UserError: the decision is to deploy none, or as `_decided`.
+    """
     results = read_results(path / ESTIMATES)
     choice = results["choice"]
     if not choice["deploy"]:
         reason = f": {choice['reason']}" if choice["reason"] else ""
         raise UserError(f"{path}: the decision is to deploy none of its policies{reason}; name a run to use one all the same")
-    judged = next((each for each in results["policies"] if each["name"] == choice["name"]), {})
+    return _decided(path, results)
+
+
+def _decided(path: Path, results: dict[str, Any]) -> Chosen:
+    """The policy that a record in the folder `path` says to deploy.
+
+    Raises:
+        UserError: its file is not there, or is not as it was judged.
+    """
+    name = results["choice"]["name"]
+    judged = next((each for each in results["policies"] if each["name"] == name), {})
     if (file := file_of(judged, path)) is None:
-        raise UserError(f"{path}: the policy to deploy, {choice['name']}, is not at {judged.get('file')}; name its run")
+        raise UserError(f"{path}: the policy to deploy, {name}, is not at {judged.get('file')}; name its run")
     sampled = not (results.get("estimand") or {}).get("greedy", True)
-    return Chosen(file, f"{choice['name']}, the policy to deploy by {path}", sampled, _owner(file), path)
+    return Chosen(file, f"{name}, the policy to deploy by {path}", sampled, _owner(file), path)
 
 
 def _owner(file: Path) -> Path | None:

@@ -1,8 +1,11 @@
 """Options of environments behind the question mark of a name: `gymnasium:FrozenLake-v1?is_slippery=False`."""
 
 import ast
+import hashlib
 from collections.abc import Mapping
 from typing import Any
+
+import numpy as np
 
 from deadreckon.errors import UserError
 
@@ -26,5 +29,11 @@ def options_of(name: str, text: str) -> dict[str, Any]:
 
 
 def written(options: Mapping[str, Any]) -> str:
-    """The inverse of `options_of`, in the order of names."""
-    return "?" * bool(options) + "&".join(f"{key}={' '.join(str(value).split())}" for key, value in sorted(options.items()))
+    """The inverse of `options_of`, in the order of names; of an array, which no name can hold, what tells it from others."""
+    return "?" * bool(options) + "&".join(f"{key}={_text(value)}" for key, value in sorted(options.items()))
+
+
+def _text(value: Any) -> Any:
+    if not isinstance(value, np.ndarray):
+        return value
+    return f"array-{hashlib.blake2b(f'{value.shape} {value.dtype}'.encode() + value.tobytes(), digest_size=8).hexdigest()}"

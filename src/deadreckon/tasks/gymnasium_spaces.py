@@ -4,6 +4,7 @@ import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -55,11 +56,12 @@ class Spaces:
         observed = _numeric(env.observation_space, f"{name}: the observation", left_out)
         if (count := spaces.flatdim(observed)) > MOST_NUMBERS:
             raise UserError(f"{name}: an observation has {count:,} numbers, at most {MOST_NUMBERS:,} are taken")
-        picture = isinstance(observed, spaces.Box) and observed.dtype == np.uint8 and min((*observed.shape, 0)[:2]) >= PICTURE
-        if not picture and isinstance(observed, spaces.Box) and observed.dtype == np.uint8 and _large(observed.shape):
+        pixels = tuple(observed.shape or ()) if isinstance(observed, spaces.Box) and observed.dtype == np.uint8 else ()
+        picture = min((*pixels, 0)[:2]) >= PICTURE
+        if not picture and _large(pixels):
             how = "put its channels last (gymnasium.wrappers.TransformObservation, numpy.moveaxis)"
-            raise UserError(f"{name}: an observation of {observed.shape} is no picture of (height, width, channels); {how}")
-        shape, dtype = (tuple(observed.shape or ()), "uint8") if picture else ((count,), "float32")
+            raise UserError(f"{name}: an observation of {pixels} is no picture of (height, width, channels); {how}")
+        shape, dtype = (pixels, "uint8") if picture else ((count,), "float32")
         actions, choices = _actions(env.action_space, name)
         return cls(observed, env.action_space, shape, dtype, actions, choices, tuple(left_out))
 
@@ -73,9 +75,14 @@ class Spaces:
         """What the environment takes for (size,) continuous actions, or for the number of a discrete one."""
         if self.choices:
             return self.choices[int(action)]
-        flat: Any = self.acted if isinstance(self.acted, spaces.Box) else spaces.flatten_space(self.acted)
+        flat = self._flat
         action = _within(action.reshape(flat.shape).astype(flat.dtype), flat.low, flat.high)
-        return action if isinstance(self.acted, spaces.Box) else spaces.unflatten(self.acted, action)
+        return action if flat is self.acted else spaces.unflatten(self.acted, action)
+
+    @cached_property
+    def _flat(self) -> spaces.Box:
+        """Of continuous actions the space as one box."""
+        return _one_box(self.acted)
 
 
 def _large(shape: tuple[int, ...]) -> bool:
@@ -135,9 +142,7 @@ def _actions(space: Any, name: str) -> tuple[Box | Discrete, tuple[Any, ...]]:
     """
     leaves = _leaves(space)
     if all(isinstance(leaf, spaces.Box) and np.issubdtype(leaf.dtype, np.floating) for leaf in leaves):
-        flat = space if isinstance(space, spaces.Box) else spaces.flatten_space(space)
-        assert isinstance(flat, spaces.Box)
-        found = bounds(flat)
+        found = bounds(_one_box(space))
         if found is None:
             infinite = "actions have infinite bounds; give them some by gymnasium.wrappers.RescaleAction or ClipAction"
             raise UserError(f"{name}: {infinite} around an environment whose action_space is finite")
@@ -150,6 +155,13 @@ def _actions(space: Any, name: str) -> tuple[Box | Discrete, tuple[Any, ...]]:
         return Discrete(len(choices)), choices
     kinds = ", ".join(dict.fromkeys(type(leaf).__name__ for leaf in leaves))
     raise UserError(f"{name}: actions are {kinds}; either floating-point Box, or Discrete, MultiDiscrete and MultiBinary")
+
+
+def _one_box(space: Any) -> spaces.Box:
+    """Boxes within a space side by side."""
+    flat = space if isinstance(space, spaces.Box) else spaces.flatten_space(space)
+    assert isinstance(flat, spaces.Box)
+    return flat
 
 
 def _count(space: Any) -> int:

@@ -199,7 +199,7 @@ def _same(a: Any, b: Any) -> bool:
     try:
         return bool(a == b)
     except ValueError:
-        return type(a) is type(b) and repr(a) == repr(b)
+        return isinstance(a, np.ndarray) and isinstance(b, np.ndarray) and np.array_equal(a, b)
 
 
 def _spec(env: Any) -> EnvSpec | None:
