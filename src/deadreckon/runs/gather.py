@@ -21,6 +21,7 @@ from deadreckon.runs.seen import Seen
 from deadreckon.runs.train import Run, load
 
 NOBODY = "nobody knows whether it has learned from these episodes (--unseen says that it has not)"
+LEARNED = "it has learned from these episodes"
 
 
 class Gathered(NamedTuple):
@@ -162,14 +163,14 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
         # Of a policy whose file knows all of these episodes, the log is its own, and it is known which of them taught it.
         own = [g for g in found if g.taught is not None and not isinstance(g.policy, tuple) and _covers(g.read.episodes, data)]
         fresh_too = left & Seen.of([g.taught for g in own], data).unseen
-        held = np.flatnonzero(fresh_too if fresh_too.any() else left)
         if not fresh_too.any():
-            against = ["it has learned from these episodes" if any(g is each for each in own) else None for g in found]
+            against = [LEARNED if any(g is each for each in own) else None for g in found]
+            told = f"{int(left.sum()):,} episodes, which policies have learned from: their estimates are optimistic"
+            return Fresh(np.flatnonzero(left), against, told)
+        held = np.flatnonzero(fresh_too)
         equal = int((~known.unseen[held]).sum())
         more = f", although {equal:,} of them equal episodes that taught a policy" if equal else ""
         told = f"{len(held):,} episodes, which no policy has learned from as the user says{more}"
-        if not fresh_too.any():
-            told = f"{len(held):,} episodes, which policies have learned from: their estimates are optimistic"
         return Fresh(held, against, told)
     crossed = not left.all()
     left &= known.unseen
@@ -177,8 +178,7 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
         raise UserError("no episode is left that all of these policies can be judged on; judge the cross-fit by itself")
     if not left.any():
         everything = np.arange(data.episodes)
-        seen_all = "it has learned from these episodes"
-        against = [NOBODY if nobody else seen_all for nobody in unknown]
+        against = [NOBODY if nobody else LEARNED for nobody in unknown]
         told = f"all {data.episodes:,} episodes, which policies have learned from: estimates are optimistic"
         return Fresh(everything, against, told)
     against = [NOBODY if nobody else None for nobody in unknown]

@@ -152,8 +152,8 @@ def monitor(
     outside = compared.outside(old, new, which, first, OUTSIDE * alpha)
     value: Realised | str = "not compared: the new log was not made by the policy of the run"
     if told is not None and bool(told[0]["estimand"]["greedy"]) != greedy:
-        kinds = ("sampled", "greedy")[greedy], ("sampled", "greedy")[not greedy]
-        value = f"not compared: the policy's {kinds[0]} actions are in use, and its {kinds[1]} ones were estimated"
+        used, judged = ("greedy", "sampled") if greedy else ("sampled", "greedy")
+        value = f"not compared: the policy's {used} actions are in use, and its {judged} ones were estimated"
     elif made_by != "reference":
         value = realised(new, old, told, return_range, VALUE * alpha)
     tested = "" if new.episodes >= drift.FIRST else f"not tested: {drift.FIRST} finished episodes are needed"
