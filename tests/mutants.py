@@ -1060,9 +1060,22 @@ MUTANTS = (
         "a checkpoint of other folds is taken", ("ope/test_asked.py",),
     ),
     Mutant(
-        "beyond-log", "ope/case.py", "share = float(self._endless @ going_on)",
-        "share = self.beyond",
+        "beyond-log", "ope/case.py", "float(self._endless(part) @ going_on)", "0.0",
         "what lies beyond the recording is the log's share, whatever the policy does", ("ope/test_cut.py",),
+    ),
+    Mutant(
+        "groups-kept", "ope/case.py",
+        "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
+        "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"
+        "        found.log_kept = self.episodes.log_kept[part[self.data.episode_of]]\n        return found",
+        "episodes of a group are weighted by how likely any episode of the log is cut off",
+        ("ope/test_cut.py::test_groups_that_are_recorded_for_different_times_have_their_own_chances_of_a_cut_off",),
+    ),
+    Mutant(
+        "simulated-apart", "runs/offline.py", "differences = returns[:, None] - returns",
+        "differences = np.sqrt(np.square(returns[:, None] - returns.mean(1)[:, None, None]) + np.square(returns))",
+        "errors of differences in the simulator are those of independent episodes",
+        ("runs/test_offline.py::test_differences_in_the_simulator_are_of_episodes_that_begin_alike",),
     ),
     Mutant(
         "apart-shown", "ope/case.py", "unseen = self.data._is_end | self._apart", "unseen = self.data._is_end",

@@ -11,7 +11,7 @@ from deadreckon.errors import UserError
 from deadreckon.ope import ImportanceSampling, OPEInput
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.decide import automatic
-from deadreckon.ope.doubly_robust import DoublyRobust
+from deadreckon.ope.doubly_robust import DoublyRobust, stretched
 from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.features import Table
 from deadreckon.ope.fqe import FQE
@@ -137,13 +137,35 @@ def test_gains_by_group_are_less_certain_beyond_the_recording(monkeypatch):
     groups = Groups("site", ("a", "b"), np.arange(log.episodes) % 2)
     wide = by_group(case, 0, groups, BehaviorModel(hidden=(8,), steps=50))
     ratios = np.where(np.asarray(log.actions) == 1, np.log(0.5 / 0.8), np.log(0.5 / 0.2))
-    share = case.beyond_of(case.episodes.cumulate(ratios))
-    assert share > TAIL
-    monkeypatch.setattr(OPEInput, "beyond_of", lambda self, log_rho: 0.0)
+    parts = [groups.codes == g for g in range(2)]
+    episodes = [case.episodes_of(part) for part in parts]
+    share = [case.beyond_of(each.cumulate(ratios[part[log.episode_of]]), each) for each, part in zip(episodes, parts)]
+    assert max(share) > TAIL
+    monkeypatch.setattr(OPEInput, "beyond_of", lambda self, log_rho, part: 0.0)
     narrow = by_group(case, 0, groups, BehaviorModel(hidden=(8,), steps=50))
-    for one, other in zip(wide, narrow):
+    for one, other, stretch in zip(wide, narrow, stretched(share)):
         assert one["gain"] == other["gain"]
-        assert (one["high"] - one["low"]) / (other["high"] - other["low"]) == pytest.approx(1 / (1 - share), rel=1e-5)
+        assert (one["high"] - one["low"]) / (other["high"] - other["low"]) == pytest.approx(stretch, rel=1e-5)
+
+
+def test_groups_that_are_recorded_for_different_times_have_their_own_chances_of_a_cut_off():
+    """One site is cut off after 2 of 6 steps: at the other an arm pays 1 a step, which observations do not tell apart."""
+    rng, count, steps = np.random.default_rng(0), 600, 6
+    site = np.arange(count) % 2
+    lengths = np.where(site == 1, steps, 2)
+    rows, where = int(lengths.sum()), np.repeat(site, lengths)
+    actions, ends = rng.integers(0, 2, rows), np.cumsum(lengths) - 1
+    last = np.isin(np.arange(rows), ends)
+    log = Dataset.from_arrays(
+        observations=np.ones((rows, 1)), actions=actions, rewards=where * actions, terminals=last & (where == 1),
+        timeouts=last & (where == 0), behavior_log_probs=np.full(rows, np.log(0.5)),
+    )  # fmt: skip
+    case = OPEInput(log, [as_policy(np.array([[0.4, 0.6]]))], discount=1.0, horizon=steps, logged=True)
+    short, long = by_group(case, 0, Groups("site", ("short", "long"), site), BehaviorModel(hidden=(8,), steps=50))
+    assert long["low"] < 0.1 * steps < long["high"]
+    assert long["high"] - long["low"] < 1.0
+    # What is beyond two of six steps is the critics' alone, and is said to be uncertain.
+    assert short["high"] - short["low"] > 2 * (long["high"] - long["low"])
 
 
 @pytest.mark.parametrize("name", ["is", "wis", "pdis", "smis"])

@@ -13,6 +13,7 @@ import pytest
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.ope import DICE, FQE, FQED, VPM, DoublyRobust, ImportanceSampling, LinearFQE, OPEInput
+from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.decide import decide
 from deadreckon.ope.estimates import LOGGED
 from deadreckon.ope.select import gains
@@ -284,7 +285,7 @@ def test_occupancy_ratios_tell_how_much_of_a_policy_the_log_shows(discount, hori
     found = drl.on(case)
     np.testing.assert_allclose(found.diagnostics["mass"], [shown, 1.0, 1.0], atol=0.01)
     assert found.ess[0] > 50  # which does not tell
-    choice = decide(case, [drl]).choice
+    choice = decide(case, [drl], model=BehaviorModel(hidden=(8,), steps=50, lr=1e-2)).choice
     assert "its occupancy ratios amount to" in choice.objections[0][0]
     assert not any("occupancy" in line for line in choice.objections[1])
 

@@ -1,6 +1,7 @@
 """Policies judged from a log and checked in the simulator, and what a page shows of it."""
 
 import dataclasses
+import types
 
 import numpy as np
 import pytest
@@ -61,6 +62,20 @@ def test_the_check_in_words():
     assert checked(told | {"truth": None}).startswith("not checked")
     limited = checked(told | {"truth": told["truth"] | {"beyond": 0.37}})
     assert limited.endswith("of all; its time limit leaves 37 % of the discounted time out, which estimates count")
+    told["truth"]["apart"] = [[0.0, 0.1, 0.2], [0.1, 0.0, 0.3], [0.2, 0.3, 0.0]]
+    assert "a regret of 1.00 ± 0.30, 33 % of the range" in checked(told)
+    assert checked(told | {"choice": {"name": "b"}}).endswith("the best of 3; the next, c, has less by 1.00 ± 0.30")
+
+
+def test_differences_in_the_simulator_are_of_episodes_that_begin_alike(monkeypatch):
+    starts, noise = np.random.default_rng(0).normal(scale=10.0, size=50), np.random.default_rng(1).normal(size=50)
+    returns = np.stack([starts, starts + 1.0 + noise])
+    played = types.SimpleNamespace(discounted=returns, lengths=np.full((2, 50), 3))
+    monkeypatch.setattr(offline, "evaluate", lambda *given, **asked: played)
+    task, estimand = types.SimpleNamespace(name="t", horizon=3), {"discount": 1.0, "horizon": None, "greedy": True}
+    truth = offline.simulated([None, None], task, estimand, episodes=50, seed=0)
+    np.testing.assert_allclose(truth["apart"], np.array([[0.0, 1.0], [1.0, 0.0]]) * noise.std(ddof=1) / np.sqrt(50), atol=1e-12)
+    assert min(truth["error"]) > 5 * truth["apart"][0][1]
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.importance import multiplied
 from deadreckon.ope.pareto import diagnosed
 from deadreckon.ope.support import SHORT
-from deadreckon.ope.weights import FEW, Episodes, effective
+from deadreckon.ope.weights import FEW, effective
 
 UNITS = 20  # episodes or clusters below which no interval is believed
 HEAVY = 0.7  # Pareto k of the weights above which their mean is not reliable (Vehtari et al. 2024)
@@ -54,9 +54,7 @@ class Basis(NamedTuple):
             whole: each episode has one weight, the product of all its ratios; otherwise each step has that of the steps so far.
         """
         cluster = np.unique(case.cluster[some], return_inverse=True)[1]
-        part = case.data.select(np.flatnonzero(some))
-        unit = np.unique(case.units[some], return_inverse=True)[1]  # not more than estimators tell apart
-        episodes = Episodes(part, case.discount, case.seed, unit)
+        episodes = case.episodes_of(some)
         log_rho = episodes.cumulate(log_ratios[some[case.data.episode_of]])
         weights = episodes.typical(log_rho, whole=whole)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -65,7 +63,7 @@ class Basis(NamedTuple):
                 ess = effective(np.exp(weights - max(weights.max(), -1e300)))
             else:
                 average = episodes.average(log_rho)
-                ess = episodes.sums(log_rho, np.zeros(len(part)), normalised=False).ess
+                ess = episodes.sums(log_rho, np.zeros(len(log_rho)), normalised=False).ess
             told = {**multiplied(episodes, np.array([ess]), [average])}
         sums = np.full(int(cluster.max()) + 1, -np.inf)
         np.logaddexp.at(sums, cluster, weights)

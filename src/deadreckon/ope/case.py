@@ -172,6 +172,11 @@ class OPEInput(Fits):
         """The shape of the judged episodes, as weighted sums need it."""
         return Episodes(self.data, self.discount, self.seed, self.units)
 
+    def episodes_of(self, part: np.ndarray) -> Episodes:
+        """The same of a part (episodes,) of them, bool: how likely one is cut off is told by its episodes alone."""
+        units = np.unique(self.units[part], return_inverse=True)[1]
+        return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)
+
     @cached_property
     def time(self) -> np.ndarray:
         """(rows,) steps since the episode's start."""
@@ -210,8 +215,7 @@ class OPEInput(Fits):
     @cached_property
     def beyond(self) -> float:
         """Share of the discounted time that is asked for and lies beyond the ends of the recording, in the log's episodes."""
-        cut = ~np.asarray(self.data.terminals)[self.data.ends]
-        return float((self._ahead[self.data.lengths - 1] * cut).mean())
+        return self._beyond(self.data.lengths, np.asarray(self.data.terminals)[self.data.ends])
 
     @cached_property
     def cut_ahead(self) -> float:
@@ -219,27 +223,34 @@ class OPEInput(Fits):
         cut = ~np.asarray(self.data.terminals)[self.data.ends]
         return float(self._ahead[self.data.lengths[cut] - 1].mean()) if cut.any() else 0.0
 
-    def beyond_of(self, log_rho: np.ndarray) -> float:
+    def beyond_of(self, log_rho: np.ndarray, part: Episodes | None = None) -> float:
         """`beyond` in a policy's episodes, whose weights tell how many of them end before they would be cut off; at least
         `beyond`. An estimate, of which nobody says how certain it is: weights that rest on few episodes may miss those that
         are cut off, and are told of by themselves.
 
         Args:
             log_rho: (rows,) logarithms of the products of its ratios along each episode; see `Episodes.cumulate`.
+            part: of the judged episodes, that the rows are of; None: all of them.
         """
-        if self._endless.sum() <= self.beyond:  # no policy has more
-            return self.beyond
-        return self.beyond_if(self.episodes.going_on(log_rho))
+        part = self.episodes if part is None else part
+        if self._endless(part).sum() <= (least := self._beyond(part.lengths, part.ended)):  # no policy has more
+            return least
+        return self._at_least(part, part.going_on(log_rho))
 
     def beyond_if(self, going_on: np.ndarray) -> float:
         """The same of a policy of whose episodes the share `going_on` (steps,) goes on after each step."""
-        share = float(self._endless @ going_on)
-        return share if share > self.beyond * (1 + 1e-9) else self.beyond
+        return self._at_least(self.episodes, going_on)
 
-    @cached_property
-    def _endless(self) -> np.ndarray:
+    def _at_least(self, part: Episodes, going_on: np.ndarray) -> float:
+        share, least = float(self._endless(part) @ going_on), self._beyond(part.lengths, part.ended)
+        return share if share > least * (1 + 1e-9) else least
+
+    def _beyond(self, lengths: np.ndarray, ended: np.ndarray) -> float:
+        return float((self._ahead[lengths - 1] * ~ended).mean())
+
+    def _endless(self, part: Episodes) -> np.ndarray:
         """(steps,) the share beyond the recording of episodes that do not end, by the step after which they are cut off."""
-        return -np.diff(self.episodes.kept) * self._ahead
+        return -np.diff(part.kept) * self._ahead[: part.steps]
 
     @cached_property
     def _ahead(self) -> np.ndarray:

@@ -176,12 +176,13 @@ class DoublyRobust(Estimator):
 
         return out_of_fold(case, Fit(self.fqe, case), self.folds, propensities)
 
-    def scores(self, case: OPEInput) -> np.ndarray:
-        """(policies, episodes) whose means are plain doubly robust estimates: what each adds, without normalisation."""
-        episodes, nuisances = case.episodes, self.nuisances(case)[0]
+    def scores(self, case: OPEInput, part: np.ndarray) -> np.ndarray:
+        """(policies, episodes of the part) whose means are plain doubly robust estimates of a part (episodes,) of those judged,
+        bool: what each adds, without normalisation."""
+        episodes, nuisances, rows = case.episodes_of(part), self.nuisances(case)[0], part[case.data.episode_of]
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         return np.stack([
-            nuisances.begins[i] + episodes.contributions(episodes.cumulate(row), nuisances.errors[i])
+            nuisances.begins[i, part] + episodes.contributions(episodes.cumulate(row[rows]), nuisances.errors[i, rows])
             for i, row in enumerate(ratios)
         ])  # fmt: skip
 

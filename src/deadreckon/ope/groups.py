@@ -85,29 +85,32 @@ def by_group(
     groups.check(case.log)
     if case.degenerate[which]:
         raise UserError(f"gains by group {WEIGHTLESS}")
-    scores = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model).scores(case)
-    score = scores[which] - scores[len(case.policies)]
     code, unit, units = groups.codes[case.held], case.episodes.group, case.episodes.groups
     size = np.bincount(code, minlength=len(groups.names))
+    row = log_ratios(case, "auto", model, None)[which]
+    # Groups may be recorded for different times, so each has its own chances of a cut-off.
+    plain, score, beyond = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model), np.zeros(len(code)), np.ones(len(size))
+    for g in np.flatnonzero(size):
+        part = code == g
+        scores, episodes = plain.scores(case, part), case.episodes_of(part)
+        score[part] = scores[which] - scores[len(case.policies)]
+        share = case.beyond_of(episodes.cumulate(row[part[case.data.episode_of]]), episodes)
+        stretch = stretched([share])
+        beyond[g] = 1.0 if stretch is None else stretch[0]
     mean = np.bincount(code, score, len(groups.names)) / np.maximum(size, 1)
     # The influence of a unit on a group is that of its episodes which are in it.
     influence = np.zeros((units, len(groups.names)))
     np.add.at(influence, (unit, code), units * (score - mean[code]) / size[code])
-    row = log_ratios(case, "auto", model, None)[which]
     missing = missing_by_row(case, model)[:, which] if case.data.spec.discrete else None
     why = ["; ".join(_doubts(case, row, missing, code == g)) if size[g] else None for g in range(len(size))]
     known = np.array([line == "" for line in why])
     level = alpha / len(case.policies)
     factor = inference.simultaneous(influence[:, known], level, case.seed)
-    # What lies beyond the recording is that of all groups together.
-    along = case.episodes.cumulate(row)
-    beyond = stretched([case.beyond_of(along)])
-    more = case.inflation[which] * (1.0 if beyond is None else beyond[0])
     # Units without episodes of a group say nothing of how its others scatter: its own are as many as count.
     own = np.array([len(np.unique(unit[code == g])) for g in range(len(size))])
     student = special.stdtrit(np.maximum(own - 1, 1), 1 - level / max(int(known.sum()), 1) / 2)
     factor = np.maximum(factor, student) * (own / np.maximum(own - 1, 1)) ** 0.5
-    half = more * inference.errors(influence) * factor + wider
+    half = case.inflation[which] * beyond * inference.errors(influence) * factor + wider
     known &= np.isfinite(half)
     return [
         {"name": name, "episodes": int(size[g]), "gain": float(mean[g]) if size[g] else None,

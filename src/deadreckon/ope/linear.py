@@ -163,13 +163,13 @@ class Fit:
         every_gram, every_reward, _ = sums.whole(policy)
         gram, following, reward = (np.tensordot(weight, x, 1) for x in (every_gram, sums.next[:, policy], every_reward))
         target = reward + self.case.discount * following @ pilot
-        errors = np.zeros(len(RIDGES))
+        errors, fewer = np.zeros(len(RIDGES)), sums.lacks_rows(policy)
         for part in parts:
             own_gram = every_gram[part].sum(0)
             own = every_reward[part].sum(0) + self.case.discount * sums.next[part, policy].sum(0) @ pilot
             for j, ridge in enumerate(RIDGES):
                 rows = weight.tobytes() + np.asarray(part).tobytes()
-                factor = self._factor(gram - own_gram, ridge, rows, policy == sums.logged)
+                factor = self._factor(gram - own_gram, ridge, rows, fewer)
                 theta = cho_solve(factor, target - own)
                 errors[j] += theta @ own_gram @ theta - 2 * theta @ own
         return float(RIDGES[int(np.argmin(errors))])
@@ -178,7 +178,7 @@ class Fit:
         """Solves for one policy on groups that count `weight` times each; a ridge under which it diverges is made stronger."""
         gram, following, reward, start, rows = sums.of(weight, policy)
         while True:
-            factor = self._factor(gram, ridge, weight.tobytes(), policy == sums.logged)
+            factor = self._factor(gram, ridge, weight.tobytes(), sums.lacks_rows(policy))
             # pyrefly: ignore[unsupported-operation] - SciPy's decorators hide that these are arrays
             base, backup = cho_solve(factor, reward), self.case.discount * cho_solve(factor, following)
             solve, onward = partial(cho_solve, factor), backup
@@ -384,10 +384,10 @@ class Fit:
             found["mass"] = weight[:, :-1].sum(1) * (1.0 - discount * goes_on) + weight[:, -1]
         return found
 
-    def _factor(self, gram: np.ndarray, ridge: float, rows: bytes, logged: bool) -> Any:
-        """The Cholesky factor of a penalised Gram matrix, made once for the groups of rows that `rows` tells apart; the
-        behaviour policy's is of fewer rows."""
-        key = (rows, ridge, logged)
+    def _factor(self, gram: np.ndarray, ridge: float, rows: bytes, fewer: bool) -> Any:
+        """The Cholesky factor of a penalised Gram matrix, made once for the groups of rows that `rows` tells apart, and for the
+        behaviour policy once more where it is of `fewer`."""
+        key = (rows, ridge, fewer)
         if key not in self._factors:
             self._factors[key] = cho_factor(self.penalised(gram, ridge))
         return self._factors[key]

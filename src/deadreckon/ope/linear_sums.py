@@ -52,9 +52,13 @@ class Sums:
     lost_rows: np.ndarray
     logged: int
 
+    def lacks_rows(self, policy: int) -> bool:
+        """Whether some rows say nothing of a policy, so that its sums are of fewer."""
+        return policy == self.logged and bool(self.lost_rows.any())
+
     def whole(self, policy: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(groups, ...) gram, reward and rows of one policy."""
-        if policy != self.logged:
+        if not self.lacks_rows(policy):
             return self.gram, self.reward, self.rows
         return self.gram - self.lost_gram, self.reward - self.lost_reward, self.rows - self.lost_rows
 

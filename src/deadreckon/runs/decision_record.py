@@ -123,11 +123,12 @@ class Choice(TypedDict):
 
 
 class Truth(TypedDict):
-    """What a simulator says."""
+    """What a simulator says; `apart` is the standard errors of the differences of all policies."""
 
     episodes: int
     mean: list[float]
     error: list[float]
+    apart: NotRequired[list[list[float]]]
     task: NotRequired[str]
     beyond: NotRequired[float]
 
@@ -267,4 +268,7 @@ def read_results(path: Path | str) -> dict[str, Any]:
         same_length(path, f"choice.costs[{number}].ends", cost["ends"], policies + 1)
     for key in ("mean", "error") if found["truth"] else ():
         same_length(path, f"truth.{key}", found["truth"][key], policies)
+    if found["truth"] and (apart := found["truth"].get("apart")) is not None:
+        for own in (apart, *apart):
+            same_length(path, "truth.apart", own, policies)
     return found

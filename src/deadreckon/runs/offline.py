@@ -238,6 +238,9 @@ def simulated(
     returns = played.discounted
     errors = returns.std(1, ddof=1) / np.sqrt(episodes)
     found = {"task": task.name, "episodes": episodes, "mean": returns.mean(1).tolist(), "error": errors.tolist()}
+    # All policies begin alike, so that what starts have in common falls out of differences.
+    differences = returns[:, None] - returns
+    found["apart"] = (differences.std(-1, ddof=1) / np.sqrt(episodes)).tolist()
     # An estimate without a horizon counts what follows a time limit, which the simulator does not show.
     endless = asked["horizon"] is None and asked["discount"] < 1.0
     beyond = float((asked["discount"] ** task.horizon * (played.lengths >= task.horizon)).mean(1).max()) if endless else 0.0
@@ -259,11 +262,15 @@ def checked(results: dict[str, Any]) -> str:
         limit = f"; its time limit leaves {100 * truth['beyond']:.0f} % of the discounted time out, which estimates count"
     rank = int((means > means[chosen]).sum()) + 1
     words = f"in the simulator {names[chosen]} has {means[chosen]:.2f} ± {truth['error'][chosen]:.2f} and is "
+    error = lambda other: f" ± {truth['apart'][chosen][other]:.2f}" if "apart" in truth else ""  # noqa: E731
     if rank == 1:
-        return f"{words}the best of {len(names)}{limit}"
+        others = [i for i in np.argsort(-means, kind="stable").tolist() if i != chosen]
+        behind = [f"; the next, {names[i]}, has less by {means[chosen] - means[i]:.2f}{error(i)}" for i in others[:1]]
+        return f"{words}the best of {len(names)}{''.join(behind)}{limit}"
+    best = int(means.argmax())
     return (
-        f"{words}number {rank} of {len(names)}; the best, {names[int(means.argmax())]}, has {means.max():.2f}: a regret of "
-        f"{lost:.2f}{share}{limit}"
+        f"{words}number {rank} of {len(names)}; the best, {names[best]}, has {means[best]:.2f}: a regret of "
+        f"{lost:.2f}{error(best)}{share}{limit}"
     )
 
 
