@@ -1,6 +1,7 @@
 """False alarms and power of `deadreckon monitor`, on simulated logs whose truth is known.
 
     python benchmarks/monitor.py --logs 200            # the tables of docs/use/monitor.md
+    python benchmarks/monitor.py --logs 100 --memorised
 
 Each new log is looked at after every episode. Where nothing has changed, an alarm at any look is a false one, and the interval
 of the realised value misses if it ever leaves out the true mean. The estimate's lower end is that true mean itself: the worst
@@ -11,6 +12,7 @@ import argparse
 import tempfile
 import time
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -90,18 +92,45 @@ def measure(kind, change, logs, folder):
     return counts / logs
 
 
+def memorised(logs, folder):
+    """Shares of logs with an alarm, and with drift of the actions, where nothing has changed and a policy that has overfitted
+    is in use: by default its actions are compared with its own in the episodes of the reference that it has not learned from.
+    """
+    counts = np.zeros(2)
+    for number in range(logs):
+        rng = np.random.default_rng([number, 11])
+        old, new = (
+            dr.Dataset.from_arrays(
+                observations=rng.normal(size=(n, 8)), actions=rng.choice([-0.9, 0.9], (n, 1)), rewards=rng.random(n),
+                terminals=np.ones(n, bool), action_space=Box((-1.0,), (1.0,)), name="noise",
+            )
+            for n in (160, 640)
+        )  # fmt: skip
+        agent = dr.agents.BC(hidden=(128, 128), lr=1e-2, batch_size=64)
+        run = dr.train(agent, old, steps=300, task=False, out=folder / f"memorised{number}")
+        seen = monitor(run, replace(new, actions=run.policies[0](new.observations)), reference=old)
+        about = {each.about for each in seen.findings if each.alarm}
+        counts += [bool(about), "action" in about]
+    return counts / logs
+
+
 def main():
     """Prints the table."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--logs", type=int, default=200)
     parser.add_argument("--kinds", nargs="*", default=list(MAKE))
+    parser.add_argument("--memorised", action="store_true", help="a policy that has overfitted, where nothing has changed")
     parser.add_argument("--changes", nargs="*", default=list(CHANGES))
     options = parser.parse_args()
     warnings.simplefilter("ignore")
-    print("| logs | what has changed | any alarm | drift | outside the log | value below the estimate | interval misses |")
-    print("|---|---|---|---|---|---|---|")
+    if not options.memorised:
+        print("| logs | what has changed | any alarm | drift | outside the log | value below the estimate | interval misses |")
+        print("|---|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
+        if options.memorised:
+            print(" | ".join(f"{100 * share:.1f} %" for share in memorised(options.logs, folder)))
+            return
         for kind in options.kinds:
             log = MAKE[kind](64, np.random.default_rng(0))
             dr.train(dr.agents.BC(hidden=(4,), batch_size=8), log, steps=1, task=False, out=folder / kind, holdout=0)

@@ -309,8 +309,8 @@ MUTANTS = (
         ("agents/test_expansion.py::test_steve_weighs_horizons_by_their_certainty",),
     ),
     Mutant(
-        "model-of-changes", "dynamics/model.py", "batch.next_observation - batch.observation, batch.reward",
-        "batch.next_observation, batch.reward", "models learn the next observation instead of its change",
+        "model-of-changes", "dynamics/model.py", "change = batch.next_observation - batch.observation",
+        "change = batch.next_observation", "models learn the next observation instead of its change",
         ("dynamics/test_ensemble.py::test_an_update_is_of_changes_of_observations_and_of_rewards_in_deviations",),
     ),
     # ---- policies in use
@@ -586,8 +586,8 @@ MUTANTS = (
     # ---- estimators of policies' values
     Mutant(
         "ratios-swapped", "ope/importance.py",
-        "np.subtract(own, logged_probs(case, behavior, model, folds), out=ratios[: len(own)])",
-        "np.subtract(logged_probs(case, behavior, model, folds), own, out=ratios[: len(own)])",
+        "own[which] - logged_probs(case, behavior, model, folds, clipped=clipped)",
+        "logged_probs(case, behavior, model, folds, clipped=clipped) - own[which]",
         "weights are the log's probabilities over the policy's",
         ("ope/test_bandit.py", "ope/test_exact.py::test_weighted_values_are_true_within_their_intervals",),
     ),
@@ -670,8 +670,7 @@ MUTANTS = (
         ("ope/test_select.py::test_a_policy_that_something_speaks_against_is_not_chosen_before_one_without",),
     ),
     Mutant(
-        "missing-support", "ope/support.py", "rare = chances < RARE / chances.shape[1]",
-        "rare = chances > RARE / chances.shape[1]",
+        "missing-support", "ope/support.py", "rare = chances < RARE /", "rare = chances > RARE /",
         "common actions count as unsupported",
         ("ope/test_decide.py::test_actions_that_the_log_never_takes_are_told",),
     ),
@@ -1062,6 +1061,131 @@ MUTANTS = (
     Mutant(
         "beyond-log", "ope/case.py", "float(self._endless(part) @ going_on)", "0.0",
         "what lies beyond the recording is the log's share, whatever the policy does", ("ope/test_cut.py",),
+    ),
+    Mutant(
+        "clipped-scale", "ope/behavior.py", "scale = view.log_scale_within(unit) if model.clipped else view.log_scale",
+        "scale = view.log_scale", "probabilities at the bounds of actions are divided by the unit, as densities are",
+        ("ope/test_case.py::test_policies_are_divided_by_models_of_their_own_kind_whatever_the_unit",),
+    ),
+    Mutant(
+        "clipped-for-all", "ope/importance.py", "which = np.flatnonzero(case.clips == clipped)",
+        "which, clipped = np.arange(len(own)), bool(case.clips.any())",
+        "a policy without probabilities at the bounds is divided by a model that has them, beside one that has",
+        ("ope/test_case.py::test_policies_are_divided_by_models_of_their_own_kind_whatever_the_unit",),
+    ),
+    Mutant(
+        "last-step-lost", "ope/linear.py", "last = self._last(sums, weight, ridge)\n", "pass\n",
+        "a row of which nobody knows what follows teaches nothing, though nothing that follows counts",
+        ("ope/test_cut.py::test_the_last_step_of_a_horizon_counts_though_nobody_knows_what_follows_it",),
+    ),
+    Mutant(
+        "alone-lost", "ope/case.py", "return self.discount == 0.0 or self.estimand.horizon == 1", "return False",
+        "with a discount of zero rows are lost of which nobody knows what follows",
+        ("ope/test_cut.py::test_of_rewards_that_nothing_follows_no_row_is_lost",),
+    ),
+    Mutant(
+        "unsaid-learned", "dynamics/model.py", "known = ~jnp.isnan(target)\n", "known = jnp.ones_like(target, bool)\n    "
+        "target = jnp.nan_to_num(target)\n",
+        "models learn that nothing changes where a log does not say what an end led to",
+        ("dynamics/test_ensemble.py::test_ends_of_which_a_log_does_not_say_what_they_led_to_teach_no_change",),
+    ),
+    Mutant(
+        "marks-all-illegal", "dynamics/model.py", "legal = (marks > 0.5) | (marks == marks.max(-1, keepdims=True))",
+        "legal = marks > 0.5", "a made-up observation in which no action is legal",
+        ("ope/test_legal.py",),
+    ),
+    Mutant(
+        "temperature-endless", "agents/sac.py", "jnp.minimum(value, math.log(HOTTEST))", "value",
+        "the temperature of a target that no policy reaches rises for ever",
+        ("agents/test_offline_mbrl.py::test_a_temperature_that_no_target_stops_has_an_end",),
+    ),
+    Mutant(
+        "drawn-alike", "policies/table_predict.py", "rng = self.drawing if seed is None else np.random.default_rng(seed)",
+        "rng = np.random.default_rng(0 if seed is None else seed)",
+        "sampled actions without a seed are drawn alike in each call",
+        ("policies/test_table_predict.py::test_sampled_actions_without_a_seed_are_drawn_anew_in_each_call",),
+    ),
+    Mutant(
+        "estimate-beyond-range", "runs/realised.py", "if least >= high:\n", "if False:\n",
+        "no return speaks against an estimate above the range",
+        ("runs/test_monitor.py::test_an_estimate_above_the_range_of_the_reference_is_refuted",),
+    ),
+    Mutant(
+        "memorised-drift", "runs/monitor.py", "compared.some(unseen if fresh else every,", "compared.some(every,",
+        "actions in use are compared with those in rows that taught the policy",
+        ("runs/test_monitor.py::test_what_a_policy_has_memorised_is_no_drift",),
+    ),
+    Mutant(
+        "decision-outdated", "runs/decision_record.py", "return bool(own) and not any(is_same(policy, place) for place in own)",
+        "return not own",
+        "a page says DEPLOY of a policy that was trained further since it was judged",
+        ("report/test_decision.py::test_a_policy_that_was_trained_further_is_not_deployed_by_what_was_judged",),
+    ),
+    Mutant(
+        "digest-of-devices", "files.py", "    with opened(path) as file:",
+        "    with open(path, \"rb\") as file:",
+        "a decision from elsewhere has devices and pipes read",
+        ("runs/test_decision_record.py::test_a_decision_from_elsewhere_opens_nothing_but_files",),
+    ),
+    Mutant(
+        "alarm-lost", "cli/monitor.py", "            if not found.alarm:\n                raise\n",
+        "            raise\n",
+        "an alarm is lost where the page cannot be written",
+        ("cli/test_monitor.py::test_an_alarm_is_told_where_the_page_cannot_be_written",),
+    ),
+    Mutant(
+        "crash-is-alarm", "cli/main.py", "_FAILED = 70",
+        "_FAILED = 1",
+        "a command that fails has the exit code of an alarm",
+        ("cli/test_monitor.py::test_a_command_that_fails_is_no_alarm",),
+    ),
+    Mutant(
+        "proposals-sign", "mbo/designer.py", "seconds=seconds, minimise=data.minimise)",
+        "seconds=seconds)",
+        "predictions of a target to be made small are shown with the other sign",
+        ("report/test_notebook.py::test_proposals_for_a_target_to_be_made_small_have_its_sign",),
+    ),
+    Mutant(
+        "number-as-level", "runs/explain.py", "if each.role == \"observation\" and each.kind == \"category\":",
+        "if each.role == \"observation\":",
+        "a number is explained as a level",
+        ("runs/test_explain.py::test_a_number_whose_column_is_called_as_a_level_keeps_its_threshold",),
+    ),
+    Mutant(
+        "log-decades", "mbo/repair.py", "if step is not None and i not in self.loose:",
+        "if step is not None:",
+        "a column on a log scale loses its small decades where a rule is about it",
+        ("mbo/test_rules.py::test_rules_leave_a_variable_on_a_log_scale_all_its_decades",),
+    ),
+    Mutant(
+        "distance-of-runs", "mbo/nn_distance.py", "if (alike := data.recipes).max() + 1 < len(z):",
+        "if (alike := data.recipes).max() + 1 < 0:",
+        "the usual distance is that of runs of one recipe",
+        ("mbo/test_nn_distance.py::test_runs_of_a_recipe_whose_settings_are_logged_do_not_shrink_the_unit",),
+    ),
+    Mutant(
+        "failed-again", "mbo/batch.py", "old = data.x if data.unscored is None else np.concatenate([data.x, data.unscored])",
+        "old = data.x",
+        "runs that failed are proposed again",
+        ("mbo/test_design_tables.py::test_runs_without_a_score_are_not_proposed_again",),
+    ),
+    Mutant(
+        "slack-absolute", "mbo/effects.py", "size = terms.sum(0), np.maximum(np.abs(terms).sum(0), abs(bound))",
+        "size = terms.sum(0), np.maximum(1.0, abs(bound))",
+        "a rule in a small unit counts for nothing",
+        ("mbo/test_effects.py::test_rules_count_in_any_unit",),
+    ),
+    Mutant(
+        "batch-unranked", "mbo/designer.py", "value = value or order",
+        "pass",
+        "designs that coincide are replaced by any neighbours",
+        ("mbo/test_batch.py::test_a_method_that_predicts_an_order_alone_fills_its_batch_by_it",),
+    ),
+    Mutant(
+        "log-ends", "report/design_edges.py", "if v.log else found",
+        "if False else found",
+        "ends on a log scale are told by differences",
+        ("report/test_design_page.py::test_ends_on_a_log_scale_are_told_by_its_decades",),
     ),
     Mutant(
         "groups-kept", "ope/case.py",

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import platformdirs
 
 from deadreckon.errors import BusyError, UserError, cannot_write
-from deadreckon.foreign.door import refuse_links
+from deadreckon.foreign.door import opened, refuse_links
 from deadreckon.foreign.text import read_json as read_json  # beside `write_json`
 from deadreckon.foreign.text import read_toml as read_toml
 from deadreckon.names import shown
@@ -170,8 +170,14 @@ def digest(value: Any, size: int, *, sort_keys: bool = False) -> str:
 
 
 def content_digest(path: Path | str) -> str:
-    """16 bytes in hexadecimal that tell the contents of files apart."""
-    with open(path, "rb") as file:
+    """16 bytes in hexadecimal that tell the contents of files apart.
+
+    The path may be from elsewhere, as in a record of policies, so it is opened as what is read from there is.
+
+    Raises:
+        UserError: it is missing or cannot be read, or is no file: a device, a named pipe, a socket or a folder.
+    """
+    with opened(path) as file:
         return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 

@@ -1,5 +1,7 @@
 """D4PG and CRR-D against numpy written from the papers, on fixed numbers; what it learns is in the conformance tests."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -178,6 +180,10 @@ def test_rows_are_of_n_steps_and_say_what_multiplies_the_value_behind_them():
 def test_what_it_refuses():
     with pytest.raises(UserError, match="v_min must be below v_max, got 3.0 and 3.0"):
         D4PG(v_min=3.0, v_max=3.0).resolve(SPEC, 10)
+    worse = dataclasses.replace(LOG, rewards=-1.0 - np.abs(LOG.rewards))
+    with pytest.raises(UserError, match="CRRD: rewards of .* so that every return lies outside v_min = 0 to v_max = 100"):
+        CRRD().resolve(worse.spec, 10)
+    D4PG().resolve(worse.spec, 10)
     for kind in (D4PG, CRRD):
         with pytest.raises(UserError, match=rf"{kind.__name__}.atoms takes a whole number >= 2, got 1"):
             kind(atoms=1).resolve(SPEC, 10)

@@ -12,6 +12,7 @@ from deadreckon.agents.cql import soft_maximum
 from deadreckon.agents.mopo import deviation
 from deadreckon.agents.morel import units
 from deadreckon.agents.offline_mbrl import OfflineMBRL
+from deadreckon.agents.sac import HOTTEST
 from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.dynamics import Branch
@@ -241,3 +242,10 @@ def test_morel_counts_disagreement_in_units_of_what_changes():
     after = before + np.concatenate([rng.normal(0, [0.5, 2.0], (50, 2)), np.zeros((50, 3))], 1)
     scale = np.asarray(units({"observation": before, "next_observation": after, "reward": np.ones(50)}))
     np.testing.assert_allclose(scale, [*(after - before)[:, :2].std(0), 1.0, 1.0, 1.0, 1.0], rtol=1e-5)
+
+
+def test_a_temperature_that_no_target_stops_has_an_end():
+    agent, _, state = prepared(COMBO, turns=0, temperature_lr=0.1)
+    hot = state._replace(log_temperature=jnp.log(jnp.float32(HOTTEST)))
+    after = agent.update_temperature(hot, jnp.asarray(1e3)).log_temperature
+    np.testing.assert_allclose(after, np.log(HOTTEST), rtol=1e-6)

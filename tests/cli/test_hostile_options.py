@@ -70,12 +70,12 @@ def test_a_suite_of_more_cells_than_can_be_planned_is_refused(table, capsys):
 @pytest.mark.parametrize(
     ("error", "code", "told"),
     [
-        (RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes."), 1, "deadreckon: not enough memory: RESOURCE_"),
-        (ValueError("array is too big; `arr.size` is larger"), 1, "deadreckon: not enough memory: array is too big"),
-        (MemoryError(), 1, "deadreckon: not enough memory: none is left"),
+        (RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 9 bytes."), 70, "deadreckon: not enough memory: RESOURCE_"),
+        (ValueError("array is too big; `arr.size` is larger"), 70, "deadreckon: not enough memory: array is too big"),
+        (MemoryError(), 70, "deadreckon: not enough memory: none is left"),
         (OSError(28, "No space left on device", "x"), 2, "deadreckon: x: no space left on device"),
-        (OSError(12, "Cannot allocate memory"), 1, "deadreckon: not enough memory: "),
-        (OSError(5, "Input/output error", "x"), 1, "deadreckon: internal error, OSError"),
+        (OSError(12, "Cannot allocate memory"), 70, "deadreckon: not enough memory: "),
+        (OSError(5, "Input/output error", "x"), 70, "deadreckon: internal error, OSError"),
     ],
 )
 def test_what_the_machine_lacks_is_no_internal_error(monkeypatch, capsys, error, code, told):

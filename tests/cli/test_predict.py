@@ -1,6 +1,7 @@
 """`deadreckon predict`: tables in, named actions out, whatever a file's cells look like."""
 
 import csv
+import re
 import sqlite3
 
 import numpy as np
@@ -141,12 +142,16 @@ def test_policies_that_a_folder_stands_for(run, tmp_path, capsys):
     told = decision(policies, choice=choice, estimand={"greedy": False})
     words = ["predict", str(tmp_path), str(tmp_path / "new.csv"), "--out", str(tmp_path / "a.csv")]
     write_json(tmp_path / "estimates.json", told)
-    assert main([*words, "--sampled", "True"]) == 0
-    assert capsys.readouterr().err == ""
-    drawn = (tmp_path / "a.csv").read_text()
     assert main(words) == 0  # as it was judged
-    assert capsys.readouterr().err == ""
+    said = capsys.readouterr()
+    assert said.err == ""
+    drawn = (tmp_path / "a.csv").read_text()
+    seed = re.search(r"actions in 40 rows, drawn by the seed (\d+), in ", said.out)[1]
+    assert main([*words, "--sampled", "True", "--seed", seed]) == 0
     assert (tmp_path / "a.csv").read_text() == drawn
+    assert main(words) == 0
+    assert (tmp_path / "a.csv").read_text() != drawn  # by another seed each time
+    assert capsys.readouterr().err == ""
     assert main([*words, "--sampled", "False"]) == 0
     said = capsys.readouterr()
     assert "! the decision was about sampled actions, and these are the deterministic (greedy) ones" in said.err

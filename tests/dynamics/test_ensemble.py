@@ -268,3 +268,25 @@ def test_the_autoregressive_model_knows_what_numbers_have_to_do_with_each_other(
         correlation[kind] = np.corrcoef(np.asarray(change.observation[0]).T)[0, 1]
     assert correlation[AutoRegressive] > 0.9
     assert abs(correlation[Gaussian]) < 0.1
+
+
+@pytest.mark.parametrize("kind", [Gaussian, AutoRegressive])
+def test_ends_of_which_a_log_does_not_say_what_they_led_to_teach_no_change(kind):
+    """A fifth of all rows end by chance, and repeat their own observation; all others change by 1."""
+    rng = np.random.default_rng(0)
+    observation = rng.normal(size=(600, 1)).astype(np.float32)
+    terminal = (rng.random(600) < 0.2).astype(np.float32)
+    following = np.where(terminal[:, None] > 0.5, observation, observation + 1.0).astype(np.float32)
+    columns = {"observation": observation, "action": np.zeros((600, 1), np.float32), "reward": np.ones(600, np.float32),
+               "next_observation": following, "terminal": terminal}  # fmt: skip
+    spec = Dataset.from_arrays(
+        observations=observation, actions=columns["action"], rewards=columns["reward"], terminals=terminal
+    ).spec
+    model = kind(members=2, hidden=(8,), lr=1e-2, batch_size=64)
+    found, report = Trainer(elites=2, patience=3, most_epochs=60).fit(model, spec, columns, 0)
+    inputs = (np.concatenate([observation, columns["action"]], 1) - found.mean) / found.std
+    mean, logit = model.sample(found.params, jnp.broadcast_to(inputs, (2, *inputs.shape)), None)
+    np.testing.assert_allclose(mean[..., 0], 1.0, atol=0.1)
+    assert report.elite_error < 0.01
+    if kind is Gaussian:
+        assert abs(float(jax.nn.sigmoid(logit).mean()) - 0.2) < 0.05

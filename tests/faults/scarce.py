@@ -101,7 +101,7 @@ def memory_group(place: Place, command: Command, rng: random.Random) -> Outcome 
         return Outcome("there was memory enough", whole(place, command, first))
     broken = clean_end(first) + ([] if gone else ["children lived on"])
     how = "was killed by the system" if first.code == -9 else f"ended with {first.code} in one line"
-    if first.code not in (-9, 1, 2):
+    if first.code not in (-9, 1, 2, 70):
         broken.append(f"exit {first.code}: {(first.lines() or ['-'])[-1][:200]}")
     return Outcome(f"{how}, and the same command went on", broken + whole(place, command, run(words, place.folder, LONG)))
 
@@ -116,8 +116,8 @@ def memory_addresses(place: Place, command: Command, rng: random.Random) -> Outc
     first.gone()
     if first.code == 0:
         return Outcome("there was memory enough", whole(place, command, first))
-    told = refused(first, ".", (1, 2)) if first.code in (1, 2) else []
-    how = "said in one line" if first.code in (1, 2) else "a library in C++ ended the process"
+    told = refused(first, ".", (1, 2, 70)) if first.code in (1, 2, 70) else []
+    how = "said in one line" if first.code in (1, 2, 70) else "a library in C++ ended the process"
     again = whole(place, command, run(words, place.folder, LONG))
     return Outcome(f"{how}, and the same command went on", told + again)
 

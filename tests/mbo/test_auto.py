@@ -5,10 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from deadreckon.mbo import designer
+from deadreckon.mbo import auto, designer
 from deadreckon.mbo.auto import chosen, standard_error
 from deadreckon.mbo.designer import DesignInput
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.forward import Forward
 from deadreckon.mbo.gp import GP
 from deadreckon.mbo.validation import judged
 from deadreckon.mbo.variables import Variable
@@ -64,6 +65,16 @@ def test_with_a_kappa_the_process_is_taken(monkeypatch):
     data = Designs.from_arrays(RNG.uniform(size=(60, 2)), Y[:60])
     method = designer("auto", networks_from=50, kappa=-1.0, hidden=(8,), steps=1)
     assert method.solve(DesignInput(data, 4, [0], None, unwatched)) == -1.0
+
+
+def test_a_network_that_is_taken_says_that_it_does_not_see_standard_errors(monkeypatch):
+    x, error = RNG.uniform(size=(60, 2)), np.linspace(0.1, 1.0, 60)
+    data = dataclasses.replace(Designs.from_arrays(x, Y[:60]), std_error=error)
+    noise = {"GP": 3.0, "Ensemble, mean": 0.3, "RaM": 3.0}
+    monkeypatch.setattr(auto, "on_held_out", lambda method, setting, scored: quality(method.label, noise[method.label]))
+    monkeypatch.setattr(Forward, "solve", lambda method, setting: [])
+    with pytest.warns(UserWarning, match="designs: Ensemble, mean takes all rows for equally exact in its fit"):
+        assert designer("auto", networks_from=50).propose_many(data, 4, seeds=[0]) == []
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """Batches: rules hold exactly in what is written, nothing is proposed twice, and what cannot be is refused in one line."""
 
+import dataclasses
 from decimal import Decimal
 from itertools import pairwise
 
@@ -8,10 +9,16 @@ import pytest
 
 from deadreckon.errors import UserError
 from deadreckon.mbo import designer
+from deadreckon.mbo.baselines import BestOfData
 from deadreckon.mbo.batch import batch, check_batch, keys, moved
+from deadreckon.mbo.designer import DesignInput
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.forward import Forward
+from deadreckon.mbo.gp import GP
 from deadreckon.mbo.nn_distance import nn_distance, usual_distance
 from deadreckon.mbo.process import fit
+from deadreckon.mbo.ram import RaM
+from deadreckon.progress import unwatched
 from tests.mbo.practice import SIZES, TABLES
 
 
@@ -74,6 +81,36 @@ def test_duplicates_are_replaced_and_the_first_stays():
     assert len(set(keys(data, found))) == 6
     # Those that fill it were made around these, by their value.
     assert (found[2:, 0] > np.median(data.x[:, 0])).all()
+
+
+def test_a_method_that_predicts_an_order_alone_fills_its_batch_by_it():
+    data = TABLES["wide"]().designs()
+    z = np.repeat(data.coordinates.encode(data.x[:1] * 0.9), 6, axis=0)
+    setting = DesignInput(data, 6, [0], None, unwatched, distinct=True)
+    made = RaM().decoded(setting, 0, z, climbed=lambda z: z[:, 0])
+    np.testing.assert_allclose(made.x[0], data.x[0] * 0.9, rtol=1e-5)
+    assert (made.x[1:, 0] > np.quantile(data.x[:, 0], 0.9)).all()
+    assert np.isnan(made.predicted).all()
+
+
+def test_methods_that_take_all_rows_for_equally_exact_say_so(monkeypatch, recwarn):
+    columns = TABLES["wide"](variables=4).columns
+    columns["se"] = list(np.linspace(0.1, 1.0, len(columns["y"])))
+    for method in (Forward, GP, BestOfData):
+        monkeypatch.setattr(method, "solve", lambda method, setting: [])
+    read = lambda **more: Designs.from_frame(columns, "y", **more)  # noqa: E731
+    data, plain = read(std_error="se"), read(ignore=["se"])
+    alike = dataclasses.replace(data, std_error=np.ones(len(data)))
+    lines = {}
+    for name, given in (("forward", data), ("gp", data), ("best", data), ("ensemble", plain), ("ensemble-min", alike)):
+        recwarn.clear()
+        designer(name).propose_many(given, 2, seeds=[0])
+        lines[name] = [str(each.message) for each in recwarn]
+    assert lines.pop("forward") == [
+        "frame: Forward takes all rows for equally exact in its fit, whatever their standard errors and replicates; the "
+        "Gaussian process does not (--method gp)"
+    ]
+    assert not any(lines.values())
 
 
 def test_designs_of_the_data_are_proposed_only_where_asked():

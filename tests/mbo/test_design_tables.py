@@ -10,10 +10,13 @@ from pyarrow import parquet
 
 from deadreckon.cli.main import main
 from deadreckon.errors import UserError
+from deadreckon.mbo import designer
+from deadreckon.mbo.batch import batch, check_batch
 from deadreckon.mbo.design_draft import describe
 from deadreckon.mbo.design_schema import DesignColumn, DesignSchema
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.doubts import far
+from deadreckon.mbo.forward import Forward
 from deadreckon.mbo.front import targets_of
 
 
@@ -69,7 +72,8 @@ def test_rows_without_a_score_are_planned_runs_and_no_data(tmp_path):
     temp = [None if row == 7 else 500.0 if row == 0 else value for row, value in enumerate(full["temp"])]
     path = write(tmp_path / "t.csv", full | {"y": y, "temp": temp})
     data, lines = told(Designs.from_csv, path, "y")
-    assert lines == ["t: 3 rows left out, as planned and without y yet: rows 0, 7 to 8, counted from 0"]
+    assert lines == ["t: 3 rows left out, as planned and without y yet: rows 0, 7 to 8, counted from 0; those with "
+                     "all inputs are not proposed again (--repeat allows it)"]  # fmt: skip
     assert len(data) == 15
     assert data.variables[0].high == max(value for row, value in enumerate(full["temp"]) if row not in (0, 7, 8))
     kept = [row for row in range(18) if row not in (0, 7, 8)]
@@ -80,6 +84,26 @@ def test_rows_without_a_score_are_planned_runs_and_no_data(tmp_path):
                      "3 rows left out, as planned and without y yet: rows 0, 7 to 8, counted from 0"]  # fmt: skip
     assert schema.named("input") == ["temp", "solvent"]
     np.testing.assert_array_equal(told(schema.read, path)[0].x, data.x)
+
+
+def test_runs_without_a_score_are_not_proposed_again():
+    """Nor do they teach: what has no score may have failed, or is to be predicted."""
+    cells = [(a, b) for a in (1, 2, 3) for b in "wxyz"]
+    cells = [*cells[:11], (None, "w"), (2, None), (9, "w"), (3, "new"), cells[10]]  # incomplete, beyond the bounds, no level
+    frame = {"a": [a for a, _ in cells], "b": [b for _, b in cells], "y": [*map(float, range(10)), *[None] * 6]}
+    data, lines = told(Designs.from_frame, frame, "y", bounds={"a": (1, 3)}, kinds={"a": "integer"})
+    assert len(lines) == 1
+    assert (len(data), data.variables[0].high, data.variables[1].levels) == (10, 3, ("w", "x", "y", "z"))
+    assert data.unscored.tolist() == [[3, 2], [9, 0], [3, 2]]
+    for method in ("random", "gp"):
+        made = designer(method, **({"rounds": 2, "folds": 0} if method == "gp" else {})).propose(data, 1)
+        assert made.x.tolist() == [[3, 3]]
+    with pytest.raises(UserError, match="2 proposals that differ and are not in the data .* only 1 were found"):
+        batch(data, data.x, 2)
+    with pytest.raises(UserError, match="or is in the data"):
+        check_batch(data, data.unscored[:1], repeat=False)
+    np.testing.assert_array_equal(batch(data, data.unscored[:1], 1, repeat=True), [[3, 2]])
+    assert data.part(np.arange(10)).unscored is data.unscored
 
 
 def test_rows_after_planned_runs_keep_their_numbers():
@@ -103,7 +127,8 @@ def test_of_several_targets_a_row_with_none_is_planned():
     read = lambda **more: Designs.from_frame(columns, **more)  # noqa: E731
     made, lines = told(targets_of, read, ["y", "z"], [])
     assert [len(each) for each in made] == [17, 17]
-    assert set(lines) == {"frame: 1 row left out, as planned and without y or z yet: row 0, counted from 0"}
+    assert set(lines) == {"frame: 1 row left out, as planned and without y or z yet: row 0, counted from 0; those with "
+                          "all inputs are not proposed again (--repeat allows it)"}  # fmt: skip
     columns["z"][3] = None
     with pytest.raises(UserError, match="column z is empty in row 3, counted from 0; fill the cells in or leave the rows out$"):
         told(targets_of, read, ["y", "z"], [])
@@ -147,6 +172,22 @@ def test_options_that_hints_name_are_those_of_the_command(tmp_path, monkeypatch,
     asked = ["--schema", "t.toml", "--separator", "comma"]  # what the command says goes before the schema
     assert main(["design", "t.csv", *asked, "--method", "random", "-n", "2", "--out", "x"]) == 2
     assert "separat" in capsys.readouterr().err
+
+
+def test_a_budget_is_of_methods_with_published_sizes(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "t.csv", frame())
+    asked = ["design", "t.csv", "--target", "y", "-n", "2", "--out", "x"]
+    for more in (["--budget", "full"], ["--budget", "cpu", "--method", "gp"]):
+        assert main([*asked, *more]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert f"--budget says whether models have published sizes, and {more[-1] if more[2:] else 'auto'} has none" in line
+        assert "take one of forward, ensemble" in line
+    seen = []
+    monkeypatch.setattr(Forward, "solve", lambda method, setting: seen.append(method.hidden) or [])
+    for budget in ("full", "cpu"):
+        main([*asked, "--method", "forward", "--budget", budget])  # nothing is proposed
+    assert seen == [(2048, 2048), (256, 256)]
 
 
 def test_a_slipped_digit_is_told():

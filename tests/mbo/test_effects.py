@@ -15,8 +15,10 @@ from deadreckon.mbo.fitted import BLOCK, Fitted, covariance_of_members, in_block
 from deadreckon.mbo.forward import Forward, believed
 from deadreckon.mbo.nn_distance import neighbours, usual_distance
 from deadreckon.mbo.proposal_table import about, added_columns, rounded
+from deadreckon.mbo.rules import written
 from deadreckon.mbo.validation import cross_validated, judged
 from deadreckon.nets.mlp import MLP, ensemble
+from deadreckon.report.design_asked import broken_rule
 from deadreckon.training.learner import unstack
 from tests.mbo.practice import TABLES
 
@@ -283,3 +285,20 @@ def test_levels_that_are_numbers_count_in_sums_by_their_values():
     assert effects.allowed(data, data.x).all()
     assert effects.with_value(data, data.x, 0, 2.0)[:, 1].tolist() == [50.0] * 24
     assert not effects.allowed(data, data.x + np.array([0, 1, 0])).any()
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-7, 1e6])
+def test_rules_count_in_any_unit(unit):
+    """Which rows satisfy them does not depend on whether amounts are in moles or in nanomoles."""
+    a, b = np.linspace(1, 20, 20), np.tile([1.0, 2.0, 4.0, 8.0], 5)
+    frame = {"a": (a * unit).astype(np.float32), "b": (b * unit).astype(np.float32), "y": a}
+    data = Designs.from_frame(frame, "y", constraints=[f"a + b <= {10 * unit!r}"])
+    np.testing.assert_array_equal(effects.keeping(data), a + b <= 10)
+    assert effects.best_permitted(data) == np.flatnonzero(a + b <= 10)[-1]
+    data = Designs.from_frame(frame, "y", fixed=[f"b = {4 * unit!r}"])
+    np.testing.assert_array_equal(effects.keeping(data), b == 4)
+    assert [broken_rule(data, i) is None for i in range(20)] == (b == 4).tolist()
+    assert [data.rules.broken(data.variables, row) is None for row in written(data.variables, data.x)] == (b == 4).tolist()
+    assert designer("best").propose(data, 5).x[:, 1] == pytest.approx(4 * unit)
+    made = designer("random").propose(data, 3)  # what is fixed is so exactly
+    np.testing.assert_array_equal(made.x[:, 1], np.float32(4 * unit))

@@ -1,11 +1,12 @@
 """Distances to the scored designs."""
 
 import numpy as np
+import pytest
 
-from deadreckon.mbo.batch import Chosen
+from deadreckon.mbo.batch import Chosen, least_distance
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.local_search import spaced
-from deadreckon.mbo.nn_distance import distance_to_others, nn_distance
+from deadreckon.mbo.nn_distance import distance_to_others, nn_distance, usual_distance
 from deadreckon.mbo.variables import Variable
 
 
@@ -19,6 +20,20 @@ def test_designs_that_are_there_twice_do_not_shrink_the_unit():
     x = np.repeat(np.arange(10.0), 3)[:, None]
     data = Designs.from_arrays(np.concatenate([x, [[10.0]]]), np.arange(31.0))
     np.testing.assert_allclose(nn_distance(data, np.array([[12.0]])), [2.0], atol=1e-5)
+
+
+def test_runs_of_a_recipe_whose_settings_are_logged_do_not_shrink_the_unit():
+    rng = np.random.default_rng(0)
+    recipes = rng.uniform(size=(15, 2))
+    logged = np.repeat(recipes, 4, 0) + 1e-3 * rng.standard_normal((60, 2))
+    once, several = (Designs.from_arrays(x, np.arange(len(x))) for x in (recipes, logged))
+    assert usual_distance(several) == pytest.approx(usual_distance(once), rel=0.05)
+    assert least_distance(several) == pytest.approx(least_distance(once), rel=0.05)
+    assert nn_distance(several, np.array([[2.0, 2.0]])) == pytest.approx(nn_distance(once, np.array([[2.0, 2.0]])), rel=0.05)
+    spread = Designs.from_arrays(np.random.default_rng(1).uniform(size=(60, 2)), np.arange(60))
+    z = spread.coordinates.place(spread.x)
+    apart = np.linalg.norm(z[:, None] - z, axis=2) + np.diag(np.full(60, np.inf))
+    assert usual_distance(spread) == pytest.approx(np.median(apart.min(1)))  # without recipes of several runs, as ever
 
 
 def test_letters():

@@ -8,6 +8,7 @@ import pytest
 from deadreckon.errors import UserError
 from deadreckon.mbo import designer
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.effects import best_permitted
 from deadreckon.mbo.rules import Rules
 from deadreckon.mbo.variables import Variable
 
@@ -73,6 +74,22 @@ def test_the_best_of_the_data_are_those_that_the_rules_allow():
     assert made.warning is None
     with pytest.raises(UserError, match=rf"has {len(allowed)} designs that satisfy the rules, fewer than the 20 asked for"):
         designer("best").propose(data, 20)
+
+
+def test_the_best_of_the_data_are_those_that_the_page_calls_so():
+    """Mixtures whose decimals are rounded count; steps and fixed values do as well."""
+    rng = np.random.default_rng(0)
+    parts = rng.dirichlet(np.ones(3), 20).round(3)
+    parts[:, 2] = 1 - parts[:, 0] - parts[:, 1]
+    parts[:3] = (0.33, 0.33, 0.33), (0.5, 0.2, 0.25), (0.66, 0.17, 0.17)
+    heat = np.r_[40.0, 40, 43, 50, np.full(16, 40)]
+    frame = dict(zip("abc", parts.T)) | {"heat": heat, "y": np.arange(20.0)[::-1]}
+    data = Designs.from_frame(frame, "y", mixtures=["abc"], steps={"heat": 5})
+    made = designer("best").propose(data, 2)
+    np.testing.assert_allclose(made.x, data.x[[0, 3]])  # row 1 sums to 0.95, and 43 is no multiple of 5
+    assert best_permitted(data) == 0
+    data = Designs.from_frame(frame, "y", mixtures=["abc"], fixed=["heat = 50"])
+    np.testing.assert_allclose(designer("best").propose(data, 1).x, data.x[[3]])
 
 
 def test_an_ampersand_within_a_name_separates_no_conditions():
@@ -219,6 +236,28 @@ def test_a_factor_that_may_be_a_power_of_ten_is_refused():
 def test_a_log_scale_that_32_bits_do_not_hold_is_refused():
     with pytest.raises(UserError, match=r"s: a log scale begins at 1.18e-38 \(32 bits\), got 1e-40; take another unit"):
         Variable("s", low=1e-40, high=1.0, log=True)
+
+
+def test_rules_leave_a_variable_on_a_log_scale_all_its_decades():
+    rng = np.random.default_rng(0)
+    rate, b = np.r_[1e-6, 1.0, 10 ** rng.uniform(-6, 0, 38)], rng.uniform(size=40).round(3)
+    frame = {"rate": rate, "b": b, "c": rng.uniform(size=40), "y": rng.normal(size=40)}
+    near = np.array([[3.2e-6, 0.8, 0.7]], np.float32)
+    for rule in ({"forbidden": ["rate > 0.1 & b > 0.3"]}, {"constraints": ["rate + b <= 1.5"]}):
+        data = Designs.from_frame(frame, "y", logs=["rate"], **rule)
+        found, good = data.repair.exact(data.x)
+        assert good.all()
+        kept = data.repair.good(data.x)
+        np.testing.assert_allclose(found[kept, 0], data.x[kept, 0], rtol=1e-6)  # as they were measured
+    data = Designs.from_frame(frame, "y", logs=["rate"], forbidden=["rate > 0.1 & b > 0.3", "b > 0.5 & c > 0.3"])
+    found, good = data.repair.exact(near)
+    assert good.all()
+    np.testing.assert_allclose(found, [[3.2e-6, 0.5, 0.7]], rtol=1e-5)  # what breaks the rule moves, on the grid
+    bounds = {"rate": (1e-6, 1), "b": (0, 1), "c": (0, 1)}
+    data = Designs.from_frame(frame, "y", logs=["rate"], bounds=bounds, mixtures=[["rate", "b", "c"]])
+    found, good = data.repair.exact(np.array([[3.24e-6, 0.6, 0.399997]]))
+    assert good.all()
+    np.testing.assert_allclose(found[0, 0], 3.2e-6, rtol=1e-5)  # beside parts of 0.6 32 bits hold seven decimals
 
 
 def test_the_best_design_on_a_grid_with_a_sum_is_found():

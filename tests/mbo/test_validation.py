@@ -6,6 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.stats
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
+from scipy.spatial.distance import cdist
 
 from deadreckon.errors import UserError
 from deadreckon.mbo import designer
@@ -19,6 +22,7 @@ from deadreckon.mbo.forward import Forward, on_held_out
 from deadreckon.mbo.front import propose_front
 from deadreckon.mbo.gp import GP
 from deadreckon.mbo.proposal_table import about, about_front
+from deadreckon.mbo.replicates import _tree
 from deadreckon.mbo.validation import checkable, judged
 from deadreckon.mbo.variables import Variable
 from deadreckon.report.design_advice import rule_note
@@ -289,6 +293,16 @@ def test_designs_that_are_spread_otherwise_are_recipes_of_their_own(kind):
         variables = (Variable("a"), letter if kind == "one number and a category" else Variable("b"))
         data = Designs(x, rng.standard_normal(len(x)), variables)
         np.testing.assert_array_equal(data.recipes, np.arange(len(x)))
+
+
+def test_the_tree_that_joins_designs_is_minimal():
+    rng = np.random.default_rng(0)
+    for z in (rng.normal(size=(60, 3)), rng.integers(0, 9, (60, 2)).astype(float), nearly_repeated().x.astype(float)):
+        distance = cdist(z, z)
+        lengths, ends = _tree(distance)
+        np.testing.assert_array_equal(np.sort(lengths), np.sort(minimum_spanning_tree(distance).data))
+        np.testing.assert_array_equal(distance[tuple(ends)], lengths)
+        assert connected_components(coo_matrix((np.ones(59), ends), distance.shape), False)[0] == 1
 
 
 def test_a_table_of_recipes_says_so():

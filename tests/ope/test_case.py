@@ -14,9 +14,10 @@ from deadreckon.nets.optim import init_opt
 from deadreckon.ope import FQE, LOGGED, BehaviorModel, DoublyRobust, ImportanceSampling, OPEInput
 from deadreckon.ope.dice import DICE, Saddle
 from deadreckon.ope.fqe import Critics, Scale, State
+from deadreckon.ope.importance import log_ratios
 from deadreckon.ope.tables import NOISE
 from deadreckon.policies import BlackBoxPolicy, EnvPolicy, library
-from deadreckon.policies.kinds import ClippedGaussian, Deterministic
+from deadreckon.policies.kinds import ClippedGaussian, Deterministic, TanhGaussian
 from deadreckon.theory import garnet
 from tests.ope.worlds import as_policy, tables
 
@@ -139,12 +140,37 @@ def test_a_clipped_policy_is_divided_by_a_clipped_model():
     means = MLP((jnp.asarray([[1.2]]),), (jnp.zeros(1),))
     policy = EnvPolicy(ClippedGaussian.of(means, jnp.log(jnp.asarray([0.5]))), None, None, -jnp.ones(1), jnp.ones(1))
     case = OPEInput(log, [policy])
-    learned = case.behavior_log_probs("learned", BehaviorModel(hidden=(16,), lr=3e-3, steps=1000))
+    learned = case.behavior_log_probs("learned", BehaviorModel(hidden=(16,), lr=3e-3, steps=1000), clipped=True)
     ratio = np.exp(case.log_probs[0] - learned)
     bound = np.abs(taken[:, 0]) == 1.0
     for where in (bound, ~bound):
         assert abs(ratio[where].mean() - 1.0) < 0.15
         assert np.abs(np.log(ratio[where])).mean() < 0.25
+
+
+def test_policies_are_divided_by_models_of_their_own_kind_whatever_the_unit():
+    """Actions of 0 to 10, 40 % of them at a bound, where a clipped Gaussian has a probability: the unit does not matter there.
+
+    A policy without such probabilities has the same weights beside one that has them as alone.
+    """
+    rng = np.random.default_rng(0)
+    seen = rng.uniform(-1, 1, (2000, 1)).astype(np.float32)
+    taken = 5.0 + 5.0 * np.clip(1.5 * seen + 0.5 * rng.standard_normal(seen.shape), -1, 1)
+    assert 0.3 < (np.abs(taken - 5.0) == 5.0).mean() < 0.5
+    log = Dataset.from_arrays(
+        observations=seen, actions=taken, rewards=np.zeros(2000), terminals=np.ones(2000), action_space=Box((0.0,), (10.0,))
+    )
+    bounds = jnp.zeros(1), jnp.full(1, 10.0)
+    clipped = EnvPolicy(
+        ClippedGaussian.of(MLP((jnp.asarray([[1.5]]),), (jnp.zeros(1),)), jnp.log(jnp.asarray([0.5]))), None, None, *bounds
+    )
+    smooth = EnvPolicy(TanhGaussian(MLP((jnp.asarray([[1.5, 0.0]]),), (jnp.asarray([0.0, -0.7]),))), None, None, *bounds)
+    model = BehaviorModel(hidden=(16,), lr=3e-3, steps=400)
+    both = log_ratios(OPEInput(log, [clipped, smooth]), "learned", model, None, 2)
+    assert np.exp(both[0]).mean() == pytest.approx(1.0, abs=0.1)
+    np.testing.assert_allclose(np.exp(both[0])[np.abs(taken[:, 0] - 5.0) == 5.0].mean(), 1.0, atol=0.15)
+    alone = log_ratios(OPEInput(log, [smooth]), "learned", model, None, 2)
+    np.testing.assert_allclose(both[1], alone[0], rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.slow

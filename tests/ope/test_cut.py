@@ -314,3 +314,45 @@ def test_what_is_still_to_come_is_told_of_what_is_asked_for():
     case = OPEInput(log, [as_policy(both)], discount=1.0, horizon=40, logged=True)
     assert case.cut_ahead == pytest.approx(0.05)
     assert any("where 5 % of the discounted time is still to come" in line for line in ImportanceSampling().on(case).warnings)
+
+
+def blind(log):
+    """The log without the observations after its episodes, as a table of rows and no more gives it."""
+    columns = {key: getattr(log, key) for key in ("observations", "actions", "rewards", "terminals", "timeouts")}
+    return Dataset.from_arrays(**columns, action_space=Discrete(log.spec.action_size), **log.extras)
+
+
+def test_the_last_step_of_a_horizon_counts_though_nobody_knows_what_follows_it():
+    """All episodes are cut off where the horizon ends: with one step to go nothing that follows counts."""
+    steps, true = 3, garnet(states=4, actions=2, noise=0.3)
+    behavior, target = np.full((4, 2), 0.5), tables(true, 1, 0.5, seed=1)[0]
+    log = blind(true.log(behavior, 2000, steps, np.random.default_rng(0)))
+    assert not log.usable[log.ends].any()
+    case = OPEInput(log, [as_policy(target)], discount=1.0, horizon=steps, logged=True)
+    worth = []
+    for policy in (target, behavior):
+        values = np.zeros(4)
+        for _ in range(steps):
+            values = (policy * (true.rewards + true.transitions @ values)).sum(1)
+        worth.append(float(true.initial @ values))
+    for each in (LinearFQE(), DoublyRobust(kind="dr", fqe=LinearFQE()), DoublyRobust(kind="marginal", fqe=LinearFQE())):
+        found = each.on(case)
+        np.testing.assert_allclose(found.value, worth, atol=0.1)
+        assert (found.low - 0.02 <= worth).all()
+        assert (found.high + 0.02 >= worth).all()
+        np.testing.assert_allclose(found.diagnostics.get("mass", np.ones(2)), 1.0, atol=0.02)
+
+
+@pytest.mark.parametrize("horizon", [None, 1])
+def test_of_rewards_that_nothing_follows_no_row_is_lost(horizon):
+    """Single steps, cut off without what follows, and a discount of zero: rewards are 1 for the first action and 0 else."""
+    rng = np.random.default_rng(0)
+    actions = rng.integers(0, 2, 900)
+    ends = np.ones(900, bool) if horizon is None else np.tile([False, False, True], 300)
+    log = Dataset.from_arrays(
+        observations=np.ones((900, 1)), actions=actions, rewards=(actions == 0).astype(float), terminals=np.zeros(900, bool),
+        timeouts=ends, behavior_log_probs=np.full(900, np.log(0.5)),
+    )  # fmt: skip
+    case = OPEInput(log, [as_policy(np.array([[1.0, 0.0]]))], discount=0.0, horizon=horizon, logged=True)
+    for each in (LinearFQE(), DoublyRobust(kind="dr", fqe=LinearFQE()), DoublyRobust(kind="marginal", fqe=LinearFQE())):
+        np.testing.assert_allclose(each.on(case).value, [1.0, 0.5], atol=0.06)

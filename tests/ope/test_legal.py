@@ -2,6 +2,7 @@
 
 from functools import cache
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -136,5 +137,8 @@ def test_a_model_believes_what_is_legal_where_it_mostly_is():
     np.testing.assert_array_equal(limits.low[-3:], [1, 0, 0])
     view = Normalizer.of(data.spec, standardise=True)
     np.testing.assert_allclose(limits.high[:2], view.observe(data.observations)[:, :2].max(0), rtol=1e-5)
-    held = limits.hold(Change(np.array([0.0, 0.0, 0.97, 0.9, 0.2], np.float32), np.float32(0), np.float32(0)))
-    np.testing.assert_allclose(held.observation[-3:], [1.0, 0.9, 0.2], rtol=1e-6)
+    hold = lambda marks: limits.hold(Change(jnp.array([0.0, 0.0, *marks]), jnp.float32(0), jnp.float32(0))).observation[-3:]  # noqa: E731
+    np.testing.assert_array_equal(hold([0.97, 0.9, 0.2]), [1.0, 1.0, 0.0])
+    never = limits._replace(low=limits.low.at[-3].set(0.0))  # of a log in which no action is always legal
+    np.testing.assert_array_equal(never.hold(Change(jnp.array([0.0, 0.0, 0.1, 0.4, 0.2]), jnp.float32(0), jnp.float32(0)))
+                                  .observation[-3:], [0.0, 1.0, 0.0])  # fmt: skip

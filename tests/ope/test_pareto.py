@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.ope.pareto import diagnosed, pareto_k
+from deadreckon.ope.weights import Episodes
 
 
 @pytest.mark.slow
@@ -66,3 +68,15 @@ def test_two_weights_have_no_tail():
     """The largest of them is the largest there is, however few exceed the threshold."""
     assert pareto_k(np.log(np.repeat([0.9, 1.1], [800, 200]))) == -np.inf
     assert pareto_k(np.log(np.repeat([0.9, 1.1], [990, 10]))) == -np.inf
+
+
+def test_an_episode_that_has_ended_keeps_its_last_weight_for_the_rest_of_the_time():
+    """Two episodes of 1 and 4 steps, with weights of 3, and of 2 each: their sums are 4 * 3 and 4 * 2 without discounting."""
+    log = Dataset.from_arrays(
+        observations=np.zeros((5, 1)), actions=np.zeros((5, 1)), rewards=np.zeros(5), terminals=np.array([1, 0, 0, 0, 1], bool)
+    )
+    log_rho = np.log([3.0, 2.0, 2.0, 2.0, 2.0])
+    np.testing.assert_allclose(np.exp(Episodes(log, 1.0, 0, np.arange(2)).typical(log_rho, whole=False)), [12.0, 8.0])
+    half = 1 + 0.5 + 0.25 + 0.125
+    np.testing.assert_allclose(np.exp(Episodes(log, 0.5, 0, np.arange(2)).typical(log_rho, whole=False)), [3 * half, 2 * half])
+    np.testing.assert_allclose(np.exp(Episodes(log, 0.0, 0, np.arange(2)).typical(log_rho, whole=False)), [3.0, 2.0])

@@ -39,7 +39,7 @@ def test_a_mixture_keeps_its_member_for_an_episode():
     days = policy.predict(frame, seed=1).reshape(50, 4)
     assert (days == days[:, :1]).all()
     assert 10 < days[:, 0].sum() < 40
-    assert 70 < policy.predict({"x": [0.0] * 200}).sum() < 130
+    assert 70 < policy.predict({"x": [0.0] * 200}, seed=2).sum() < 130
     told = policy.predict(frame, probabilities=True, greedy=False, seed=1)
     acted = np.asarray(told.actions)
     own = [told.probabilities[0], told.probabilities[1]]  # of the one that acts
@@ -48,14 +48,27 @@ def test_a_mixture_keeps_its_member_for_an_episode():
     np.testing.assert_array_equal([alone[0], alone[1]], np.full((2, 200), 0.5))
 
 
+class Fair(Constant):
+    def probs(self, observations):
+        return np.full((len(observations), 2), 0.5)
+
+
+def test_sampled_actions_without_a_seed_are_drawn_anew_in_each_call():
+    """One row at a time, a seed that is the same in every call would give the same action for ever."""
+    frame = pd.DataFrame({"x": [0.0] * 20, "action": [0, 1] * 10, "reward": 0.0})
+    policy = Predictor(Fair(0), noted(Dataset.from_frame(frame)))
+    assert {policy.predict({"x": 0.0}, greedy=False) for _ in range(60)} == {0, 1}
+    assert len({policy.predict({"x": 0.0}, greedy=False, seed=3) for _ in range(60)}) == 1
+
+
 def test_a_mixture_that_is_asked_row_by_row_draws_its_member_each_time():
     frame = pd.DataFrame({"x": [0.0] * 20, "action": [0, 1] * 10, "reward": 0.0})
     known, mixture = noted(Dataset.from_frame(frame)), Constant(None, [Constant(0), Constant(1)])
     asked = [
-        [policy.predict({"x": 0.0}) for _ in range(40)] for policy in (Predictor(mixture, known), Predictor(mixture, known))
+        [policy.predict({"x": 0.0}) for _ in range(60)] for policy in (Predictor(mixture, known), Predictor(mixture, known))
     ]
-    assert asked[0] == asked[1]
-    assert 10 < sum(asked[0]) < 30
+    assert set(asked[0]) == set(asked[1]) == {0, 1}
+    assert asked[0] != asked[1]  # two processes do not draw alike
     assert len({Predictor(mixture, known).predict({"x": 0.0}, seed=seed) for _ in range(9) for seed in (3,)}) == 1
 
 

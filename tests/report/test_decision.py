@@ -14,6 +14,7 @@ from deadreckon.report import charts, forest, headline, write
 from deadreckon.report.entries import read
 from deadreckon.report.page import render
 from deadreckon.report.parts import coloured
+from deadreckon.runs.decision_record import saved_at
 from deadreckon.stats.interval import Interval
 
 GAINS = {"good seed 0": (12.0, 6.0, 18.0), "wild seed 0": (30.0, 9.0, 51.0), "bc seed 0": (1.0, -4.0, 6.0)}
@@ -139,6 +140,33 @@ def test_runs_of_one_name_are_told_apart_by_their_files(tmp_path):
     write([tmp_path / "jan" / "good"], tmp_path / "page.html", estimates=tmp_path / "ope")
     page = read([tmp_path / "feb" / "good", tmp_path / "jan" / "good"])
     assert [slot for _, slot in coloured(page, estimates)] == [page.slot(page.entries[1]), page.slot(page.entries[0])]
+
+
+def test_a_policy_that_was_trained_further_is_not_deployed_by_what_was_judged(tmp_path):
+    """The page shows the scores of what is there now, for which the decision was not made."""
+    runs = [write_run(tmp_path / name, "bc", task=None) for name in ("good", "other")]
+    estimates = told({"good seed 0": (12.0, 6.0, 18.0), "other seed 0": (1.0, -4.0, 6.0)}, checked=False)
+    for each, run in zip(estimates["policies"], runs):
+        (run / "policy.npz").write_bytes(b"PK judged")
+        each |= saved_at(run / "policy.npz", tmp_path / "ope")
+    write_json(tmp_path / "ope" / "estimates.json", estimates)
+    page = lambda: shown(write(runs, tmp_path / "page.html", estimates=tmp_path / "ope").read_text())  # noqa: E731
+    assert "DEPLOY" in page()
+    assert "has changed since" not in page()
+    (runs[1] / "policy.npz").write_bytes(b"PK more updates")
+    assert "DEPLOY good seed 0" in page()
+    assert "other seed 0 has changed since it was judged: its estimates are of what it was" in page()
+    (runs[0] / "policy.npz").write_bytes(b"PK more updates")
+    assert "DEPLOY" not in page()
+    assert "From the log alone" not in page()
+    assert page().count("The policy good seed 0 has changed since it was judged, so the decision on it is not shown;") == 1
+
+
+def test_a_standard_error_is_called_one_where_intervals_are_near(runs):
+    seen = shown(page_of(runs, told(GAINS)))
+    assert "63.0 standard error 1.00" in seen
+    assert "in the charts with 95 % intervals" in seen
+    assert "\N{PLUS-MINUS SIGN}" not in seen.split("From the log alone")[2].split("Checked in the simulator")[0]
 
 
 def test_a_cross_fit_shows_the_runs_of_its_folds(tmp_path):

@@ -22,7 +22,7 @@ from deadreckon.mbo.validation import judged
 from deadreckon.report.axes import Axis
 from deadreckon.report.design import write_design
 from deadreckon.report.design_asked import broken_rule
-from deadreckon.report.design_edges import at_rules
+from deadreckon.report.design_edges import at_ends, at_rules, shown_value
 from deadreckon.report.design_front import write_front
 from deadreckon.report.effects import _ticks_of_log
 from deadreckon.report.text import number
@@ -224,6 +224,42 @@ def test_rules_that_do_not_bind_are_not_told():
     assert at_rules(data, rows([1, 8, 1])) == ['1 stand at the edge of the rule "always a + n <= 9"']
     assert broken_rule(data, 8) == "never kind = x & n >= 5"
     assert broken_rule(data, 4) is None
+
+
+def test_ends_on_a_log_scale_are_told_by_its_decades(tmp_path):
+    rng = np.random.default_rng(0)
+    rate = np.r_[1e-6, 1.0, 10 ** rng.uniform(-6, 0, 28)]
+    frame = {"rate": rate, "b": rng.uniform(size=30), "y": rng.normal(size=30)}
+    data = Designs.from_frame(frame, "y", logs=["rate"], bounds={"rate": (1e-9, 1)}, forbidden=["rate < 0.0001 & b > 0.5"])
+    rows = lambda *rates: np.array([[each, 0.7] for each in rates], np.float32)  # noqa: E731
+    assert at_ends(data, rows(2e-9, 8e-6, 1e-5), set()) == []
+    assert at_ends(data, rows(1e-9, 1e-9, 1e-2), set()) == ["in 2 rate is at its lower end (1e\N{MINUS SIGN}9)"]
+    assert at_ends(data, rows(1, 0.5, 1), set()) == ["in 2 rate is at its upper end (1)"]
+    assert at_rules(data, rows(5e-4, 3e-4)) == []
+    assert at_rules(data, rows(1e-4, 1.0001e-4)) == ['2 stand at the edge of the rule "never rate < 0.0001 & b > 0.5"']
+    made = Proposals("m", rows(1e-8, 3e-6), np.ones(2), np.ones(2), 0)
+    assert "1 of 2 proposals have a value beyond the data" in page(data, made, tmp_path)[1]
+
+
+def test_settings_are_shown_as_they_are_set(tmp_path):
+    """A score has three or four figures; what is typed into a machine has all of its own."""
+    rng = np.random.default_rng(0)
+    frame = {"flow": np.r_[152300.0, 250750.0, rng.uniform(1.6e5, 2.5e5, 18).round(-1)], "n": 123450 + np.arange(20) ** 2}
+    frame |= {"temp": np.r_[72.25, rng.uniform(20, 90, 19).round(2)], "kind": ["x", "y"] * 10, "y": rng.normal(size=20)}
+    data = Designs.from_frame(frame, "y", steps={"temp": 0.25})
+    fitted = Fitted(lambda x: (x[:, 2], np.ones(len(x))))
+    made = Proposals("m", data.x[:1].repeat(3, 0), np.full(3, 152311.0), np.ones(3), 0, fitted=fitted)
+    text, said = page(data, made, tmp_path)
+    for name, value in (("flow", "152300"), ("n", "123450"), ("temp", "72.25"), ("kind", "x")):
+        assert re.search(rf"<dt>{name}</dt><dd>{value}</dd>", text)
+        assert f"<td>{value}</td>" in text
+        assert f"here {value}" in text
+    assert "152300 to 250750" in said
+    assert "at its lower end (152300)" in said
+    assert "1.52e5" in said  # the prediction
+    assert [shown_value(each) for each in (1.5e-6, 16777217, -3, True, "a-b", 2.5e10)] == [
+        "1.5e\N{MINUS SIGN}6", "16777217", "\N{MINUS SIGN}3", "True", "a-b", "2.5e10",
+    ]  # fmt: skip
 
 
 def skill(skilled, rows):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import deadreckon as dr
+from deadreckon.mbo.baselines import BestOfData
 from deadreckon.mbo.designer import Proposals
 from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.estimates import LOGGED, Estimates
@@ -129,7 +130,8 @@ def test_what_monitoring_found_is_shown_with_missing_cells_and_new_levels():
     column = Compared(what, 0.25, np.nan, 0.5, 0.25, "a", (0.1, 0.3), (EVIL,), (40, 20))
     findings = (Finding("observation", EVIL, True, "drift"),)
     outside = Outside(0.5, ((EVIL, "a level that the log does not have", 3, True),))
-    found = Monitored("bc", "log", "new", 80, 40, "compared: all rows", 0.05, (column,), outside, "not compared: x", findings)
+    told = "compared: all rows", "", 0.05, (column,), outside, "not compared: x", findings
+    found = Monitored("bc", "log", "new", 80, 40, *told)
     told = words(found)
     assert "Alarm: " in told
     assert f"1 finding: observation {EVIL}." in told
@@ -144,6 +146,20 @@ def test_proposals_show_the_best_first():
     assert rows == ["1", "3", "2", "0"]
     nothing = Proposals("coms", np.zeros((1, 2)), np.full(1, np.nan), np.full(1, np.nan), 0)
     assert "<svg" not in nothing._repr_html_()
+
+
+def test_proposals_for_a_target_to_be_made_small_have_its_sign():
+    """The model's scores are turned around, as those of the data are."""
+    rng = np.random.default_rng(0)
+    table = {"heat": rng.uniform(size=30), "cost": rng.uniform(10.0, 14.0, 30)}
+    data = dr.Designs.from_frame(table, target="cost", minimise=True)
+    made = BestOfData().propose(data, n=3)
+    told = made._repr_html_()
+    assert made.predicted.max() < 0.0
+    shown = [float(value) for value in re.findall(r"</th><td><b>([^<]*)</b>", told)]
+    assert shown == sorted(round(cost, 1) for cost in table["cost"])[:3]
+    assert "those with the lowest predictions first" in told
+    assert not re.search(">[-\N{MINUS SIGN}][0-9]", told)  # in table and histogram
 
 
 def test_designs_show_the_best_first_in_their_own_names():

@@ -243,7 +243,7 @@ def test_axes_have_round_ticks():
     assert axes._nice(0.0, 100.0, 6) == [0, 20, 40, 60, 80, 100]
     assert axes._nice(-0.013, 0.021, 6) == [-0.01, 0.0, 0.01, 0.02]
     assert axes._decades(-5.0, 3e7)[-1] == 1e6
-    assert number(1234567.0) == "1.2e6"
+    assert number(1234567.0) == "1.23e6"
     assert number(-0.25) == "\N{MINUS SIGN}0.250"
     assert number(None) == "\N{EM DASH}"
 

@@ -88,7 +88,7 @@ def test_the_simulator_compares_and_decides_nothing(tmp_path, runs):
     text = " ".join(found.beaten)
     assert "Clearly better than behaviour cloning (BC): TD3+BC by" in text
     assert "Not clearly better: TD3" in text
-    assert "TD3's critic estimated 3.0e7" in text
+    assert "TD3's critic estimated 3.00e7" in text
     seed = write_run(tmp_path / "seed", "sac", 300.0, failures={0: ("q", 100)})
     found = compare(read([*runs, seed]))
     assert found.best.label == "SAC"

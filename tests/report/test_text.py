@@ -8,8 +8,8 @@ from deadreckon.stats.interval import Interval
 
 @pytest.mark.parametrize(
     ("value", "shown"),
-    [(0.0, "0"), (0.01234, "0.012"), (0.001234, "0.0012"), (0.00001234, "1.2e-5"), (1.234, "1.23"), (-12.34, "-12.3"),
-     (1234.4, "1,234"), (123456.0, "1.2e5"), (float("nan"), "—"), (None, "—")],
+    [(0.0, "0"), (0.01234, "0.012"), (0.001234, "0.0012"), (0.00001234, "1.23e-5"), (1.234, "1.23"), (-12.34, "-12.3"),
+     (1234.4, "1,234"), (123456.0, "1.23e5"), (float("nan"), "—"), (None, "—")],
 )  # fmt: skip
 def test_numbers(value, shown):
     assert number(value).replace("\N{MINUS SIGN}", "-") == shown

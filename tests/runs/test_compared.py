@@ -25,7 +25,7 @@ def accused(group):
         old, new = sites(40, 10, rng, group), sites(20, 10, rng, group)
         before = compared.sample(old, np.arange(old.episodes), False)
         assert len(before.starts) == (40 if group else 400)
-        found += any(each.found for each in compared.drifts(before, new, compared.whats(old), False, 0.05))
+        found += any(each.found for each in compared.drifts(before, new, compared.whats(old), False, 0.05)[0])
     return found
 
 
@@ -63,6 +63,6 @@ def test_shares_of_missing_cells_stand_beside_the_differences():
         return dr.Dataset.from_frame(frame, action="action", reward="reward")
 
     old, new = log(4), log(10)
-    found = compared.drifts(compared.sample(old, np.arange(40), False), new, compared.whats(old), False, 0.05)
+    found = compared.drifts(compared.sample(old, np.arange(40), False), new, compared.whats(old), False, 0.05)[0]
     shares = {each.what.name: each.missing for each in found}
     assert shares == {"x": (0.1, 0.25), "kind": (0.1, 0.25), "y": (0.0, 0.0), "action": (0.0, 0.0)}

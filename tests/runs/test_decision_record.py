@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import shutil
 from pathlib import Path
 
@@ -54,6 +55,14 @@ def test_records_of_before_know_a_policy_by_its_path(may):
     policy = {"name": "iql", "file": "recommend/iql/policies/seed0.npz"}
     assert file_of(policy, may / "elsewhere") is not None
     assert file_of({"name": "iql", "file": None}, may) is None
+
+
+@pytest.mark.parametrize(("place", "kind"), [({"file": os.devnull}, "a device"), ({"beside": "iql"}, "a folder")])
+def test_a_decision_from_elsewhere_opens_nothing_but_files(may, place, kind):
+    """Other devices never end, and pipes wait for whoever writes."""
+    write_json(may / "recommend" / "estimates.json", decision([{"name": "iql", "digest": "00", **place}]))
+    with pytest.raises(UserError, match=f"is {kind}, and a file is needed"):
+        chosen(may / "recommend")
 
 
 def test_numbers_that_json_does_not_have(tmp_path):

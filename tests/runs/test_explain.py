@@ -1,5 +1,6 @@
 """A tree says what a policy does where it can, and that it cannot where it cannot."""
 
+import os
 import shutil
 
 import jax.numpy as jnp
@@ -17,7 +18,7 @@ from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy, Mixture
 from deadreckon.policies.kinds import Categorical, Deterministic
 from deadreckon.report.explained import _of, drawing
-from deadreckon.runs.explain import DEPTHS, Explained, _groups, _names, explain
+from deadreckon.runs.explain import DEPTHS, Explained, _groups, _marks, _names, explain
 from deadreckon.runs.explained_tree import Node
 from deadreckon.runs.run import load
 
@@ -227,3 +228,36 @@ def test_a_page_shows_no_tree_of_an_earlier_policy(table, tmp_path):
     assert found.headline[1:] in str(_of(folder / "explain.json"))
     store.save(folder / "policies" / "seed0.npz", load(folder).policies[0], {"more": 1})
     assert "The policy has changed since it was explained; `deadreckon explain " in str(_of(folder / "explain.json"))
+
+
+def test_a_page_opens_nothing_but_files_to_know_whether_the_policy_is_the_same(tmp_path):
+    found = Explained("bc", "log", True, 90, 1, 0.95, 0.9, 0.99, 0.6, False, None, (), digest="00")
+    write_json(tmp_path / "explain.json", found.as_json())
+    (tmp_path / "seed0.npz").symlink_to(os.devnull)
+    with pytest.raises(UserError, match=r"seed0\.npz is a device, and a file is needed"):
+        _of(tmp_path / "explain.json")
+
+
+def test_a_number_whose_column_is_called_as_a_level_keeps_its_threshold(tmp_path):
+    """Salt in g/l, and levels of a category and legal actions whose names have more than one sign."""
+    rng = np.random.default_rng(4)
+    table = {"NaCl=g/l": rng.normal(size=ROWS), "plan=a": rng.choice(["x=y", "z"], ROWS), "action": ["a", "b"] * (ROWS // 2)}
+    data = dr.Dataset.from_frame({**table, "reward": np.zeros(ROWS)}, action="action", reward="reward")
+    for weights, words in (((9, 0, 0), "NaCl=g/l <= "), ((0, 9, 0), "plan=a is x=y")):
+        half = linear((0, 0, 0), weights)
+        bias = jnp.asarray([weights[1] / 2, 0.0])
+        found = explain(saved(Categorical(MLP(half.net.weights, (bias,))), tmp_path / f"{weights[0]}.npz"), data)
+        assert found.tree.text.startswith(words)
+        assert found.tree.yes.text == ("b" if weights[1] else "a")
+
+
+def test_what_numbers_of_zero_and_one_say_in_each_step_of_a_history():
+    rng = np.random.default_rng(0)
+    x = np.where(np.arange(60) % 7, rng.normal(size=60), np.nan)
+    frame = {"plan": rng.choice(["a", "b"], 60), "x": x, "day": np.arange(60) // 6, "action": ["on", "off"] * 30,
+             "legal_on": np.ones(60, int), "legal_off": np.ones(60, int), "reward": np.zeros(60)}  # fmt: skip
+    data = dr.Dataset.from_frame(frame, episode="day", legal=["legal"])
+    now = {"plan=a": "plan is a", "plan=b": "plan is b", "x_missing": "x is missing", "legal=off": "legal is off",
+           "legal=on": "legal is on"}  # fmt: skip
+    before = {f"{name}, 1 back": f"{text}, 1 back" for name, text in now.items()}
+    assert {_names(data, 2)[i]: text for i, text in _marks(data, 2).items()} == before | now

@@ -28,6 +28,7 @@ from deadreckon.policies.kinds import Deterministic
 from deadreckon.policies.table_encoder import TableEncoder
 from deadreckon.runs import export as exporting
 from deadreckon.runs.export import export
+from deadreckon.runs.export_onnx import _line
 from deadreckon.runs.exported import Rows, check
 from deadreckon.runs.reading import noted
 from deadreckon.runs.subject import subject
@@ -109,10 +110,13 @@ def test_the_card_says_nothing_in_the_name_of_a_file(place, tmp_path):
 def test_the_card_has_the_decision_and_the_estimates(place):
     value = {"value": [0.5, 0.4], "low": [0.4, 0.3], "high": [0.6, 0.5], "gain": [[0.1, 0.05, None]]}
     told = decision([{"name": "run seed 0"}], [value], estimand={"greedy": False},
-                    choice={"evidence": ["IS agrees"], "objections": [["few rows"]]})  # fmt: skip
+                    choice={"level": 0.975, "evidence": ["IS agrees"], "objections": [["few rows"]]})  # fmt: skip
     write_json(place / "told" / "estimates.json", told)
     card = (export(place / "run", "numpy", place / "judged", estimates=place / "told") / "card.md").read_text()
-    for text in ("**DEPLOY** run seed 0", "| DR | 0.50 [0.40, 0.60] | +0.10 ", "- few rows", "`greedy=False` samples"):
+    for text in (
+        "**DEPLOY** run seed 0", "| DR | 0.50 [0.40, 0.60] | +0.10 ", "- few rows", "`greedy=False` samples",
+        "| estimator | value [95 %] | gain over the behaviour policy [97.5 % for all policies at once] |",
+    ):  # fmt: skip
         assert text in card, text
 
 
@@ -207,7 +211,7 @@ def test_an_onnx_graph_takes_the_columns_themselves(place):
 
     folder = export(place / "run", "onnx", place / "onnx")
     session = runtime.InferenceSession(str(folder / "policy.onnx"))
-    assert "- `age`: one number of 32 bits a row (`tensor(float)`, shape ['rows'])" in (folder / "card.md").read_text()
+    assert "- age: one number of 32 bits a row (`tensor(float)`, shape ['rows'])" in (folder / "card.md").read_text()
     kinds = {each.name: each.type for each in session.get_inputs()}
     assert kinds == {
         "age": "tensor(float)", "kind": "tensor(string)", "lab": "tensor(float)", "grade": "tensor(double)",
@@ -230,6 +234,14 @@ def test_an_onnx_graph_takes_the_columns_themselves(place):
     found = dict(zip([each.name for each in session.get_outputs()], session.run(None, onnx_inputs(encoder, columns))))
     assert found["outside_the_log"].tolist()[:4] == [True, True, False, True] == flagged.outside.tolist()[:4]
     assert found["action_name"].tolist() == flagged.actions.tolist()
+
+
+def test_a_column_of_an_onnx_graph_says_nothing_on_the_card():
+    """Between backquotes nothing can be escaped: one more would end them."""
+    given = SimpleNamespace(name="age`\n\n**DEPLOY** <script>", type="tensor(float)", shape=["rows"])
+    assert _line(given) == (
+        r"- age\`\\n\\n\*\*DEPLOY\*\* \<script>: one number of 32 bits a row (`tensor(float)`, shape ['rows'])"
+    )
 
 
 class Named(SimpleNamespace):

@@ -1,5 +1,6 @@
 """A new log against a policy's own: nothing where nothing has changed, and each change by its name."""
 
+import dataclasses
 import json
 import shutil
 
@@ -10,6 +11,7 @@ import pytest
 
 import deadreckon as dr
 from deadreckon.cli.main import main
+from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.files import write_json
 from deadreckon.nets.mlp import MLP
@@ -17,8 +19,10 @@ from deadreckon.ope.estimand import Estimand
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import Deterministic
+from deadreckon.report.monitored import lead
+from deadreckon.runs import compared
 from deadreckon.runs.decision_record import saved_at
-from deadreckon.runs.monitor import monitor
+from deadreckon.runs.monitor import Monitored, _acts, _untested, monitor
 from deadreckon.runs.reading import Read
 from deadreckon.runs.realised import Realised, finished, realised, returns_of
 from deadreckon.runs.run import load
@@ -26,6 +30,7 @@ from deadreckon.runs.subject import Subject, estimates_of, subject
 from tests.recorded import decision
 
 BC = dr.agents.BC(hidden=(4,), batch_size=8)
+FRESH = "actions with the policy's greedy ones in the episodes of the reference that it has not learned from"
 
 
 def table(rows, seed, shift=0.0, worse=0.0):
@@ -244,7 +249,7 @@ def test_exit_codes_and_the_page(place, capsys):
     ask = ["monitor", str(place / "run"), "--reference", str(place / "first.csv"), "--estimates", str(place)]
     assert main([*ask[:2], str(place / "same.csv"), *ask[2:], "--html", str(place / "page.html")]) == 0
     page = (place / "page.html").read_text()
-    assert all(text in page for text in ("Nothing was found", "Realised value", "lower end of the estimate", "age"))
+    assert all(text in page for text in ("No alarm.", "Realised value", "lower end of the estimate", "age"))
     assert main([*ask[:2], str(place / "worse.csv"), *ask[2:]]) == 1
     assert "! value realised" in capsys.readouterr().out
     assert main([*ask[:2], str(place / "nothing.csv"), *ask[2:]]) == 2
@@ -354,7 +359,8 @@ def test_the_log_that_the_policy_learned_from_was_not_made_by_it(place, tmp_path
     """Wherever it lies: what is named because it is not where it was is no log of the policy in use."""
     moved = shutil.copy(place / "log.csv", tmp_path / "moved.csv")
     said = [monitor(place / "run", place / "same.csv", reference=each, estimates=place).compared for each in (None, moved)]
-    assert said[0] == said[1] == "compared: all rows; actions with the policy's greedy ones in the reference"
+    assert said[0] == said[1]
+    assert said[0] == f"compared: all rows; {FRESH}"
     assert of_reference(place, "same.csv").compared == "compared: all rows and logged actions"
     by_another = of_reference(place, "worse.csv", made_by="reference")
     assert by_another.value == "not compared: the new log was not made by the policy of the run"
@@ -387,11 +393,75 @@ def test_the_estimate_of_one_of_many_is_taken_as_that_of_the_chosen():
     assert found.estimated.high == pytest.approx(0.5 + 0.1 * 2.638257 / 1.959964, abs=1e-6)
 
 
+def test_an_estimate_above_the_range_of_the_reference_is_refuted():
+    """As of a model that is far too sure: returns of 0 to 10, of which an estimate says 40 for certain."""
+    rng = np.random.default_rng(0)
+    log, new = (
+        dr.Dataset.from_arrays(
+            observations=np.zeros((200, 1)), actions=np.zeros((200, 1)), rewards=rng.uniform(0, 10, 200), terminals=np.ones(200)
+        )
+        for _ in range(2)
+    )
+    told = decision([{"name": "a"}], [{"value": [40.0, 5.0], "low": [38.0, 4.0], "high": [42.0, 6.0]}])
+    found = realised(new, log, (told, 0), None, 0.025)
+    assert 1 < found.below_at < 20
+    assert found.range[1] > 38.0
+    assert found.source.endswith("and up to the estimate")
+    given = realised(new, log, (told, 0), (0.0, 10.0), 0.025)
+    assert given.below_at == 1
+
+
+def test_where_nothing_can_be_tested_that_is_said():
+    """500 episodes of three sites are no 20 independent ones."""
+
+    def log(sites, seed):
+        rng, rows = np.random.default_rng(seed), 500
+        columns = {"x": rng.normal(size=rows), "site": np.arange(rows) % sites, "action": np.arange(rows) % 2}
+        return dr.Dataset.from_frame(columns | {"reward": np.zeros(rows)}, action="action", reward="reward", group="site")
+
+    old, new = log(50, 0), log(3, 1)
+    columns, tests = compared.drifts(compared.sample(old, np.arange(500), False), new, compared.whats(old), False, 0.05)
+    assert (len(columns), tests) == (2, 0)
+    assert _untested(50, new) == "not tested: the new log has 3 episodes or clusters, 5 are needed"
+    assert compared.drifts(compared.sample(old, np.arange(500), False), log(40, 1), compared.whats(old), False, 0.05)[1] > 0
+    value = "not compared: the 500 episodes come from 3 values of site"
+    outside = compared.Outside(0.0, ())
+    found = Monitored("a", "old", "new", 500, 500, "compared: all rows", _untested(50, new), 0.05, (), outside, value, ())
+    assert lead(found) == (
+        "No alarm. Drift was not tested: the new log has 3 episodes or clusters, 5 are needed. The value was not compared: the "
+        "500 episodes come from 3 values of site."
+    )
+
+
+def test_what_a_policy_has_memorised_is_no_drift(tmp_path):
+    """Actions of noise that a clone has learned by heart are those of the rows that taught it, and smaller in others."""
+    rng = np.random.default_rng(0)
+
+    def log(rows):
+        return dr.Dataset.from_arrays(
+            observations=rng.normal(size=(rows, 8)), actions=rng.choice([-0.9, 0.9], (rows, 1)),
+            rewards=np.zeros(rows), terminals=np.ones(rows, bool), action_space=Box((-1.0,), (1.0,)),
+        )  # fmt: skip
+
+    old, new = log(160), log(640)
+    agent = dr.agents.BC(hidden=(128, 128), lr=1e-2, batch_size=64)
+    run = dr.train(agent, old, steps=300, task=False, out=tmp_path / "run")
+    new = dataclasses.replace(new, actions=run.policies[0](new.observations))
+    found = monitor(tmp_path / "run", new, reference=old)
+    assert not found.alarm
+    monkey = dataclasses.replace(subject(tmp_path / "run"), taught=np.zeros(0, np.uint64))
+    taught = old.select(np.flatnonzero(np.isin(old.episode_ids, run.taught)))
+    seen, _ = _acts(monkey, taught, False, True)
+    which = [what for what in compared.whats(old) if what.about == "action"]
+    [learned], _ = compared.drifts(seen, new, which, False, 0.02)
+    assert learned.found is not None
+
+
 def test_the_log_that_a_policys_file_knows_is_recognised_without_its_run(place, tmp_path):
     shutil.copy(place / "run" / "policies" / "seed0.npz", tmp_path / "alone.npz")
     alone, new = tmp_path / "alone.npz", place / "same.csv"
     said = [monitor(alone, new, reference=place / each).compared for each in ("log.csv", "first.csv")]
-    assert said[0] == "compared: all rows; actions with the policy's greedy ones in the reference"
+    assert said[0] == f"compared: all rows; {FRESH}"
     assert said[1] == "compared: all rows and logged actions"
 
 

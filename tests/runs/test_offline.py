@@ -57,14 +57,15 @@ def test_the_check_in_words():
         "policies": [{"name": name} for name in "abc"], "choice": {"name": "c"},
     }  # fmt: skip
     line = checked(told)
-    assert line.startswith("in the simulator c has 3.00 ± 0.20 and is number 2 of 3; the best, b, has 4.00: a regret of 1.00")
-    assert line.endswith("33 % of the range of all")
+    assert line.startswith("in the simulator c has 3.00 (standard error 0.20) and is number 2 of 3; the best, b, has 4.00: ")
+    assert line.endswith("a regret of 1.00, 33 % of the range of all")
     assert checked(told | {"truth": None}).startswith("not checked")
     limited = checked(told | {"truth": told["truth"] | {"beyond": 0.37}})
     assert limited.endswith("of all; its time limit leaves 37 % of the discounted time out, which estimates count")
     told["truth"]["apart"] = [[0.0, 0.1, 0.2], [0.1, 0.0, 0.3], [0.2, 0.3, 0.0]]
-    assert "a regret of 1.00 ± 0.30, 33 % of the range" in checked(told)
-    assert checked(told | {"choice": {"name": "b"}}).endswith("the best of 3; the next, c, has less by 1.00 ± 0.30")
+    assert "a regret of 1.00 (standard error 0.30), 33 % of the range" in checked(told)
+    behind = checked(told | {"choice": {"name": "b"}})
+    assert behind.endswith("the best of 3; the next, c, has less by 1.00 (standard error 0.30)")
 
 
 def test_differences_in_the_simulator_are_of_episodes_that_begin_alike(monkeypatch):

@@ -55,6 +55,13 @@ def test_a_sample_beyond_the_range_opens_the_end_that_rests_on_it_and_no_other()
     assert np.isfinite(below.high[-1])
 
 
+def test_a_mean_beyond_the_range_is_refuted_by_any_sample_within_it():
+    assert refuted_at(np.array([1.0, 0.5]), (0.0, 1.0), 2.0, 0.05) == 1
+    assert refuted_at(np.array([1.0, 1.0, 0.5]), (0.0, 1.0), 1.0, 0.05) == 3
+    assert refuted_at(np.ones(50), (0.0, 1.0), 1.0 + 1e-15, 0.05) is None
+    assert refuted_at(np.array([1.5, 0.5]), (0.0, 1.0), 2.0, 0.05) is None  # the range does not hold
+
+
 @pytest.mark.parametrize(("x", "bounds"), [([], (0, 1)), ([0.5, np.nan], (0, 1)), ([0.5], (1, 1)), ([0.5], (0, np.inf))])
 def test_what_it_needs_is_said(x, bounds):
     with pytest.raises(UserError, match="confidence sequence needs"):

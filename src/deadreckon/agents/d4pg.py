@@ -66,10 +66,18 @@ class D4PG(Agent):
     standardise: bool = later(False)  # whether observations are standardised to mean 0 and standard deviation 1
 
     def resolve(self, spec, steps):
-        """See `Agent.resolve`; the returns that have a probability must be a range."""
+        """See `Agent.resolve`; the returns that have a probability must be a range, in which returns of the log may lie."""
         agent = super().resolve(spec, steps)
         if not self.v_min < self.v_max:
             raise UserError(f"{type(self).__name__}: v_min must be below v_max, got {self.v_min} and {self.v_max}")
+        if spec.rows and self.discount < 1.0:
+            steps = 1.0 / (1.0 - self.discount)
+            least, most = min(spec.reward.min, spec.reward.min * steps), max(spec.reward.max, spec.reward.max * steps)
+            if most < self.v_min or least > self.v_max:
+                raise UserError(
+                    f"{type(self).__name__}: rewards of {spec.name} are {spec.reward.min:.4g} to {spec.reward.max:.4g}, so "
+                    f"that every return lies outside v_min = {self.v_min:g} to v_max = {self.v_max:g}; give other limits"
+                )
         return agent
 
     def needs(self, spec):

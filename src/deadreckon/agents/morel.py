@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from deadreckon.agents.offline_mbrl import OfflineMBRL
 from deadreckon.dynamics import Ensemble, Gaussian
+from deadreckon.dynamics.model import unsaid
 from deadreckon.errors import UserError
 from deadreckon.training.hyperparameters import NonNegative, Positive
 
@@ -66,7 +67,8 @@ def units(known: dict[str, np.ndarray]) -> Float[Array, "d"]:
     of the fit there would be all that counts.
     """
     change = known["next_observation"] - known["observation"]
-    deviation = np.append(change.std(0), known["reward"].std())
+    told = ~unsaid(known["observation"], known["next_observation"], np.reshape(known["terminal"], -1))
+    deviation = np.append(change[told].std(0) if told.any() else np.zeros(change.shape[1]), known["reward"].std())
     return jnp.asarray(np.where(deviation < LEAST, 1.0, deviation + LEAST))
 
 

@@ -18,6 +18,8 @@ from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Number, Positive, Sizes, UnitInterval, static
 from deadreckon.training.later_fields import later
 
+HOTTEST = 1e6  # temperature beyond which none is raised
+
 
 class State(NamedTuple):
     """Networks, target critics, log-temperature and optimisers."""
@@ -193,7 +195,8 @@ class SAC(Agent):
         """The temperature falls while the entropy exceeds its target: d/dlog T of -log T (log pi + target entropy)."""
         slope = -(log_prob + self.entropy_target)
         value, opt = apply_gradients(state.log_temperature, slope, state.temperature_opt, self.temperature_lr)
-        return state._replace(log_temperature=value, temperature_opt=opt)
+        # A target that no policy reaches would raise it for ever.
+        return state._replace(log_temperature=jnp.minimum(value, math.log(HOTTEST)), temperature_opt=opt)
 
     def representation_loss(self, state, batch, *, step, key):
         """That of the critics."""

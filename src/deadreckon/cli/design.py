@@ -12,7 +12,7 @@ import tyro
 
 from deadreckon.cli import design_front
 from deadreckon.cli.data import Reading
-from deadreckon.cli.design_asked import asked, check_problem, designs, reading, size_told
+from deadreckon.cli.design_asked import asked, check_budget, check_problem, designs, reading, size_told
 from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar, Watch
 from deadreckon.cli.sheets import write_beside
@@ -64,7 +64,8 @@ class Design:
     """least distance between proposals, in usual distances between neighbours; None: 0.1, or less where there are too few"""
     repeat: bool = False  # whether designs that are in the data may be proposed
     problem: str | None = None  # problem with an oracle, instead of --data (see `design problems`)
-    budget: Literal["full", "cpu"] | None = None  # sizes of fitted models; None: full for a problem, cpu (minutes) for --data
+    budget: Literal["full", "cpu"] | None = None
+    """sizes of fitted models, of methods that have published ones; None: full for a problem, cpu (minutes) for --data"""
     path: str | None = None  # file with the data of the problem, if it needs one
     n: Annotated[int, tyro.conf.arg(aliases=["-n"])] = 128  # number of designs to propose
     seed: int = 0  # random seed of the method
@@ -113,6 +114,8 @@ def _propose(name: str, method: Any, options: Design) -> None:
     if options.targets:
         design_front.check(name, options)
         return design_front.write_proposals(options, asked(options))
+    if options.budget is not None:
+        check_budget(name)
     if options.reference:
         raise UserError("--reference is the point that hypervolumes of --targets are measured from; leave it out without these")
     if options.minimise not in (None, (), (options.target,)):

@@ -25,6 +25,21 @@ def check_problem(options: Any) -> None:
             raise UserError(f"--{name.replace('_', '-')} is about a table of your own (--data); leave it out with --problem")
 
 
+def check_budget(name: str) -> None:
+    """Refuses a budget for a method whose models have one size alone.
+
+    Raises:
+        UserError: one line, with the methods that have two.
+    """
+    from deadreckon.mbo.registry import CPU_BUDGET
+
+    if name not in CPU_BUDGET:
+        raise UserError(
+            f"--budget says whether models have published sizes, and {name} has none that were published; leave it out, or "
+            f"take one of {', '.join(CPU_BUDGET)} (--method NAME)"
+        )
+
+
 def designs(options: Any) -> Any:
     """The designs of a file by the options of the command.
 

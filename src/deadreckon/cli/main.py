@@ -44,6 +44,7 @@ COMMANDS = {
 
 # What a path, or the machine, does not allow, wherever it is met.
 _OF_THE_SYSTEM = {errno.ENAMETOOLONG, errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EMFILE, errno.ENFILE}
+_FAILED = 70  # of the command itself (EX_SOFTWARE): 1 is an alarm, which nobody has found then
 # How JAX and NumPy begin where an array does not fit, beside the errors of memory that Python, NumPy and Arrow have.
 _TOO_LARGE = "RESOURCE_EXHAUSTED|array is too big|Maximum allowed dimension exceeded"
 
@@ -66,8 +67,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command line.
 
     Returns:
-        The exit code: 0, 1 for a failed run, an alarm of `monitor` or a mistake of ours, 2 for bad input, 130 or 143 when
-        interrupted by SIGINT or SIGTERM.
+        The exit code: 0, 1 for a failed run or an alarm of `monitor`, 2 for bad input, 70 for a mistake of ours or where memory
+        was not enough, 130 or 143 when interrupted by SIGINT or SIGTERM.
     """
     args = list(sys.argv[1:] if argv is None else argv)
     with interrupts.listening(lambda number: _interrupted(args)), _terminal(args):
@@ -129,9 +130,9 @@ def _run(given: list[str]) -> int:
         if lacking or re.match(_TOO_LARGE, what):
             hint = "" if lacking else " (--debug shows where)"
             print(f"deadreckon: not enough memory: {what or 'none is left'}{hint}", file=sys.stderr)
-            return 1
+            return _FAILED
         print(f"deadreckon: internal error, {type(error).__name__}: {what} (--debug shows where)", file=sys.stderr)
-        return 1
+        return _FAILED
 
 
 def _interrupted(args: Sequence[str]) -> int:

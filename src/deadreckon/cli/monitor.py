@@ -1,5 +1,6 @@
 """`deadreckon monitor`: a new log against the one that a policy learned from, and its realised value against the estimate."""
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
@@ -7,13 +8,14 @@ from typing import Annotated, Literal
 import tyro
 
 from deadreckon.cli.parse import parse, with_policy_seed
+from deadreckon.errors import as_one_line
 
 
 @dataclass
 class Monitor:
     """Compare a new log with the one a policy learned from, and its realised value with the estimate.
 
-    Exit code 0: no alarm; 1: drift, values outside the log, or a value below the estimate; 2: bad input.
+    Exit code 0: no alarm; 1: drift, values outside the log, or a value below the estimate; 2: bad input; 70: it failed.
     """
 
     run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
@@ -48,11 +50,15 @@ def monitor(args: Sequence[str]) -> int:
         options.run, options.log, reference=options.reference, made_by=options.made_by, estimates=options.estimates,
         return_range=options.return_range, seed=options.policy_seed, greedy=options.greedy, alpha=options.alpha,
     )  # fmt: skip
+    print(found, flush=True)  # before the page, which a full disk or a kill may prevent
     if options.html is not None:
         from deadreckon.report.monitored import write_monitored
 
-        write_monitored(found, options.html)
-    print(found)
-    if options.html is not None:
-        print(f"page: {options.html}")
+        try:
+            write_monitored(found, options.html)
+            print(f"page: {options.html}")
+        except Exception as error:
+            if not found.alarm:
+                raise
+            print(f"deadreckon: {as_one_line(error)}", file=sys.stderr)  # and the exit code is that of the alarm
     return 1 if found.alarm else 0

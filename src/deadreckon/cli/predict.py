@@ -1,5 +1,6 @@
 """`deadreckon predict`: what a policy does in the rows of a new table."""
 
+import secrets
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -29,7 +30,8 @@ class Predict:
     sampled: bool | None = None
     """whether to sample actions instead of taking the deterministic (greedy) ones; None: as the decision judged them, else
     no"""
-    seed: int = 0  # random seed of sampled actions
+    seed: int | None = None
+    """random seed of sampled actions and of the members of a mixture; None: another one each time, which is printed"""
     outside: Literal["raise", "flag"] = "raise"
     """how to treat rows with unknown levels or values out of range: refuse the table (raise), or mark them (flag) in a column
     outside_the_log, together with those beyond the ranges of the log"""
@@ -45,7 +47,8 @@ def predict(args: Sequence[str]) -> None:
     out = Path(options.out)
     from deadreckon.runs.settings import check_seed
 
-    check_seed(options.seed)
+    seed = secrets.randbits(31) if options.seed is None else options.seed
+    check_seed(seed)
     if out.suffix.lower() not in _ENDINGS:
         raise UserError(f"--out {out}: actions are written as .csv or .parquet")
     from deadreckon.data.schema import Schema
@@ -79,7 +82,7 @@ def predict(args: Sequence[str]) -> None:
         if column not in table.column_names:
             raise UserError(f"--keep: {unknown('column', column, table.column_names)}")
     done = policy.predict(
-        table, probabilities=options.probabilities, greedy=not sampled, seed=options.seed, outside=options.outside
+        table, probabilities=options.probabilities, greedy=not sampled, seed=seed, outside=options.outside
     )
     columns = policy.columns(done)
     if twice := [column for column in options.keep if column in columns]:
@@ -87,7 +90,8 @@ def predict(args: Sequence[str]) -> None:
     _write(out, {**{column: _kept(table[column], text) for column, text in kept.items()}, **columns})
     rows, outside = table.num_rows, columns.get("outside_the_log")
     note = "" if outside is None else f", {int(outside.sum()):,} of them outside the log"
-    print(f"{found.words}: actions in {rows:,} rows{note}, in {out}")
+    drawn = f", drawn by the seed {seed}" if sampled or policy.player.members else ""
+    print(f"{found.words}: actions in {rows:,} rows{drawn}{note}, in {out}")
     if units := policy.encoder.units:
         print(f"units: {', '.join(f'{column} in {unit}' for column, unit in units.items())}")
 

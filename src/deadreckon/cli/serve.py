@@ -24,7 +24,8 @@ class Serve:
     policy_seed: int | None = None  # seed of the run whose policy is served; None: the first that has not failed
     sampled: bool | None = None
     """whether requests that do not say greedy=true or false get sampled actions; None: as the decision judged them, else no"""
-    seed: int = 0  # random seed of sampled actions
+    seed: int | None = None
+    """random seed of sampled actions and of the members of a mixture; None: another one in each process"""
     max_body: int = 1_000_000  # largest body of a request in bytes; a larger one is refused with status 413
     max_rows: int = 10_000  # largest number of rows in a request; more are refused with status 413
 

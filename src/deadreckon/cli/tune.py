@@ -14,12 +14,19 @@ from deadreckon.cli.parse import parse
 from deadreckon.errors import UserError
 from deadreckon.interrupts import resumable
 
+# Episodes that chose settings flatter them, and another hold-out than the default is made of such episodes, too.
+_JUDGING = (
+    "to judge it, train with the default hold-out of the same log, without --holdout, --holdout-by and --cross-fit, or keep "
+    "new episodes for that: other episodes of this log may have chosen it"
+)
+
 
 @dataclass
 class Tune:
     """Try settings of an agent and choose: from the log alone by estimates, or in the simulators of training tasks.
 
-    The episodes of your own log that `deadreckon train` holds out are not used.
+    The episodes of your own log that `deadreckon train` holds out by default are not used; what it holds out with --holdout,
+    --holdout-by or --cross-fit may be.
     """
 
     agent: str  # agent to tune, among `deadreckon agents`
@@ -117,6 +124,8 @@ def _in_rounds(options: Tune, given: dict[str, Any] | None, fixed: dict[str, Any
 def _told(result: Any, fixed: dict[str, Any]) -> None:
     best = result.best.fields | fixed
     print(f"\n{result}\n\nchosen: {' '.join(_option(name, value) for name, value in best.items() if value is not None)}")
+    if result.by == "ope":
+        print(_JUDGING)
 
 
 def _option(name: str, value: Any) -> str:

@@ -68,3 +68,9 @@ class Normalizer:
     def log_scale(self) -> float:
         """What to subtract from a log-density over [-1, 1] to have it over the environment's actions."""
         return 0.0 if self.low is None or self.high is None else float(np.log(0.5 * np.subtract(self.high, self.low)).sum())
+
+    def log_scale_within(self, unit: np.ndarray) -> np.ndarray:
+        """(rows,) the same where what lies at a bound is a probability and no density; `unit` (rows, size) in [-1, 1]."""
+        assert self.low is not None
+        assert self.high is not None
+        return (np.abs(unit) < EDGE) @ np.log(0.5 * np.subtract(self.high, self.low, dtype=np.float64))

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from deadreckon.dynamics.gaussian import BOUND_WEIGHT
-from deadreckon.dynamics.model import LOG_VARIANCE, Model, bernoulli_nll, choices, gaussian_nll, soft_bounds
+from deadreckon.dynamics.model import LOG_VARIANCE, Model, bernoulli_nll, choices, gaussian_nll, known_of, soft_bounds
 from deadreckon.nets.mlp import MLP, ensemble
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, static
@@ -43,17 +43,19 @@ class AutoRegressive(Model):
 
     def losses(self, params, inputs, target, terminal, key):
         """See `Model`; of the numbers that were drawn, as if for all."""
+        target, known = known_of(target)  # conditioned on as no change where it is not known
         numbers = target.shape[-1]
         which = jax.random.randint(key, (*terminal.shape, self.outputs), 0, numbers)
         wide = lambda x: jnp.broadcast_to(x[:, None], (len(x), self.outputs, x.shape[-1]))  # noqa: E731
 
-        def one(net, end, bounds, inputs, target, terminal, which):
+        def one(net, end, bounds, inputs, target, known, terminal, which):
             mean, log_variance = self._number(net, bounds, wide(inputs), wide(target), which)
             nll = gaussian_nll(mean, log_variance, jnp.take_along_axis(target, which, 1))
+            nll = jnp.where(jnp.take_along_axis(known, which, 1), nll, 0.0)
             logit = end(jnp.concatenate([inputs, target], -1))[..., 0]
             return numbers * nll.mean(1) + bernoulli_nll(logit, terminal) + BOUND_WEIGHT * (bounds[1] - bounds[0]).sum()
 
-        return jax.vmap(one)(params["nets"], params["ends"], params["bounds"], inputs, target, terminal, which)
+        return jax.vmap(one)(params["nets"], params["ends"], params["bounds"], inputs, target, known, terminal, which)
 
     def sample(self, params, inputs, key):
         """See `Model`; number by number. Without a key each number is the mean that follows from the means before it."""

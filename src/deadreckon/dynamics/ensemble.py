@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from deadreckon.data.normalizer import STD_FLOOR
 from deadreckon.data.spec import Spec
-from deadreckon.dynamics.model import Model
+from deadreckon.dynamics.model import Model, known_of, unsaid
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.nets.optim import init_opt
 from deadreckon.randomness import generator, keys
@@ -106,7 +106,8 @@ class Trainer(eqx.Module):
         order = rng.permutation(n)
         held = max(1, min(int(self.holdout * n), self.most_holdout))
         held, train = order[:held], order[held:]
-        mean, std = inputs[train].mean(0), inputs[train].std(0)
+        # A sum of many numbers of 32 bits, far from zero, would lose what they differ by.
+        mean, std = (of(inputs[train], axis=0, dtype=np.float64).astype(np.float32) for of in (np.mean, np.std))
         std = np.where(std < STD_FLOOR, 1.0, std).astype(np.float32)
         inputs = (inputs - mean) / std
         k_init, k_update = keys(jax.random.key(seed), "init", "update")
@@ -144,12 +145,17 @@ class Trainer(eqx.Module):
 
 
 def rows_of(columns: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Inputs (n, observation + action), targets (n, observation + 1) and terminals (n,) of continuous transitions."""
+    """Inputs (n, observation + action), targets (n, observation + 1) and terminals (n,) of continuous transitions.
+
+    Changes of observations are NaN in rows that end an episode where the log does not say what they led to.
+    """
     observation = np.asarray(columns["observation"], np.float32)
     inputs = np.concatenate([observation, np.asarray(columns["action"], np.float32)], 1)
     reward = np.asarray(columns["reward"], np.float32).reshape(-1, 1)
-    target = np.concatenate([np.asarray(columns["next_observation"], np.float32) - observation, reward], 1)
-    return inputs, target, np.asarray(columns["terminal"], np.float32).reshape(-1)
+    following, terminal = (np.asarray(columns[key], np.float32) for key in ("next_observation", "terminal"))
+    terminal = terminal.reshape(-1)
+    change = np.where(unsaid(observation, following, terminal)[:, None], np.float32(np.nan), following - observation)
+    return inputs, np.concatenate([change, reward], 1), terminal
 
 
 @eqx.filter_jit
@@ -170,8 +176,10 @@ def _errors(model: Model, params: Any, data: tuple[Array, Array], count: Array) 
     """Mean squared error of every member's means over the first `count` rows."""
     inputs, target = data
     mean, _ = model.sample(params, jnp.broadcast_to(inputs, (model.members, *inputs.shape)), None)
-    known = jnp.arange(len(inputs)) < count
-    return (jnp.square(mean - target).mean(-1) * known).sum(-1) / count
+    there = jnp.arange(len(inputs)) < count
+    target, known = known_of(target)
+    error = jnp.where(known, jnp.square(mean - target), 0.0).sum(-1) / known.sum(-1)
+    return (error * there).sum(-1) / count
 
 
 def check_sizes(who: str, members: int, elites: int, hidden: tuple[int, ...], decay: tuple[float, ...]) -> None:

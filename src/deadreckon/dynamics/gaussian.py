@@ -8,7 +8,7 @@ from typing import Literal
 import jax
 import jax.numpy as jnp
 
-from deadreckon.dynamics.model import LOG_VARIANCE, Model, bernoulli_nll, choices, gaussian_nll, soft_bounds
+from deadreckon.dynamics.model import LOG_VARIANCE, Model, bernoulli_nll, choices, gaussian_nll, known_of, soft_bounds
 from deadreckon.nets.mlp import MLP, TRUNCATED, UNIFORM, ensemble
 from deadreckon.training.hyperparameters import static
 from deadreckon.training.later_fields import later
@@ -46,8 +46,9 @@ class Gaussian(Model):
 
         def one(net, bounds, inputs, target, terminal):
             mean, log_variance, logit = self._heads(net, bounds, inputs)
+            target, known = known_of(target)
             each = jnp.square(mean - target) if self.deterministic else gaussian_nll(mean, log_variance, target)
-            row, weight = each.sum(-1) + bernoulli_nll(logit, terminal), BOUND_WEIGHT
+            row, weight = jnp.where(known, each, 0.0).sum(-1) + bernoulli_nll(logit, terminal), BOUND_WEIGHT
             if self.as_mbpo:
                 # There a row counts by the mean over its numbers, without the half, and all networks share their bounds.
                 row, weight = 2.0 * row / target.shape[-1], BOUND_WEIGHT / self.members

@@ -30,12 +30,16 @@ class Change(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What the log has seen of observations and rewards, on the model's scale; nothing beyond is believed."""
+    """What the log has seen of observations and rewards, on the model's scale; nothing beyond is believed.
+
+    `marks` (0, n) has no numbers: its n is how many of the last numbers of an observation say which actions are legal.
+    """
 
     low: Array
     high: Array
     reward_low: Array
     reward_high: Array
+    marks: Array
 
     @classmethod
     def of(cls, spec: Spec) -> "Limits":
@@ -44,12 +48,28 @@ class Limits(NamedTuple):
         view = Normalizer.of(spec, standardise=True)  # in which marks of legal actions are as they are
         low, high = (jnp.asarray(view.observe(edge), jnp.float32).reshape(-1) for edge in (o.min, o.max))
         # Arrays, because numbers of Python would be part of a compiled program, which another log then could not use.
-        return cls(low, high, jnp.float32(r.min / unit), jnp.float32(r.max / unit))
+        return cls(low, high, jnp.float32(r.min / unit), jnp.float32(r.max / unit), jnp.zeros((0, spec.mask_size)))
 
     def hold(self, change: Change) -> Change:
-        """The change, cut to the range."""
+        """The change, cut to the range, with one legal action or more: that which is most likely to be, if no other is."""
         observation = jnp.clip(change.observation, self.low, self.high)
+        if count := self.marks.shape[-1]:
+            marks = observation[..., -count:]
+            legal = (marks > 0.5) | (marks == marks.max(-1, keepdims=True))
+            observation = observation.at[..., -count:].set(legal.astype(observation.dtype))
         return change._replace(observation=observation, reward=jnp.clip(change.reward, self.reward_low, self.reward_high))
+
+
+def unsaid(observation: Any, following: Any, terminal: Any) -> Any:
+    """(b,) whether a log does not say what a row led to: it ends an episode, and what follows repeats its own observation; see
+    `Dataset.next_observations`. Observations are (b, o), terminals (b,)."""
+    return (following == observation).all(-1) & (terminal > 0.5)
+
+
+def known_of(target: Array) -> tuple[Array, Array]:
+    """Targets with a zero where one is not known, and which are."""
+    known = ~jnp.isnan(target)
+    return jnp.where(known, target, 0.0), known
 
 
 def reward_unit(spec: Spec) -> float:
@@ -84,7 +104,7 @@ class Model(eqx.Module):
         Args:
             params: of all members.
             inputs: (members, b, observation + action), every member's own rows.
-            target: (members, b, observation + 1) change of the observation, and the reward last.
+            target: (members, b, observation + 1) change of the observation, and the reward last; NaN where it is not known.
             terminal: (members, b).
             key: of what is random in it.
         """
@@ -111,7 +131,9 @@ class Model(eqx.Module):
         """One step of maximum likelihood."""
         params, opt, unit = state
         inputs = join(batch.observation, batch.action, self._choices(params))
-        target = jnp.concatenate([batch.next_observation - batch.observation, batch.reward[:, None] / unit], -1)
+        change = batch.next_observation - batch.observation
+        change = jnp.where(unsaid(batch.observation, batch.next_observation, batch.terminal)[:, None], jnp.nan, change)
+        target = jnp.concatenate([change, batch.reward[:, None] / unit], -1)
         weight = 1.0 if batch.extra is None or "weight" not in batch.extra else batch.extra["weight"].T
         inputs, target, terminal = (jnp.broadcast_to(x, (self.members, *x.shape)) for x in (inputs, target, batch.terminal))
         params, opt, metrics = self.step(params, opt, inputs, target, terminal, weight, key)

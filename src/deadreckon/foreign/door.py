@@ -37,7 +37,7 @@ def file_size(path: Path | str) -> int:
 
 
 @contextlib.contextmanager
-def opened(path: Path | str) -> Iterator[BinaryIO]:
+def opened(path: Path | str) -> Iterator[io.BufferedReader]:
     """A file, open for reading from its beginning, which cannot become something else between the look and the opening.
 
     Raises:

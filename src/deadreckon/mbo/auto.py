@@ -29,6 +29,7 @@ class Auto(Designer):
     """The Gaussian process, an ensemble or a model that ranks: by their predictions of designs that they have not seen."""
 
     revision: ClassVar[int] = 4
+    equal_rows: ClassVar[bool] = False  # that of the method that it takes counts
 
     kappa: Number = host(0.0)
     """standard deviations added to the prediction of a Gaussian process, which is then taken: below 0 cautious, above 0 bold"""
@@ -57,6 +58,7 @@ class Auto(Designer):
         # Judged it is already: what it proposes is calibrated by that.
         if isinstance(method, GP):
             method = method.replace(folds=0)
+        method.warn_of_errors(setting.data)
         found = method.solve(setting._replace(validate=False))
         return [replace(each.calibrated(quality), compared=tuple(compared), reason=reason) for each in found]
 

@@ -7,6 +7,7 @@ import numpy as np
 from deadreckon.errors import UserError
 from deadreckon.mbo.batch import batch
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals
+from deadreckon.mbo.effects import keeping, on_steps
 from deadreckon.training.hyperparameters import Count, NonNegative, static
 
 
@@ -14,6 +15,7 @@ class BestOfData(Designer):
     """The designs of the data with the highest scores, as they are."""
 
     revision: ClassVar[int] = 1
+    equal_rows: ClassVar[bool] = False  # nothing is fitted
     from_data: ClassVar[bool] = True
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
@@ -24,7 +26,8 @@ class BestOfData(Designer):
         """
         data, n = setting.data, setting.n
         rows = data.best(len(data))
-        rows = (rows if data.repair.free else rows[data.repair.good(data.x[rows])])[:n]
+        # As the page has it: decimals of a table are rounded, so a mixture of 0.33, 0.33 and 0.33 is one.
+        rows = (rows if data.repair.free else rows[(keeping(data) & on_steps(data))[rows]])[:n]
         if n > len(rows):
             within = "" if data.repair.free else " that satisfy the rules"
             raise UserError(f"{data.name} has {len(rows):,} designs{within}, fewer than the {n:,} asked for")
@@ -36,6 +39,7 @@ class Jitter(Designer):
     """The best designs of the data with small normal errors: what is found near them without a model."""
 
     revision: ClassVar[int] = 1
+    equal_rows: ClassVar[bool] = False  # nothing is fitted
 
     best: Count = static(12)  # designs of the data that are moved
     scale: NonNegative = 0.03  # standard deviation of the errors, in standard deviations of each variable
@@ -53,6 +57,7 @@ class Random(Designer):
     """Each variable drawn for itself: continuous ones evenly between their bounds (those of the data where it has none)."""
 
     revision: ClassVar[int] = 1
+    equal_rows: ClassVar[bool] = False  # nothing is fitted
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
         """A draw for every seed."""

@@ -27,11 +27,11 @@ def batch(
     """Different designs, made of those of a method.
 
     Args:
-        data: scored designs, none of which is proposed unless `repeat`.
+        data: scored designs. None of them is proposed unless `repeat`, nor one of those without a score.
         x: (m, variables) of the method, in the order in which they are wanted.
         n: how many.
         value: by which missing ones are chosen; None: at random.
-        repeat: whether designs of the data may be proposed.
+        repeat: whether designs of the data may be proposed, and those without a score.
         seed: of the designs that are tried.
 
     Returns:
@@ -80,7 +80,7 @@ class Chosen:
         self.data = data
         self.x: list[np.ndarray] = []
         self.z = data.coordinates.place(data.x[:0])
-        self.known: set[bytes] = set() if repeat else set(keys(data, data.x))
+        self.known = taken(data, repeat)
 
     def add(self, x: np.ndarray, n: int, apart: float) -> None:
         """Takes those that are new and at least so far, by their places, from all that were taken, until there are n."""
@@ -92,6 +92,12 @@ class Chosen:
             self.known.add(key)
             self.x.append(row)
             self.z = np.concatenate([self.z, z[None]])
+
+
+def taken(data: Designs, repeat: bool) -> set[bytes]:
+    """Keys of the designs that are not proposed: those of the data, and those that were tried or planned and have no score."""
+    old = data.x if data.unscored is None else np.concatenate([data.x, data.unscored])
+    return set() if repeat else set(keys(data, old))
 
 
 def keys(data: Designs, x: np.ndarray) -> list[bytes]:
@@ -171,7 +177,7 @@ def check_batch(data: Designs, x: np.ndarray, repeat: bool) -> None:
         if (rule := data.rules.broken(data.variables, row)) is not None:
             raise UserError(f"{data.name}: proposal {i} breaks {rule}")
     made = keys(data, x)
-    if len(set(made)) < len(made) or not (repeat or set(keys(data, data.x)).isdisjoint(made)):
+    if len(set(made)) < len(made) or not taken(data, repeat).isdisjoint(made):
         raise UserError(f"{data.name}: a proposal is there twice, or is in the data")
     apart = data.rules.apart
     if apart is not None and len(x) > 1 and distance_to_others(data, x).min() < apart * (1 - 1e-9):

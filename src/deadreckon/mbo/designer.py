@@ -4,6 +4,7 @@ import contextlib
 import dataclasses
 import hashlib
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -60,6 +61,7 @@ class Proposals(Shown):
             data, so it is multiplied as deviations of rows are. None where the method does not tell it from noise.
         noisy: whether `predicted_std` is of a measurement, noise included.
         beyond: deviation of the noise that one measurement has beyond that of a usual row, where rows are means of several.
+        minimise: whether the score was turned around, as in `Designs`: `predicted` is then minus what the table would hold.
     """
 
     method: str
@@ -75,6 +77,7 @@ class Proposals(Shown):
     reason: str | None = None
     noisy: bool = True
     beyond: float = 0.0
+    minimise: bool = False
 
     def __len__(self) -> int:
         return len(self.x)
@@ -177,6 +180,7 @@ class Designer(eqx.Module):
 
     revision: ClassVar[int] = 1
     from_data: ClassVar[bool] = False  # whether what it proposes are designs of the data, whatever is asked
+    equal_rows: ClassVar[bool] = True  # whether it fits something to which all rows are equally exact, whatever their errors
 
     def settings_text(self, data: Designs) -> str:
         """All settings that proposals for some data depend on, as text."""
@@ -231,6 +235,7 @@ class Designer(eqx.Module):
         check_fields(self)
         if distinct and self.from_data and data.rules.apart is not None:
             raise UserError(f"{self.label} proposes designs of the data as they are, not at a least distance; leave apart out")
+        self.warn_of_errors(data)
         begun = time.perf_counter()
         folder = None if out is None else Path(out)
         found = self.solve(DesignInput(data, n, list(seeds), folder, watch, distinct, repeat, validate))
@@ -239,7 +244,13 @@ class Designer(eqx.Module):
             data.check(each.x)
             if distinct and not self.from_data:
                 check_batch(data, each.x, repeat)
-        return [dataclasses.replace(each, seconds=seconds) for each in found]
+        return [dataclasses.replace(each, seconds=seconds, minimise=data.minimise) for each in found]
+
+    def warn_of_errors(self, data: Designs) -> None:
+        """A warning where the standard errors of rows differ, be they given or of replicates, and the fit sees none of it."""
+        if self.equal_rows and data.std_error is not None and np.ptp(data.std_error) > 0:
+            told = f"{data.name}: {self.label} takes all rows for equally exact in its fit, whatever their standard errors"
+            warnings.warn(f"{told} and replicates; the Gaussian process does not (--method gp)", stacklevel=3)
 
     @property
     def label(self) -> str:
@@ -267,7 +278,8 @@ class Designer(eqx.Module):
             believed: standardised means and deviations (n,), or None for these, of coordinates: it is asked about those of
                 the designs that are proposed. None: the method believes nothing.
             climbed: value (n,) of coordinates that the method has climbed; numbers in steps that share a constraint are
-                searched by it (`local_search.on_grid`). None: the nearest such designs are taken.
+                searched by it (`local_search.on_grid`), and where nothing is `believed` it says which designs replace those
+                that coincide. None: the nearest such designs are taken.
             noisy: whether deviations are those of a row, noise included; else of the true score.
         """
         view = setting.data.coordinates
@@ -276,7 +288,9 @@ class Designer(eqx.Module):
             value = None if believed is None else lambda x: np.asarray(believed(jnp.asarray(view.encode(x)))[0])
             if climbed is not None:
                 model = Fitted.of(setting.data, lambda x: (climbed(x), None), is_order=True)
-                x = on_grid(setting.data, x, lambda x: model.predict(x)[0], generator(seed, "search on a grid"))
+                order = lambda x: model.predict(x)[0]  # noqa: E731
+                x = on_grid(setting.data, x, order, generator(seed, "search on a grid"))
+                value = value or order
             x = batch(setting.data, x, setting.n, value, repeat=setting.repeat, seed=seed)
         mean = predicted_std = None
         if believed is not None:

@@ -32,7 +32,7 @@ from deadreckon.mbo.design_table import (
 from deadreckon.mbo.repair import Repair
 from deadreckon.mbo.replicates import errors_of, pooled, recipes, units, units_told
 from deadreckon.mbo.rules import NO_RULES, Rules
-from deadreckon.mbo.variables import FEWEST, Variable, codes, filled, name_of_rows, variable_of
+from deadreckon.mbo.variables import FEWEST, Variable, codes, complete_designs, filled, name_of_rows, variable_of
 from deadreckon.provided import Shown
 
 LARGEST = 1e150  # score: squares of larger ones would overflow
@@ -57,6 +57,8 @@ class Designs(Shown):
         table_rows: (rows,) the first row of the table that each is, counted from 0; None: they are the table's own.
         pooling: what was done with rows of the same design (`mbo.replicates.pooled`), in words; None: nothing.
         noticed: what may be a mistake in the table, and columns that are not used, a line each.
+        unscored: (k, variables) float32 designs without a score, such as failed or planned runs: nothing is learned from them,
+            and they are not proposed again; None: there are none.
     """
 
     x: np.ndarray
@@ -72,6 +74,7 @@ class Designs(Shown):
     table_rows: np.ndarray | None = None
     pooling: str | None = None
     noticed: tuple[str, ...] = ()
+    unscored: np.ndarray | None = None
 
     def __post_init__(self):
         object.__setattr__(self, "x", np.asarray(self.x, np.float32))
@@ -159,7 +162,8 @@ class Designs(Shown):
         noticed: Sequence[str] = (),
         **rules: Any,
     ) -> "Designs":
-        """Designs of a table, a row each, without blanks at ends of texts. Rows without a score are left out, and told.
+        """Designs of a table, a row each, without blanks at ends of texts. Rows without a score are left out, told, and not
+        proposed again.
 
         Args:
             frame: a pandas, polars or pyarrow table, or a mapping of column names to values.
@@ -210,6 +214,8 @@ class Designs(Shown):
             raise UserError(f"{name}: there is no column beside the target {target!r}")
         table = trimmed(table, [*inputs, *grouped])
         rows, planned = scored(name, table, targets or [target])
+        if planned:
+            planned += "; those with all inputs are not proposed again (--repeat allows it)"
         warn(name, told := told + ([planned] if planned else []))
         check_filled(name, table, inputs, [*outputs, *grouped], rows)
         y, columns, variables = numbers_of(name, table, target, rows), [], []
@@ -232,6 +238,7 @@ class Designs(Shown):
             x, scores, tuple(variables), name, score_name(target, weights), minimise,
             Rules.of(variables, name=name, **rules), std_error=error, table_rows=rows if planned else None,
             groups=groups_of(name, table, groups, rows) if groups else None,
+            unscored=complete_designs(name, table, variables, rows) if planned else None,
         )  # fmt: skip
         made.repair.check_possible()
         slips = [*doubts.of_inputs(variables, x, rows, bounds, made.rules), *slips]

@@ -14,6 +14,7 @@ from scipy.special import stdtrit
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.doubts import ROUNDED
 from deadreckon.mbo.fitted import Fitted
+from deadreckon.mbo.rules import NO_RULES, written
 from deadreckon.randomness import generator
 from deadreckon.stats.interval import ALPHA
 
@@ -22,7 +23,7 @@ VALUES = 15  # of a variable of numbers
 LEVELS = 12  # at most of one with levels: those that most rows have
 MOST = 40  # variables that are looked at
 SOME = 10  # rows that choose these, where there are more
-SLACK = 1e-6  # of bounds and sums
+SLACK = 1e-6  # of bounds and sums, by which rounding errors may miss them
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,8 +211,18 @@ def keeping(data: Designs) -> np.ndarray:
     """(rows,) which designs of the data satisfy all rules of proposals but steps; sums up to the rounding of their parts."""
     good = allowed(data, data.x.astype(np.float64), rounded=True)
     for column, value in data.rules.fixed:
-        good &= np.abs(data.x[:, column] - value) <= SLACK * max(1.0, abs(value))
+        good &= at_value(data.x[:, column], value)
     return good
+
+
+def on_steps(data: Designs) -> np.ndarray:
+    """(rows,) which designs of the data have multiples of the steps of all variables that have one."""
+    return np.array([NO_RULES.broken(data.variables, row) is None for row in written(data.variables, data.x)], bool)
+
+
+def at_value(values: np.ndarray, value: float) -> np.ndarray:
+    """(rows,) which values of a variable are the one that is fixed, to rounding errors: a share of it, whatever its unit."""
+    return np.abs(np.asarray(values, np.float64) - value) <= SLACK * abs(value)
 
 
 def permitted(data: Designs) -> np.ndarray:
@@ -239,13 +250,14 @@ def allowed(data: Designs, x: np.ndarray, rounded: bool = False) -> np.ndarray:
     good = data.repair.allowed(x)
     for i, v in enumerate(data.variables):
         if not v.leveled:
-            slack = SLACK * np.maximum(1.0, np.abs(x[:, i]))
+            slack = SLACK * np.maximum(np.abs(data.x[:, i]).max(), np.abs(x[:, i]))
             good &= (x[:, i] >= v.low - slack) & (x[:, i] <= v.high + slack)
     measured = data.repair.measured(x)
     for each in data.rules.linear:
         terms, bound = np.stack([float(w) * measured[:, c] for c, w in each.weights]), float(each.bound)
-        total, slack = terms.sum(0), 100 * SLACK * max(1.0, abs(bound))
+        total, size = terms.sum(0), np.maximum(np.abs(terms).sum(0), abs(bound))  # terms may be of any unit
+        slack = 100 * SLACK * size
         if each.equal and rounded:
-            slack = ROUNDED * np.maximum(np.abs(terms).sum(0), abs(bound))
+            slack = ROUNDED * size
         good &= (np.abs(total - bound) <= slack) if each.equal else (total <= bound + slack)
     return good

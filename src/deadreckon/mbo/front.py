@@ -178,15 +178,16 @@ def propose_front(
     order = gains.greedy(2 * n, value(pool), data[0].coordinates.place(pool), least_distance(data[0]))
     x = batch(data[0], pool[order], n, value, repeat=repeat, seed=seed)
     check_batch(data[0], x, repeat)
-    made = tuple(_predicted(process, x, seed, quality) for process, quality in zip(processes, qualities))
+    made = tuple(_predicted(each, process, x, seed, quality) for each, process, quality in zip(data, processes, qualities))
     worth = [None if quality is None else quality.calibration for quality in qualities]
     gain = Gains(processes, x, data[0].x[rows], point, seed, worth).total()
     return Front(data, made, point, hypervolume(y[rows], point), gain)
 
 
-def _predicted(process: Process, x: np.ndarray, seed: int, quality: Quality | None) -> Proposals:
+def _predicted(data: Designs, process: Process, x: np.ndarray, seed: int, quality: Quality | None) -> Proposals:
     mean, std = process.posterior(x)
-    made = Proposals(LABEL, x, mean, np.hypot(std, process.noise), seed, mean_std=std, beyond=process.beyond)
+    more = {"mean_std": std, "beyond": process.beyond, "minimise": data.minimise}
+    made = Proposals(LABEL, x, mean, np.hypot(std, process.noise), seed, **more)
     return made.calibrated(quality) if quality else made
 
 

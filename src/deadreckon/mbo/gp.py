@@ -29,6 +29,7 @@ class GP(Designer):
     """The greatest predicted score under a Gaussian process with a length for each variable, and categories."""
 
     revision: ClassVar[int] = 5
+    equal_rows: ClassVar[bool] = False
 
     kappa: Number = host(0.0)
     """standard deviations added to the prediction: below 0 cautious (lower confidence bound), above 0 bold (upper one)"""

@@ -11,6 +11,7 @@ from deadreckon.mbo.rules import Rules
 from deadreckon.mbo.variables import Variable
 
 FINE = 4  # digits below the range of a constrained variable to which proposals are rounded, so that sums are exact
+OF_LOGS = 2  # likewise below the least value of one that is seen as its logarithm, whose range says nothing of its decades
 LEAST = 100  # values that a shared grid leaves each variable
 COARSER = (0, 1, 2, 3, 4, -1, -2, -3)  # digits by which the grids that are tried are coarser than the usual ones
 
@@ -43,7 +44,9 @@ def grids(variables: Sequence[Variable], rules: Rules, decimals: Sequence[int], 
             low, high = (b if math.isfinite(b) else float(s) for b, s in ((v.low, seen.min()), (v.high, seen.max())))
             largest = max(abs(low), abs(high), 1e-30)
             reach[i] = max(high - low, 1e-7 * largest)
-            wanted[i] = min(math.floor(math.log10(reach[i])) - FINE, -decimals[i])
+            usual = math.floor(math.log10(reach[i])) - FINE
+            fine = min(usual, math.floor(math.log10(low)) - OF_LOGS) if v.log else usual
+            wanted[i] = min(fine, -decimals[i])
             # Numbers of 32 bits that are as far apart as the largest ones.
             held[i] = math.ceil(math.log10(np.spacing(np.nextafter(np.float32(largest), np.float32(0)))))
     shared = _shared(rules, set(wanted))

@@ -15,8 +15,7 @@ def nn_distance(data: Designs, x: np.ndarray) -> np.ndarray:
         x: (n, variables) designs.
 
     Returns:
-        (n,) distances over the median distance of a scored design to the nearest other one: 1 is as near as the data's own
-        neighbours are, 10 is far out.
+        (n,) distances over the usual one (`usual_distance`): 1 is as near as the data's own neighbours are, 10 is far out.
     """
     return nearest_scored(data, x)[0] / usual_distance(data)
 
@@ -28,10 +27,15 @@ def distance_to_others(data: Designs, x: np.ndarray) -> np.ndarray:
 
 
 def usual_distance(data: Designs) -> float:
-    """Median distance of a scored design to the nearest other one, by their places; 1 where all are repeated."""
+    """Median distance of a scored design to the nearest one of another recipe, by their places; 1 where all are repeated.
+
+    Settings that are logged differ a little between runs of one recipe, which says nothing of how far recipes lie apart.
+    """
     z = data.coordinates.place(data.x)
     rows = np.random.default_rng(0).permutation(len(z))[:SAMPLE]
     usual = _nearest(z, z[rows], rows)[0]
+    if (alike := data.recipes).max() + 1 < len(z):
+        usual[usual > 0] = _nearest(z, z[rows[usual > 0]], rows[usual > 0], alike)[0]
     return float(np.median(usual[usual > 0])) if (usual > 0).any() else 1.0
 
 
@@ -58,14 +62,24 @@ def neighbours(data: Designs, x: np.ndarray, count: int) -> tuple[np.ndarray, np
     return far / usual_distance(data), rows
 
 
-def _nearest(z: np.ndarray, points: np.ndarray, own: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) distances of points to the nearest row of `z` but their own, and (n,) these rows."""
+def _nearest(
+    z: np.ndarray, points: np.ndarray, own: np.ndarray | None = None, alike: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) distances of points to the nearest row of `z`, and (n,) these rows.
+
+    Args:
+        z: (rows, features) places.
+        points: (n, features) places.
+        own: (n,) the row that each point is, which does not count; None: points are others.
+        alike: (rows,) recipe of each row; those of the own row's do not count either. None: its own alone.
+    """
     squares, out, rows = np.square(z).sum(1), np.empty(len(points)), np.empty(len(points), int)
+    alike = np.arange(len(z)) if alike is None else alike
     for i in range(0, len(points), 64):
         block = points[i : i + 64]
         distance = np.square(block).sum(1)[:, None] + squares - 2 * block @ z.T
         if own is not None:
-            distance[np.arange(len(block)), own[i : i + 64]] = np.inf
+            distance[alike[own[i : i + 64], None] == alike] = np.inf
         # The difference of large numbers is not exact: the nearest one's distance is taken anew.
         rows[i : i + 64] = nearest = distance.argmin(1)
         out[i : i + 64] = np.linalg.norm(block - z[nearest], axis=1)

@@ -48,6 +48,9 @@ class Repair:
         self.decimals = self.rules.decimals(data.variables)
         self.grids = grids(self.variables, self.rules, self.decimals, data.x)
         self.steps = self.grids[0]
+        # No step is small in all decades of a logarithm: it is rounded where a sum must be exact, and where a program moves it.
+        summed = {c for each in self.rules.linear if each.equal for c, _ in each.weights}
+        self.loose = {i for i in self.open if data.variables[i].log and i not in {*self.stepped, *summed}}
         x = data.x.astype(np.float64)
         spread = np.where(np.ptp(x, axis=0) > 0, x.std(0), 0.0)  # rounding errors are no spread
         self.scale = np.where(spread > 0, spread, np.maximum(1e-3 * np.abs(data.x).max(0), 1e-3))
@@ -168,7 +171,7 @@ class Repair:
         """Within bounds, on grids, with fixed values."""
         x = np.array(x, np.float64)
         for i, (v, step) in enumerate(zip(self.variables, self.steps)):
-            if step is not None:
+            if step is not None and i not in self.loose:
                 first, last = ends(v.low, v.high, step)
                 each = np.round(x[:, i] / float(step)).clip(first, last)
                 x[:, i] = each * step.numerator / step.denominator

@@ -125,7 +125,7 @@ class Rules:
         """
         exact = [Fraction(str(each)) for each in values]
         for column, value in self.fixed:
-            if abs(float(exact[column]) - value) > 1e-6 * max(1.0, abs(value)):
+            if abs(float(exact[column]) - value) > 1e-6 * abs(value):
                 return f"{variables[column].name} = {value:g}"
         for v, value in zip(variables, exact):
             if v.step is not None and value % Fraction(str(v.step)):

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.arrow import as_dates, category_codes, flat, is_category, is_number, is_text
+from deadreckon.data.arrow import as_dates, category_codes, flat, is_category, is_number, is_text, some_numbers
 from deadreckon.errors import UserError, unknown
 from deadreckon.mbo.design_table import numbers_of
 
@@ -277,3 +277,21 @@ def codes(name: str, column: str, values: Sequence[Any], levels: Sequence[Any], 
             raise UserError(f"{name}: column {column} has the unknown level {value!r} in row {row}; known are {shown}")
         out.append(index[value])
     return np.array(out, np.float64)
+
+
+def complete_designs(name: str, table: pa.Table, variables: Sequence[Variable], scored: np.ndarray) -> np.ndarray:
+    """(k, variables) float32 designs of those rows without a score that have a value, or a known level, of every variable.
+
+    They may lie beyond the bounds, where nothing is proposed anyway.
+    """
+    columns: list[Any] = []
+    rows = np.setdiff1d(np.arange(table.num_rows), scored)
+    for v in variables:
+        if v.leveled:
+            index, values = {level: float(i) for i, level in enumerate(v.levels)}, table.column(v.name).to_pylist()
+            columns.append([index.get(values[row], math.nan) for row in rows])
+        else:
+            columns.append(some_numbers(name, v.name, flat(table, v.name))[0][rows])
+    with np.errstate(over="ignore"):  # a larger number than 32 bits hold is infinite
+        x = np.stack(columns, 1).astype(np.float32)
+    return x[np.isfinite(x).all(1)]

@@ -20,6 +20,7 @@ HEAVY = 0.7  # Pareto k of the weights above which their mean is not reliable (V
 # Weights that are multiplied along an episode must amount to this share of the episodes, or to so many. With less, so much of
 # their mass lies in episodes that the log happens not to show that no interval by those it shows covers.
 SHARE, MANY = 0.2, 50.0
+ROUNDING = 1e-6  # of weights that average one, by which propensities may be off that are kept in 32 bits
 MORE = "; more episodes, or a policy nearer the behaviour policy, would tell more"
 
 
@@ -95,7 +96,7 @@ class Basis(NamedTuple):
                 f"its weights, which are multiplied along an episode, rest on {self.ess:.1f} episodes, {MANY:g} or "
                 f"{100 * SHARE:g} % of all are needed{MORE}"
             )
-        if told.get("mean weight high", 1.0) < 1.0:
+        if told.get("mean weight high", 1.0) < 1.0 - ROUNDING:
             own.append(
                 f"its weights average {told['mean weight']:.2f} instead of 1 (at most {told['mean weight high']:.2f} with "
                 "99 % confidence): the log does not show the episodes that weigh most"

@@ -88,14 +88,16 @@ class Behavior(NamedTuple):
     chances: np.ndarray | None
 
 
-def out_of_fold(case: OPEInput, model: BehaviorModel, folds: int) -> Behavior:
+def out_of_fold(case: OPEInput, model: BehaviorModel, folds: int, *, clipped: bool = False) -> Behavior:
     """Propensities of a case's rows; made once.
 
     Args:
         case: log and policies.
         model: size of the networks and of the fit.
         folds: into which the judged episodes are parted.
+        clipped: whether the model has probabilities at the bounds of continuous actions; see `OPEInput.clips`.
     """
+    model = dataclasses.replace(model, clipped=clipped)
     return case.once(("propensities", model, folds), lambda: _fit(case, model, folds))
 
 
@@ -118,7 +120,7 @@ def masks(case: OPEInput, fold: np.ndarray, whole: OPEInput) -> tuple[np.ndarray
 def _fit(case: OPEInput, model: BehaviorModel, folds: int) -> Behavior:
     fold, whole = case.folds(folds), case.whole()
     weight, check = masks(case, fold, whole)
-    learner = Folds(dataclasses.replace(model, clipped=case.clips), weight.shape[1])
+    learner = Folds(model, weight.shape[1])
     data = whole.data
     extra = {"weight": weight[data.episode_of], "check": check[data.episode_of]}
     rows = TransitionSource(data, learner.needs(data.spec), extra)
@@ -130,7 +132,8 @@ def _fit(case: OPEInput, model: BehaviorModel, folds: int) -> Behavior:
     if not data.spec.discrete:
         unit = np.asarray(view.to_unit(np.asarray(own.actions)))
         told = in_blocks(lambda seen, act: _densities(nets, which, observe(seen), act), own.observations, unit)
-        return Behavior(told[of_row, np.arange(len(own))].astype(np.float64) - view.log_scale, None)
+        scale = view.log_scale_within(unit) if model.clipped else view.log_scale
+        return Behavior(told[of_row, np.arange(len(own))].astype(np.float64) - scale, None)
     of_all = lambda seen: jnp.moveaxis(_logits(nets, which, observe(seen)), 1, 2)  # noqa: E731 - (folds, actions, rows)
     logits = in_blocks(of_all, own.observations)
     logits = np.take_along_axis(logits, of_row[None, None], 0)[0].T.astype(np.float64)

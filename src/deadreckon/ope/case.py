@@ -189,14 +189,19 @@ class OPEInput(Fits):
 
     @cached_property
     def followed(self) -> np.ndarray:
-        """(rows,) whether what follows the row is known, also where the horizon ends the episode, or the task ended there."""
-        return self._uncut[1]
+        """(rows,) whether what follows the row is known, also where the horizon ends the episode, or the task ended there; or
+        nothing that follows a row counts."""
+        return np.ones(len(self.data), bool) if self._alone else self._uncut[1]
+
+    @property
+    def _alone(self) -> bool:
+        return self.discount == 0.0 or self.estimand.horizon == 1
 
     @cached_property
     def shown(self) -> np.ndarray:
         """(rows,) whether it is known what the behaviour policy did next: the log shows it, or how often it does so there, or
         nothing comes next."""
-        return ~(self.data._is_end | self._apart) | self.ended | (self._habits is not None)
+        return ~(self.data._is_end | self._apart) | self.ended | (self._habits is not None) | self._alone
 
     @cached_property
     def _apart(self) -> np.ndarray:
@@ -432,33 +437,37 @@ class OPEInput(Fits):
         first = np.searchsorted(self.owner, np.arange(len(self.policies)))
         return [np.full(len(episodes), first[i]) if part is None else part[episodes] for i, part in enumerate(self._parts)]
 
-    def behavior_log_probs(self, kind: Literal["auto", "logged", "learned"], model: BehaviorModel) -> np.ndarray:
+    def behavior_log_probs(
+        self, kind: Literal["auto", "logged", "learned"], model: BehaviorModel, *, clipped: bool = False
+    ) -> np.ndarray:
         """(rows,) log-probabilities of the logged actions under the policy that made the log.
 
         Args:
             kind: `logged` takes the log's column `behavior_log_probs`, `learned` fits `model`, `auto` fits it where there is
                 no such column.
             model: how it is learned.
+            clipped: whether the model has probabilities at the bounds of continuous actions; see `clips`.
         """
         column = self.data.extras.get("behavior_log_probs")
         if kind == "logged" and column is None:
             raise UserError(f"{self.data.name} has no column behavior_log_probs; ask for behavior='learned'")
         if kind != "learned" and column is not None:
             return np.asarray(column, np.float64)
-        return self.once(("behavior", model), lambda: self._learned(model))
+        model = dataclasses.replace(model, clipped=clipped)
+        learned = lambda: self._behavior(model).log_probs(self.data.observations, self.data.actions)[0]  # noqa: E731
+        return self.once(("behavior", model), learned)
 
-    def _learned(self, model: BehaviorModel) -> np.ndarray:
-        return self.behavior(model).log_probs(self.data.observations, self.data.actions)[0]
-
-    @property
-    def clips(self) -> bool:
-        """Whether policies have probabilities at the bounds of the actions, as clipped Gaussians do."""
-        return any(isinstance(getattr(policy, "inner", None), ClippedGaussian) for policy in self.actor.policies)
+    @cached_property
+    def clips(self) -> np.ndarray:
+        """(policies,) whether each has probabilities at the bounds of the actions, as clipped Gaussians do."""
+        own = [isinstance(getattr(policy, "inner", None), ClippedGaussian) for policy in self.actor.policies]
+        return np.bincount(self.owner, own, len(self.policies)) > 0
 
     def behavior(self, model: BehaviorModel) -> Actor:
         """A model of the policy that made the log, which draws its actions; made once."""
-        model = dataclasses.replace(model, clipped=self.clips)
+        return self._behavior(dataclasses.replace(model, clipped=bool(self.clips.any())))
 
+    def _behavior(self, model: BehaviorModel) -> Actor:
         def make() -> Actor:
             rows = TransitionSource(self.data, model.needs(self.data.spec))
             fitted, _ = self.train(model, rows, model.steps, "behaviour")

@@ -191,7 +191,7 @@ class OutOfFold:
         out = cls.empty(case.count, data.episodes, len(data), marginal=False)
         following = np.empty_like(now, np.float64)
         following[:, :-1] = now[:, 1:]
-        unknown = ~data.usable[ends]
+        unknown = ~(case.followed[ends] | np.asarray(data.terminals)[ends])
         following[:, ends] = np.where(np.asarray(data.terminals)[ends] | unknown, 0.0, last)
         out.begins[:] = begins
         out.errors[:] = np.asarray(data.rewards, np.float64) + case.discount * following - chosen

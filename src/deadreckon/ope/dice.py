@@ -117,6 +117,7 @@ class DICE(Estimator):
 
     revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"average": "ema_rate"}
+    takes_apart = False
 
     primal: NonNegative = 0.0  # weight of the regularisation of Q
     dual: NonNegative = 1.0  # weight of the regularisation of zeta
@@ -183,7 +184,8 @@ def occupancy_rows(case: OPEInput, learner: Any, members: int, samples: int, ini
     # Episodes are redrawn, not rows: where they differ in length, a member's rows do not count once each on average.
     weight = redrawn[case.data.episode_of]
     extra = {"policy": case.next_actions(samples), "weight": weight / weight[case.data.usable].mean(0)}
-    initial = {"initial_policy": case.initial_actions(initial_samples), "initial_weight": redrawn}
+    # Clusters of several episodes are redrawn as a whole: then the initial states do not count once each either.
+    initial = {"initial_policy": case.initial_actions(initial_samples), "initial_weight": redrawn / redrawn.mean(0)}
     return TransitionSource(case.data, learner.needs(case.data.spec), extra, initial)
 
 

@@ -134,7 +134,7 @@ class DoublyRobust(Estimator):
             diagnostics["normalising"] = np.array(shifts)
         return Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), bootstrap=redrawn, ess=ess, nuisance=nuisance,
-            corrected=case.beyond <= TAIL and max(left, default=0.0) <= TAIL, warnings=tuple(warnings),
+            corrected=case.beyond <= TAIL and min(left, default=0.0) <= TAIL, warnings=tuple(warnings),
             inflation=stretched(share), diagnostics=diagnostics,
         )  # fmt: skip
 
@@ -302,7 +302,9 @@ class DoublyRobust(Estimator):
             return mean, episodes.groups * (total - mean * rows) / rows.sum()
 
         for i, name in enumerate(case.names):
-            masses.append(mean_of(nuisances.mass[i], case.followed))
+            # Of a horizon's steps the last is weighted over all rows, and the others have no weight where nobody knows more.
+            every = np.ones(len(case.data), bool) if case.estimand.horizon is not None else case.followed
+            masses.append(mean_of(nuisances.mass[i], every))
             if name == LOGGED and whole:
                 returns = case.data.returns(case.discount)
                 value, pulls, _ = episodes.means(returns)
@@ -311,7 +313,7 @@ class DoublyRobust(Estimator):
                 start, pulls, _ = episodes.means(nuisances.begins[i])
                 # Ratios are of occupancies over the rows whose successor is known, and of the behaviour policy also what it
                 # did.
-                known = case.followed & case.shown if name == LOGGED else case.followed
+                known = every & case.shown if name == LOGGED and case.estimand.horizon is None else every
                 mean, pulled = mean_of(nuisances.weighted[i], known)
                 value, pulls = start + mean, pulls + pulled
                 weight = np.maximum(np.bincount(episodes.of, nuisances.weights[i], episodes.count), 0.0)

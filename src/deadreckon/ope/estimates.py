@@ -97,8 +97,17 @@ class Estimates(Shown):
         return replace(self, low=np.where(where, -np.inf, self.low), high=np.where(where, np.inf, self.high))
 
     def corrects(self, which: int) -> bool:
-        """Whether logged rewards decide the estimate of one policy: not if it goes on beyond the ends of the recording."""
-        return self.corrected and self.diagnostics.get("beyond", np.zeros(which + 1))[which] <= TAIL
+        """Whether logged rewards decide the estimate of one policy: not if it goes on beyond the ends of the recording, or if
+        corrections end early, its own or those of the behaviour policy beside it."""
+        beyond = self.diagnostics.get("beyond", np.zeros(which + 1))[which]
+        return self.corrected and max(beyond, self.left(which)) <= TAIL
+
+    def left(self, which: int) -> float:
+        """Share of the discounted time in which nothing corrects the critics of one policy, or of the behaviour policy."""
+        left = self.diagnostics.get("uncorrected")
+        if left is None:
+            return 0.0
+        return float(max(left[which], left[self.names.index(LOGGED)] if LOGGED in self.names else 0.0))
 
     @property
     def average(self) -> np.ndarray:

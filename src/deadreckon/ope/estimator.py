@@ -30,6 +30,7 @@ class Estimator(eqx.Module):
     # Whether it can judge cross-fitted policies: weights are of single rows. What is fitted to all folds for a policy has the
     # rewards that taught it, and what follows policies from state to state needs one for all states.
     takes_crossed = False
+    takes_apart = True  # whether rows need not follow each other; see `Dataset.successors`
 
     def estimate(
         self,
@@ -63,6 +64,8 @@ class Estimator(eqx.Module):
             raise UserError(f"{self.label} needs a discount below 1, got 1")
         if case.crossed and not self.takes_crossed:
             raise UserError(f"{self.label} {APART}")
+        if case.data.successors is not None and not self.takes_apart:
+            raise UserError(f"{case.data.name}: its rows do not follow each other, which {self.label} needs; use FQE")
 
     def on(self, case: OPEInput) -> Estimates:
         """The same on a case that several estimators share."""

@@ -119,6 +119,7 @@ class FQED(Estimator):
 
     revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"renew": "target_update_period", "gradient_clip": "max_grad_norm"}
+    takes_apart = False
 
     members: Count = static(3)  # critics per policy, each fitted on a bootstrap resample of the episodes
     hidden: Sizes = static((512, 512, 256))  # width of each hidden layer

@@ -226,14 +226,21 @@ def log_ratios(
     """(policies, rows) log of pi(a|s) / beta(a|s) of each logged action; learned propensities are those of `folds` folds."""
     own = case.log_probs  # first: policies that tell no probabilities are refused before anything is fitted
     ratios = np.zeros((case.count, own.shape[1]))  # the behaviour policy acts like itself
-    np.subtract(own, logged_probs(case, behavior, model, folds), out=ratios[: len(own)])
+    for clipped in np.unique(case.clips).tolist():
+        which = np.flatnonzero(case.clips == clipped)
+        ratios[which] = own[which] - logged_probs(case, behavior, model, folds, clipped=clipped)
     return ratios if within is None else np.clip(ratios, *within)
 
 
 def logged_probs(
-    case: OPEInput, behavior: Literal["auto", "logged", "learned"], model: BehaviorModel, folds: int = 5
-) -> np.ndarray:
-    """(rows,) log beta(a|s) of the logged actions; learned ones are those of `folds` folds."""
+    case: OPEInput, behavior: Literal["auto", "logged", "learned"], model: BehaviorModel, folds: int = 5, *,
+    clipped: bool = False,
+) -> np.ndarray:  # fmt: skip
+    """(rows,) log beta(a|s) of the logged actions; learned ones are those of `folds` folds.
+
+    Learned densities of continuous actions are of the same kind as the policies' that are divided by them, `clipped` or not:
+    what a clipped Gaussian has at a bound is a probability, and what a tanh-Gaussian has there a density.
+    """
     if folds > 1 and learns(case, behavior):
-        return out_of_fold(case, model, folds).log_probs
-    return case.behavior_log_probs(behavior, model)
+        return out_of_fold(case, model, folds, clipped=clipped).log_probs
+    return case.behavior_log_probs(behavior, model, clipped=clipped)

@@ -8,10 +8,10 @@ features solve it for every fold and every resample of the log, so that critics 
 2021) and ratios of occupancies, which are linear in the same features, cost little more than one fit.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -88,6 +88,31 @@ class LinearFQE(Estimator):
         )  # fmt: skip
 
 
+class Last(NamedTuple):
+    """What is solved with one step to go, where nothing that follows counts.
+
+    Attributes:
+        base: (size,) weights of the value.
+        solve: (size,) of features to weights of a ratio over the rows.
+        rows: how many these are.
+    """
+
+    base: np.ndarray
+    solve: Callable[..., Any]
+    rows: float
+
+
+def solved(factor: Any, right: np.ndarray) -> np.ndarray:
+    """The solution of a penalised system by its Cholesky factor; SciPy's decorators hide that it is an array."""
+    return np.asarray(cho_solve(factor, right))
+
+
+def _inverse_counts(gram: np.ndarray) -> np.ndarray:
+    """(size,) one over the number of rows of each cell of a table, and zero where there are none."""
+    count = np.diag(gram)
+    return np.divide(1.0, count, out=np.zeros_like(count), where=count > 0)
+
+
 class Fit:
     """Critics of a case's policies by folds: what the estimator and doubly robust ones share.
 
@@ -119,23 +144,25 @@ class Fit:
         out = Sums(
             np.zeros((groups, d, d)), np.zeros((groups, count, d, d)), np.zeros((groups, d)), np.zeros((groups, count, d)),
             np.zeros(groups), np.bincount(group, minlength=groups).astype(float),
-            np.zeros((groups, d, d)), np.zeros((groups, d)), np.zeros(groups), count - 1 if case.logged else -1,
+            np.zeros((groups, 2, d, d)), np.zeros((groups, 2, d)), np.zeros((groups, 2)), count - 1 if case.logged else -1,
         )  # fmt: skip
         after, first = self.next_actions(case), case.initial_actions(self.samples)
         of_row = group[data.episode_of]
         for g in range(groups):
-            rows = np.flatnonzero((of_row == g) & case.followed)
+            rows = np.flatnonzero(of_row == g)
             out.rows[g] = len(rows)
             for part in blocks(rows):
                 phi = self.features.taken(data.observations[part], data.actions[part])
                 out.gram[g] += phi.T @ phi
                 reward = np.asarray(data.rewards[part], np.float32) / np.float32(self.std)
                 out.reward[g] += phi.T @ reward
-                if case.logged and (lost := ~case.shown[part]).any():
-                    out.lost_gram[g] += phi[lost].T @ phi[lost]
-                    out.lost_reward[g] += phi[lost].T @ reward[lost]
-                    out.lost_rows[g] += lost.sum()
-                goes_on = ~case.ended[part]
+                unknown = ~case.followed[part]
+                for kind, lost in enumerate((unknown, unknown | ~case.shown[part])):
+                    if lost.any():
+                        out.lost_gram[g, kind] += phi[lost].T @ phi[lost]
+                        out.lost_reward[g, kind] += phi[lost].T @ reward[lost]
+                        out.lost_rows[g, kind] += lost.sum()
+                goes_on = ~case.ended[part] & ~unknown
                 if goes_on.any() and after is not None:
                     own = part[goes_on]
                     follows = self.features.expected(data.next_observations_at(own), after[own])
@@ -170,7 +197,7 @@ class Fit:
             for j, ridge in enumerate(RIDGES):
                 rows = weight.tobytes() + np.asarray(part).tobytes()
                 factor = self._factor(gram - own_gram, ridge, rows, fewer)
-                theta = cho_solve(factor, target - own)
+                theta = solved(factor, target - own)
                 errors[j] += theta @ own_gram @ theta - 2 * theta @ own
         return float(RIDGES[int(np.argmin(errors))])
 
@@ -179,17 +206,18 @@ class Fit:
         gram, following, reward, start, rows = sums.of(weight, policy)
         while True:
             factor = self._factor(gram, ridge, weight.tobytes(), sums.lacks_rows(policy))
-            # pyrefly: ignore[unsupported-operation] - SciPy's decorators hide that these are arrays
-            base, backup = cho_solve(factor, reward), self.case.discount * cho_solve(factor, following)
-            solve, onward = partial(cho_solve, factor), backup
+            base, backup = solved(factor, reward), self.case.discount * solved(factor, following)
+            solve, onward = partial(solved, factor), backup
             if self.features.table is not None:
                 # Ratios are those of the rows themselves. A penalty would take from the mass at every step; and of what no row
                 # shows there is no ratio, whatever a mean of the others is.
-                count = np.diag(gram)
-                once = np.divide(1.0, count, out=np.zeros_like(count), where=count > 0)
+                once = _inverse_counts(gram)
                 solve, onward = partial(np.multiply, once), self.case.discount * once[:, None] * following
             if self.horizon is not None:
-                found = self._steps(solve, following, base, backup, start, rows, ridge)
+                last = Last(base, solve, rows)
+                if sums.lacks_rows(policy):
+                    last = self._last(sums, weight, ridge)
+                found = self._steps(solve, following, base, backup, start, last, ridge)
             else:
                 found = self._endless(solve, base, backup, onward, start, rows, ridge)
             if found.settled or ridge > RIDGES[-1] or self.given is not None:
@@ -203,22 +231,31 @@ class Fit:
         if self.horizon is None:
             theta = np.linalg.solve(penalised - self.case.discount * following, reward)
         else:
-            factor, theta = cho_factor(penalised), np.zeros_like(reward)
-            # pyrefly: ignore[unsupported-operation] - SciPy's decorators hide that these are arrays
-            base, backup = cho_solve(factor, reward), self.case.discount * cho_solve(factor, following)
-            for _ in range(self.horizon):
+            factor = cho_factor(penalised)
+            base, backup = solved(factor, reward), self.case.discount * solved(factor, following)
+            theta = self._last(sums, weight, ridge, share=False).base if sums.lacks_rows(policy) else base
+            for _ in range(self.horizon - 1):
                 theta = base + backup @ theta
         return float(start @ theta) * self.std
 
-    def _steps(self, solve, following, base, backup, start, rows, ridge) -> Critic:
+    def _last(self, sums: Sums, weight: np.ndarray, ridge: float, *, share: bool = True) -> Last:
+        """What is solved with one step to go, by all rows; `share` keeps the factor for the other policies."""
+        gram, reward, rows = sums.of_all(weight)
+        kept = partial(self._factor, gram, ridge, b"all" + weight.tobytes(), False)
+        factor = kept() if share else cho_factor(self.penalised(gram, ridge))
+        solve = partial(solved, factor) if self.features.table is None else partial(np.multiply, _inverse_counts(gram))
+        return Last(solved(factor, reward), solve, rows)
+
+    def _steps(self, solve, following, base, backup, start, last, ridge) -> Critic:
         assert self.horizon is not None
-        theta, weights = np.zeros_like(base), []
+        theta, weights = last.base, [last.base]
         occupancy, ratios, fade = start, [], 1.0
-        for _ in range(self.horizon):
+        for _ in range(self.horizon - 1):
             theta = base + backup @ theta
             weights.append(theta)
-            projected = solve(occupancy)
-            ratios.append(rows * fade * projected)
+        for left in range(self.horizon, 0, -1):
+            projected = (solve if left > 1 else last.solve)(occupancy)
+            ratios.append(last.rows * fade * projected)
             occupancy = following.T @ projected
             fade *= self.case.discount
         found = np.stack(weights), np.stack(ratios)
@@ -377,10 +414,11 @@ class Fit:
         error = rewards + discount * every_v[rows, left] - every_q[rows, left]
         found = {"errors": np.where(known | (left == 0), error, 0.0)}
         if marginal:
-            weight = phi @ critic.ratios.T
-            every = rewards[:, None] + discount * every_v - every_q  # by steps to go
-            total = (weight * every[:, ::-1]).sum(1)
-            found |= {"weighted": np.where(known, total, 0.0), "weights": weight.sum(1) / case.span}
+            weight = phi @ critic.ratios.T  # with one step to go, the last, of all rows, else of those that say what follows
+            weight[:, :-1] *= known[:, None]
+            every = np.where(known[:, None], rewards[:, None] + discount * every_v - every_q, 0.0)  # by steps to go
+            every[:, 0] = rewards - every_q[:, 0]
+            found |= {"weighted": (weight * every[:, ::-1]).sum(1), "weights": weight.sum(1) / case.span}
             found["mass"] = weight[:, :-1].sum(1) * (1.0 - discount * goes_on) + weight[:, -1]
         return found
 

@@ -1,6 +1,7 @@
 """Sums over rows from which critics that are linear in features are fitted, with and without each fold or group."""
 
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -31,13 +32,14 @@ class Sums:
     """Sums over the rows of each of several groups of episodes, in float64.
 
     Attributes:
-        gram: (groups, d, d) of phi phi'.
+        gram: (groups, d, d) of phi phi' of all rows, as with one step to go nothing that follows a row counts.
         next: (groups, policies, d, d) of phi phi_next', zero after terminals.
-        reward: (groups, d) of phi r.
+        reward: (groups, d) of phi r of all rows.
         start: (groups, policies, d) of features at initial observations.
         rows, episodes: (groups,) counts.
-        lost_gram, lost_reward, lost_rows: the part of gram, reward and rows that says nothing of the behaviour policy, because
-            the log does not show what it did next.
+        lost_gram, lost_reward, lost_rows: (groups, 2, *) the part of gram, reward and rows that says nothing of more steps: for
+            policies rows after which nobody knows what came next, for the behaviour policy also those of which the log does
+            not show what it did next.
         logged: index of the behaviour policy, or -1.
     """
 
@@ -54,22 +56,27 @@ class Sums:
 
     def lacks_rows(self, policy: int) -> bool:
         """Whether some rows say nothing of a policy, so that its sums are of fewer."""
-        return policy == self.logged and bool(self.lost_rows.any())
+        return bool(self.lost_rows[:, int(policy == self.logged)].any())
 
     def whole(self, policy: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(groups, ...) gram, reward and rows of one policy."""
+        """(groups, ...) gram, reward and rows of one policy, of the rows that say what follows."""
         if not self.lacks_rows(policy):
             return self.gram, self.reward, self.rows
-        return self.gram - self.lost_gram, self.reward - self.lost_reward, self.rows - self.lost_rows
+        kind = int(policy == self.logged)
+        return self.gram - self.lost_gram[:, kind], self.reward - self.lost_reward[:, kind], self.rows - self.lost_rows[:, kind]
 
     def of(self, weight: np.ndarray, policy: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-        """gram, next and reward of one policy, its mean initial features and the number of rows, groups counted `weight`
-        times.
+        """gram, next and reward of one policy by the rows that say what follows, its mean initial features and the number of
+        these rows, groups counted `weight` times.
         """
-        add = lambda x: np.tensordot(weight, x, 1)  # noqa: E731
+        add = partial(np.tensordot, weight, axes=1)
         start = add(self.start[:, policy]) / max(float(weight @ self.episodes), 1.0)
         gram, reward, rows = self.whole(policy)
         return add(gram), add(self.next[:, policy]), add(reward), start, float(weight @ rows)
+
+    def of_all(self, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """gram, reward and number of all rows, groups counted `weight` times."""
+        return np.tensordot(weight, self.gram, 1), np.tensordot(weight, self.reward, 1), float(weight @ self.rows)
 
 
 def blocks(rows: np.ndarray) -> list[np.ndarray]:

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deadreckon.data.legal import legal_at
 from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
@@ -89,7 +90,8 @@ def missing_by_row(case: OPEInput, model: BehaviorModel, folds: int = 5) -> np.n
     """(rows, policies) share of what each policy does there that has no support, where actions are discrete."""
     chances = out_of_fold(case, model, folds).chances
     assert chances is not None
-    rare = chances < RARE / chances.shape[1]
+    legal = legal_at(case.data.observations, case.data.action_space)  # a uniform choice is one among these
+    rare = chances < RARE / (chances.shape[1] if legal is None else legal.sum(1, keepdims=True))
     return (case.current_actions(1)[:, : len(case.policies)] * rare[:, None]).sum(-1).astype(float)
 
 

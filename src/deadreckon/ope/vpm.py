@@ -95,6 +95,7 @@ class VPM(Estimator):
 
     revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"inner": "inner_updates"}
+    takes_apart = False
 
     members: Count = static(3)  # networks per policy, each fitted on a bootstrap resample of the episodes
     hidden: Sizes = static((64, 64))  # width of each hidden layer

@@ -182,12 +182,16 @@ class Episodes:
         return float(ess[order][np.searchsorted(share, QUARTER)])
 
     def typical(self, log_rho: np.ndarray, *, whole: bool) -> np.ndarray:
-        """(episodes,) logarithm of each episode's weight: its last, or the discounted mean of those of its steps."""
+        """(episodes,) logarithm of each episode's weight: its last, or the discounted sum of those of all steps, of which an
+        ended episode keeps its last and one that is cut off has no more; others count for that, as in `sums`."""
         if whole:
             return log_rho[self.first + self.lengths - 1]
-        fade = self.time * np.log(self.discount) if self.discount > 0 else np.where(self.time == 0, 0.0, -np.inf)
-        out = np.full(self.count, -np.inf)
-        np.logaddexp.at(out, self.of, log_rho + fade)
+        log_rho = log_rho - self.log_kept
+        with np.errstate(divide="ignore"):
+            fade = np.log(self.discount ** np.arange(self.steps))
+            rest = np.log(np.append(np.cumsum(np.exp(fade[::-1]))[::-1], 0.0))[self.lengths]
+        out = np.where(self.ended, log_rho[self.first + self.lengths - 1] + rest, -np.inf)
+        np.logaddexp.at(out, self.of, log_rho + fade[self.time])
         return out
 
     def average(self, log_rho: np.ndarray) -> np.ndarray:

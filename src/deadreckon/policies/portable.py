@@ -136,16 +136,16 @@ class NumpyPolicy:
         self.behind = NumpyPolicy({"policy": inner["member"]}, arrays) if inner["kind"] == "Seeing" else None  # an encoder
         self.steps, self.action_size = (inner["steps"], inner["action_size"]) if self.member else (1, 0)
         self.which: np.ndarray | None = None  # of a mixture: (n,) who acts
-        self.drawing = np.random.default_rng(0)  # what draws it
+        self.drawing = np.random.default_rng()  # what draws where no generator is given
 
     def __call__(self, observations, rng=None, greedy=True, first=None, legal=None):
         """Actions in the environment's bounds, if the policy knows these.
 
-        `rng` (a numpy Generator, seed 0 if absent) is used where draws are needed. `first`: whether an episode begins, for one
-        observation, or (n,) for a batch. A mixture needs it: then it draws who acts, and keeps to it. Without it, an episode
-        begins with the first call and wherever a batch has another size. A policy that acts on the last steps of an episode
-        must be told it in every call. `legal`: (actions,) or (n, actions) truth values, the end of the observations, where
-        these lack it.
+        `rng` (a numpy Generator; without one, what goes on from call to call) is used where draws are needed. `first`: whether
+        an episode begins, for one observation, or (n,) for a batch. A mixture needs it: then it draws who acts, and keeps to
+        it. Without it, an episode begins with the first call and wherever a batch has another size. A policy that acts on the
+        last steps of an episode must be told it in every call. `legal`: (actions,) or (n, actions) truth values, the end of the
+        observations, where these lack it.
         """
         if self.behind is not None:
             if legal is not None:
@@ -158,7 +158,7 @@ class NumpyPolicy:
             return self._on_history(self.member, x, rng, greedy, first)
         if self.members:
             return self._mixed(x, rng, greedy, first)
-        rng, kind = rng or np.random.default_rng(0), self.tree["inner"]["kind"]
+        rng, kind = rng or self.drawing, self.tree["inner"]["kind"]
         batch, get = self._observed(x if x.ndim > 1 else x[None]), self._array
         if kind in _CHOOSING:
             action = self._chosen(self.tree["inner"], batch, rng, greedy)

@@ -74,13 +74,13 @@ class Predictor:
     Attributes:
         encoder: between rows and observations, codes and named actions.
         steps: last observations of an episode that it acts on.
-        drawing: what draws the members of a mixture where no seed is given.
+        drawing: what draws where no seed is given, from call to call, and differently in each process.
     """
 
     def __init__(self, player: Player, log: Mapping[str, Any], name: str = "rows"):
         self.player, self.encoder = player, TableEncoder(log, name)
         self.steps = max(each.steps for each in (player, *player.members))
-        self.drawing = np.random.default_rng(0)
+        self.drawing = np.random.default_rng()
 
     def predict(
         self, rows: Any, *, probabilities: bool = False, greedy: bool = True, seed: int | np.random.Generator | None = None,
@@ -99,7 +99,7 @@ class Predictor:
             probabilities: also gives the probability of every discrete action.
             greedy: take the deterministic (greedy) actions instead of sampled ones.
             seed: of sampled actions, and of which member of a mixture acts; the same one samples the same, so use another each
-                time, or a Generator. None: 0, but of a mixture what goes on from call to call.
+                time, or a Generator. None: what goes on from call to call, and differs from process to process.
             outside: "raise" refuses unknown levels, missing values where the log had none and values outside the schema's
                 range; "flag" marks such rows, and those with a value beyond the log's. What cannot be encoded at all, such as a
                 text where a number is needed, is always refused.
@@ -116,8 +116,7 @@ class Predictor:
         found = self.encoder.encode(rows, outside=outside, legal=legal)
         if probabilities and not self.encoder.discrete:
             raise RowsError("probabilities are those of discrete actions, and this policy's are continuous")
-        goes_on = seed is None and self.player.members
-        rng = self.drawing if goes_on else np.random.default_rng(0 if seed is None else seed)
+        rng = self.drawing if seed is None else np.random.default_rng(seed)
         remembers = self.steps > 1 or self.player.members
         episodes = _Episodes.of(self.encoder, found, self.steps) if remembers else None
         actions, probs = acted(self.player, found.observations, episodes, rng, greedy, probabilities)

@@ -1,7 +1,8 @@
 """The card: what `ope.select` decided from the log alone. There is no other verdict on a page."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from deadreckon.ope.estimates import LOGGED
@@ -10,6 +11,7 @@ from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.parts import coloured, figure, note, tile
 from deadreckon.report.text import number, percent
+from deadreckon.runs.decision_record import has_changed, is_from
 from deadreckon.runs.offline import checked, grounds
 from deadreckon.stats.interval import Interval, fixed, level_in_words
 
@@ -28,6 +30,30 @@ def unjudged(page: Page) -> str:
         "Not judged yet: no simulator was named for this log. The page shows how training went and how far each policy moved "
         "away from the log; `deadreckon ope --select` decides from the log alone."
     )
+
+
+def as_it_is(told: dict[str, Any], estimates: Path, folders: Sequence[Path]) -> tuple[dict[str, Any] | None, str | None]:
+    """What of estimates still holds for the policies in `folders`, and where that is nothing, why, in one sentence.
+
+    A decision on a policy that was trained further is no decision on what is there now. Another policy that has changed is
+    warned of: the decision stands, but its estimates are not of what the page shows.
+
+    Args:
+        told: the estimates.
+        estimates: the folder or file that they are from.
+        folders: of the runs on the page, and of the cross-fits that these are in.
+    """
+    record = estimates if estimates.is_dir() else estimates.parent
+    changed = [
+        each["name"] for each in told["policies"]
+        if any(is_from(each, folder) and has_changed(each, record, folder) for folder in folders)
+    ]  # fmt: skip
+    choice = told["choice"]
+    if choice["name"] in changed:
+        why = f"The policy {choice['name']} has changed since it was judged"
+        return None, f"{why}, so the decision on it is not shown; `deadreckon ope --select` judges it as it is now."
+    lines = [f"{name} has changed since it was judged: its estimates are of what it was" for name in changed]
+    return told | {"choice": choice | {"warnings": [*choice["warnings"], *lines]}}, None
 
 
 def card(page: Page) -> Markup | None:

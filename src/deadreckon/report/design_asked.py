@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.effects import allowed
+from deadreckon.mbo.effects import allowed, at_value
 from deadreckon.mbo.program import ends_of
 from deadreckon.mbo.rules import Rules, written
 from deadreckon.mbo.variables import Variable
-from deadreckon.report.design_edges import data_value
+from deadreckon.report.design_edges import data_value, shown_value
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import breakable, heads_of, scroll
 from deadreckon.report.text import words
@@ -66,7 +66,7 @@ def broken_rule(data: Designs, i: int) -> str | None:
     x = data.x[i : i + 1]
     for column, value in data.rules.fixed:
         v = data.variables[column]
-        if abs(float(x[0, column]) - value) > 1e-6 * max(1.0, abs(value)):
+        if not at_value(x[0, column], value):
             return f"{v.name} = {data_value(v, value)}"
     for each in data.rules.linear:
         if not allowed(replace(data, rules=Rules(linear=(each,))), x, rounded=True)[0]:
@@ -90,14 +90,12 @@ def _rules(data: Designs) -> list[str]:
 def _may_be(v: Variable, fixed: float | None) -> Markup | str:
     """The values of a variable that may be proposed."""
     if fixed is not None:
-        return tag("b", f"fixed: {_plain(data_value(v, fixed))}")
+        return tag("b", f"fixed: {shown_value(data_value(v, fixed))}")
     if v.leveled:
         more = f" and {len(v.levels) - LEVELS:,} more" if len(v.levels) > LEVELS else ""
         return f"{', '.join(map(str, v.levels[:LEVELS]))}{more}"
-    (low, high), step = ends_of(v), "" if v.step is None else f", in steps of {_plain(v.step)}"
-    within = f"{_plain(low)} to {_plain(high)}" if np.isfinite([low, high]).all() else "without two bounds"
+    ends, step = ends_of(v), "" if v.step is None else f", in steps of {shown_value(v.step)}"
+    within = "without two bounds"
+    if np.isfinite(ends).all():
+        within = " to ".join(shown_value(data_value(v, end)) for end in ends)
     return f"{within}{step}{', on a log scale' if v.log else ''}"
-
-
-def _plain(value: object) -> str:
-    return f"{value:.7g}".replace("-", "\N{MINUS SIGN}") if isinstance(value, int | float) else str(value)

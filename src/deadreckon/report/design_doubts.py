@@ -10,7 +10,7 @@ from deadreckon.mbo.effects import Effect
 from deadreckon.mbo.first_choice import FAR
 from deadreckon.mbo.nn_distance import distance_to_others
 from deadreckon.mbo.validation import Quality
-from deadreckon.report.design_edges import at_ends, at_rules
+from deadreckon.report.design_edges import at_ends, at_rules, placed
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.text import number, words
 from deadreckon.stats.interval import LEVEL
@@ -147,7 +147,7 @@ def _of_extrapolation(data: Designs, made: Proposals) -> list[str]:
     """Proposals outside what the data holds."""
     outside = np.zeros(len(made), bool)
     for i, v in enumerate(data.variables):
-        seen, x = data.x[:, i], made.x[:, i]
+        seen, x = (placed(v, each.x[:, i]) for each in (data, made))
         slack = 1e-5 * max(float(np.ptp(seen)), 1e-30)
         outside |= ~np.isin(x, seen) if v.kind == "categorical" else (x < seen.min() - slack) | (x > seen.max() + slack)
     if not outside.any():

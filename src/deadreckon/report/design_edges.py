@@ -6,15 +6,23 @@ from deadreckon.mbo.constraints import Forbidden, Linear
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.program import ends_of
 from deadreckon.mbo.variables import Variable
-from deadreckon.report.text import number
 
 NEAR = 1e-3  # of the range of the data within which a proposal stands at the edge of a rule
 SHOWN = 5  # ends and rules at most that are told of
 
 
 def shown_value(value: object) -> str:
-    """A value of a variable as tables show it."""
-    return number(value) if isinstance(value, float) else str(value)
+    """A value of a variable as it is set: with the seven digits that 32 bits hold, of which a score is shown with fewer."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return str(value)
+    text = str(value) if isinstance(value, int) else f"{value:.7g}".replace("e+0", "e").replace("e+", "e").replace("e-0", "e-")
+    return text.replace("-", "\N{MINUS SIGN}")
+
+
+def placed(v: Variable, values: np.ndarray | float) -> np.ndarray:
+    """Numbers of a variable as they are compared: logarithms of one that is seen so, in each of whose decades a step counts."""
+    found = np.asarray(values, np.float64)
+    return np.log(np.maximum(found, np.finfo(np.float32).tiny)) if v.log else found
 
 
 def data_value(v: Variable, value: float) -> object:
@@ -28,9 +36,9 @@ def at_ends(data: Designs, x: np.ndarray, idle: set[int]) -> list[str]:
     for i, v in enumerate(data.variables):
         if i in idle or v.low == v.high or v.kind == "categorical":
             continue
-        slack = 1e-5 * max(float(np.ptp(data.x[:, i])), 1e-30)
+        slack, at = 1e-5 * max(float(np.ptp(placed(v, data.x[:, i]))), 1e-30), placed(v, x[:, i])
         for end, name in zip(ends_of(v), ("lower", "upper")):
-            count = int((np.abs(x[:, i] - end) <= slack).sum()) if np.isfinite(end) else 0
+            count = int((np.abs(at - placed(v, float(np.float32(end)))) <= slack).sum()) if np.isfinite(end) else 0
             if 2 * count >= len(x):
                 found.append((count, f"in {count:,} {v.name} is at its {name} end ({shown_value(data_value(v, end))})"))
     return [text for _, text in sorted(found, key=lambda each: -each[0])[:SHOWN]]
@@ -63,11 +71,11 @@ def _at_forbidden(data: Designs, rule: Forbidden, x: np.ndarray, fixed: set[int]
     for k, each in enumerate(rule.clauses):
         if each.levels is not None or each.column in fixed:
             continue
-        step = _step(data.variables[each.column])
+        v, values, threshold = data.variables[each.column], x[:, each.column], float(each.value)
         # The nearest value that is allowed is the threshold itself, or a step beside it where that is forbidden.
-        reach = max(NEAR * float(np.ptp(data.x[:, each.column])), step * (1 + NEAR if "=" in each.relation else 1 - NEAR))
-        others = np.delete(met, k, 0).all(0)
-        at |= others & ~met[k] & (np.abs(x[:, each.column] - float(each.value)) < reach)
+        near = np.abs(values - threshold) < _step(v) * (1 + NEAR if "=" in each.relation else 1 - NEAR)
+        near |= np.abs(placed(v, values) - placed(v, threshold)) < NEAR * np.ptp(placed(v, data.x[:, each.column]))
+        at |= np.delete(met, k, 0).all(0) & ~met[k] & near
     return at
 
 

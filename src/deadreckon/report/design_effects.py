@@ -6,6 +6,7 @@ from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.effects import MOST, ROWS, Effect, cuts
 from deadreckon.mbo.first_choice import shown_interval
+from deadreckon.report.design_edges import shown_value
 from deadreckon.report.effects import Panel, panel
 from deadreckon.report.forest import robust
 from deadreckon.report.markup import Markup, join, tag
@@ -109,7 +110,7 @@ def _caption(data: Designs, effect: Effect, variables: int, ranks: bool) -> Mark
 
 def _held(data: Designs, design: np.ndarray, column: int) -> Markup:
     value = data.decode(design[None])[data.variables[column].name][0]
-    return tag("small", f"here {number(value) if isinstance(value, float) else value}")
+    return tag("small", f"here {shown_value(value)}")
 
 
 def _folded(drawn: list[Markup], captions: list[Markup], shown: int) -> Markup:

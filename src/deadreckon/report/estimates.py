@@ -26,7 +26,7 @@ def section(page: Page) -> Markup | None:
         if any(each["effective"] for each in told["results"]) else None,
         "Without support: the share of a policy's actions, in states of the log, that the behaviour policy hardly takes. "
         "Arrows: an interval goes on beyond its chart. Model-based: no logged reward corrects the model's errors. ",
-        f"True values are means of {truth['episodes']} episodes." if truth else None,
+        f"True values are means of {truth['episodes']} episodes, in the charts with {PERCENT} intervals." if truth else None,
     )  # fmt: skip
     drawn = None
     if truth:
@@ -74,7 +74,7 @@ def _table(told: dict[str, Any]) -> Markup:
 
 
 def _true(value: float, error: float) -> Markup:
-    return tag("td", tag("b", number(value)), tag("small", f"\N{PLUS-MINUS SIGN}{number(error)}"))
+    return tag("td", tag("b", number(value)), tag("small", f"standard error {number(error)}"))
 
 
 def _range(value: float | None, low: float | None, high: float | None, signed: bool = False) -> Markup:

@@ -37,7 +37,11 @@ def lead(found: Monitored) -> str:
     """What is an alarm, in one sentence."""
     names = dict.fromkeys(f"{each.about} {each.name}" for each in found.findings if each.alarm)
     if not names:
-        return "Nothing was found."
+        drift = f" Drift was {found.untested}." if found.untested else ""
+        unknown = isinstance(found.value, str) or found.value.estimated is None
+        why = found.value.removeprefix("not compared: ") if isinstance(found.value, str) else "no estimate is known"
+        value = f" The value was not compared: {why}." if unknown else ""
+        return f"No alarm.{drift}{value}"
     return f"{len(names)} finding{'' if len(names) == 1 else 's'}: {', '.join(names)}."
 
 

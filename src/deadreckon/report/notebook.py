@@ -179,15 +179,17 @@ def _designs(data: Designs) -> Markup:
 @_shown.register
 def _proposals(made: Proposals) -> Markup:
     order = np.argsort(-made.predicted, kind="stable")[:_LISTED] if made.predicts else np.arange(min(len(made), _LISTED))
+    predicted = -made.predicted if made.minimise else made.predicted  # as the table has them
     variables = min(made.x.shape[1], _LISTED)
     body = []
     for i in order.tolist():
-        cells = [tag("td", tag("b", number(float(made.predicted[i])))), tag("td", number(float(made.predicted_std[i])))]
+        cells = [tag("td", tag("b", number(float(predicted[i])))), tag("td", number(float(made.predicted_std[i])))]
         cells += [tag("td", number(float(value))) for value in made.x[i, :variables]]
         body.append(tag("tr", tag("th", str(i), scope="row"), cells))
     head = heads_of(["design", "predicted", "standard deviation", *(f"variable {k}" for k in range(variables))])
-    which = "those with the highest predictions first" if made.predicts else "in the order in which they were proposed"
+    best = "lowest" if made.minimise else "highest"
+    which = f"those with the {best} predictions first" if made.predicts else "in the order in which they were proposed"
     text = f"{len(order):,} of {len(made):,}, {which}, as the data holds them; `decode` of the data gives names and categories."
-    drawn = figure(bars.histogram(made.predicted, "predicted scores", "designs"), "Predicted scores") if made.predicts else None
+    drawn = figure(bars.histogram(predicted, "predicted scores", "designs"), "Predicted scores") if made.predicts else None
     table = scroll(tag("table", head, tag("tbody", body)))
     return join(tag("h3", f"{len(made):,} designs by {made.method}"), drawn, table, note(coded(text)))

@@ -55,25 +55,26 @@ def write(
     """
     check_page(out)
     told = None if estimates is None else read_estimates(estimates)
-    page = read(runs)
-    if told is not None:
+    page, lead = read(runs), None
+    if told is not None and estimates is not None:
         shown = [place for e in page.entries for folder, _ in e.folders for place in (folder.path, folder.path.parent)]
         of = {each["name"]: each for each in told["policies"]}[told["choice"]["name"]]
         if not any(is_from(of, place) for place in shown):
             file = f" ({of['file']})" if of.get("file") else ""
             raise UserError(f"{estimates} decides on {of['run']}{file}, which is not among these runs; name its folder too")
-    text = render(dataclasses.replace(page, estimates=told), title)
+        told, lead = decision.as_it_is(told, Path(estimates), shown)
+    text = render(dataclasses.replace(page, estimates=told), title, lead)
     with replacing(out) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return Path(out)
 
 
-def render(page: Page, title: str | None = None) -> str:
-    """The page as text."""
+def render(page: Page, title: str | None = None, lead: str | None = None) -> str:
+    """The page as text; it begins with `lead`, or what there is to say in one sentence."""
     found, told = simulated.compare(page), page.estimates
-    if told is not None:
+    if lead is None and told is not None:
         lead = decision.headline(told)
-    else:
+    elif lead is None:
         lead = decision.unjudged(page) if found is None else found.headline
     logs = list(dict.fromkeys(e.config["data"]["name"] for e in page.entries if not e.online))
     kind = "Policies learned online in" if page.online else "Offline policies for"

@@ -14,7 +14,7 @@ def number(value: float | None, *, signed: bool = False) -> str:
         return NONE
     size = abs(value)
     if size >= 1e5 or 0 < size < 1e-4:
-        text = f"{value:.1e}".replace("e+0", "e").replace("e+", "e").replace("e-0", "e-")
+        text = f"{value:.2e}".replace("e+0", "e").replace("e+", "e").replace("e-0", "e-")
     elif size >= 10:
         text = f"{value:,.1f}" if size < 1000 else f"{value:,.0f}"
     elif size >= 1 or size == 0:

@@ -16,7 +16,7 @@ from deadreckon.policies.deployed import Mixture, history_of
 from deadreckon.policies.kinds import Categorical, Deterministic
 from deadreckon.runs.offline import grounds
 from deadreckon.runs.subject import Subject
-from deadreckon.stats.interval import Interval, decimals
+from deadreckon.stats.interval import PERCENT, Interval, decimals, level_in_words
 
 LISTED = 60  # columns
 
@@ -73,7 +73,8 @@ def _estimates(estimates: tuple[dict[str, Any], int] | None) -> list[str]:
         return ["None."]
     told, place = estimates
     lines = [f"Estimated: {told['estimand']['words']}.", ""]
-    lines += ["| estimator | value | gain over the behaviour policy |", "|---|---|---|"]
+    level = f"{level_in_words(told['choice']['level'])} for all policies at once"
+    lines += [f"| estimator | value [{PERCENT}] | gain over the behaviour policy [{level}] |", "|---|---|---|"]
     for each in told["results"]:
         value = Interval(*(_number(each[key][place]) for key in ("value", "low", "high")))
         gain = Interval(*map(_number, each["gain"][place]))

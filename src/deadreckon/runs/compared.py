@@ -163,8 +163,9 @@ def some(episodes: np.ndarray, purpose: str, *counters: int) -> np.ndarray:
     return np.sort(generator(0, purpose, *counters).choice(episodes, drift.MOST, replace=False))
 
 
-def drifts(old: Sample, new: Dataset, which: Sequence[What], first: bool, alpha: float) -> list[Compared]:
-    """Every column against the reference; the chance that any is accused without a change is at most `alpha`, ever.
+def drifts(old: Sample, new: Dataset, which: Sequence[What], first: bool, alpha: float) -> tuple[list[Compared], int]:
+    """Every column against the reference, and how many tests were made of them; the chance that any is accused without a change
+    is at most `alpha`, ever.
 
     Args:
         old: the reference.
@@ -174,6 +175,7 @@ def drifts(old: Sample, new: Dataset, which: Sequence[What], first: bool, alpha:
         alpha: over all tests that can ever be made of this log as it grows.
     """
     found: dict[int, tuple[int, int]] = {}
+    tests = 0
     if len(old.starts) >= FEWEST:
         for number, epoch in enumerate(drift.epochs(new.episodes, alpha)):
             window = some(np.arange(epoch.start, epoch.stop), "new episodes", number)
@@ -184,10 +186,12 @@ def drifts(old: Sample, new: Dataset, which: Sequence[What], first: bool, alpha:
             pairs = [_features(which[i], old, now) for i in left]
             sums = [[np.add.reduceat(pair[side], both.starts) for pair in pairs] for side, both in enumerate((old, now))]
             p = drift.test(sums[0], sums[1], (old.sizes, now.sizes), epoch.alpha, generator(0, "permutations", number))
+            tests += 1
             found |= {left[i]: (epoch.stop, epoch.stop - epoch.start) for i in np.flatnonzero(p <= epoch.alpha)}
     now = sample(new, some(np.arange(new.episodes), "all new episodes"), first)
     others = new.provenance.extra.get(OTHERS, {})
-    return [_compared(what, old, now, tuple(others.get(what.name, ())), found.get(i)) for i, what in enumerate(which)]
+    every = [_compared(what, old, now, tuple(others.get(what.name, ())), found.get(i)) for i, what in enumerate(which)]
+    return every, tests
 
 
 def _features(what: What, old: Sample, now: Sample) -> tuple[np.ndarray, np.ndarray]:

@@ -186,16 +186,33 @@ def file_of(policy: Mapping[str, Any], folder: Path) -> Path | None:
     """The file of a policy that was judged: at its place from the record's folder, or where it was; None: it is gone.
 
     Raises:
-        UserError: there is a file, and another policy in it.
+        UserError: there is a file, and another policy in it, or something that is no file.
     """
-    places = [folder / beside] if (beside := policy.get("beside")) else []
-    places += [Path(file)] if (file := policy.get("file")) else []
-    there = [place for place in places if is_there(place)]
+    there = _places(policy, folder)
     same = [place for place in there if is_same(policy, place)]
     if there and not same:
         text = f"{there[0]} is not the policy that was judged as {policy['name']}: it was trained further, or exchanged"
         raise UserError(f"{folder}: {text}; estimate it again, or name its run to use it all the same")
     return same[0] if same else None
+
+
+def _places(policy: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Where something lies that may be the file of a policy, by a record in `folder`."""
+    places = [folder / beside] if (beside := policy.get("beside")) else []
+    places += [Path(file)] if (file := policy.get("file")) else []
+    return [place for place in places if is_there(place)]
+
+
+def has_changed(policy: Mapping[str, Any], folder: Path, owner: Path) -> bool:
+    """Whether another policy than the one that was judged lies at its place in `owner`, its run's or cross-fit's folder.
+
+    Args:
+        policy: as the record has it.
+        folder: of the record.
+        owner: only files in it count: another file that still holds what was judged is not what this folder has.
+    """
+    own = [place for place in _places(policy, folder) if place.resolve().is_relative_to(owner.resolve())]
+    return bool(own) and not any(is_same(policy, place) for place in own)
 
 
 def is_same(policy: Mapping[str, Any], file: Path) -> bool:

@@ -175,10 +175,9 @@ def _explained(name: str, function: Pure, data: Dataset, steps: int) -> Explaine
     fidelity = _agreement(own, unit[fresh]) if discrete else _explained_variance(own, plain, unit[fresh])
     still = 1.0 - float(plain.mean()) if discrete else float(plain.mean() < 1e-12)
     said = action_names(data)
-    marks = {observation_names(data)[each.dimensions[-1]] for each in columns_of(data) if each.marked and each.dimensions}
     tree = None
     if explains:
-        tree = node_of(trees[depth], names, marks, _units_of(data, names), said, _units_of(data, said), discrete)
+        tree = node_of(trees[depth], names, _marks(data, steps), _units_of(data, names), said, _units_of(data, said), discrete)
     again = lambda other: ask(other, fresh)  # noqa: E731
     matters = _matters(again, x[fresh], done[fresh], unit[fresh], _groups(data, steps), scale, discrete, rng)
     ends = fidelity.value, fidelity.low, fidelity.high
@@ -269,6 +268,22 @@ def _names(data: Dataset, steps: int) -> list[str]:
     for back in range(steps - 1, 0, -1):
         out += [f"{name}, {back} back" for name in (*names, *(f"action {name}" for name in acted))]
     return [*out, *names]
+
+
+def _marks(data: Dataset, steps: int) -> dict[int, str]:
+    """The places of numbers that are 1 or 0, of an observation or a history, and what holds where they are 1: a column has a
+    level, an action is legal, or a value is missing."""
+    names, said = observation_names(data), {}
+    for each in columns_of(data):
+        if each.role == "observation" and each.kind == "category":
+            said |= {i: f"{each.name} is {names[i].removeprefix(f'{each.name}=')}" for i in each.dimensions}
+        if each.marked and each.dimensions:
+            said[each.dimensions[-1]] = f"{each.name} is missing"
+    legal = range(len(names) - data.spec.mask_size, len(names))
+    said |= {i: f"legal is {names[i].removeprefix('legal=')}" for i in legal if names[i].startswith("legal=")}
+    width, now = len(names) + len(action_names(data)), steps - 1
+    past = {(now - back) * width + i: f"{text}, {back} back" for back in range(now, 0, -1) for i, text in said.items()}
+    return past | {now * width + i: text for i, text in said.items()}
 
 
 def _units_of(data: Dataset, names: Sequence[str]) -> list[str]:

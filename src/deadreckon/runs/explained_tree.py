@@ -1,6 +1,6 @@
 """A tree as questions and answers in the names of a log, whatever library fitted it."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,7 +45,7 @@ class Node:
 
 
 def node_of(
-    tree: Any, names: Sequence[str], marks: Collection[str], units: Sequence[str], actions: Sequence[str],
+    tree: Any, names: Sequence[str], marks: Mapping[int, str], units: Sequence[str], actions: Sequence[str],
     of_actions: Sequence[str], discrete: bool,
 ) -> Node:  # fmt: skip
     """The root of scikit-learn's tree.
@@ -53,7 +53,7 @@ def node_of(
     Args:
         tree: fitted.
         names: of the numbers that it asks for.
-        marks: those of them that say where a column has no value, called NAME_missing.
+        marks: of those that are 1 or 0, by their places, what holds where they are 1, such as "plan is new".
         units: theirs, empty where nobody said one.
         actions: names of discrete actions, or of the dimensions of continuous ones.
         of_actions: units of continuous actions.
@@ -71,13 +71,9 @@ def node_of(
         if yes.leaf and no.leaf and yes.text == no.text:
             return Node(yes.text, share)  # a question whose answer changes nothing
         which = int(inner.feature[i])
-        name = str(names[which])
-        column, equals, level = name.rpartition("=")
-        if equals and column:  # a level, or a legal action, is there or not
-            return Node(f"{column} is {level}", share, no, yes)
-        if name in marks:
-            return Node(f"{name.removesuffix('_missing')} is missing", share, no, yes)
-        return Node(_measured(f"{name} <= {float(inner.threshold[i]):.4g}", units[which]), share, yes, no)
+        if which in marks:  # by the kind of its column: any column may be called as a level is, such as "NaCl=g/l"
+            return Node(marks[which], share, no, yes)
+        return Node(_measured(f"{names[which]} <= {float(inner.threshold[i]):.4g}", units[which]), share, yes, no)
 
     return made(0)
 

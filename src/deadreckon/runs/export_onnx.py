@@ -9,6 +9,7 @@ import numpy as np
 
 from deadreckon._version import __version__
 from deadreckon.errors import UserError
+from deadreckon.names import in_markdown
 from deadreckon.policies import onnx_graph
 from deadreckon.policies.decoded_rows import decoded
 from deadreckon.policies.pure import MEMBER, Pure
@@ -70,11 +71,12 @@ def write_onnx(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[s
 
 
 def _line(given: Any) -> str:
-    """An input or output, in words and as its type: its shape is (rows, ...)."""
+    """An input or output, in words and as its type: its shape is (rows, ...). Its name may be a column's, so somebody's text,
+    and no code: between backquotes nothing can be escaped."""
     one, several = _WORDS.get(given.type, ("value", "values"))
     count = math.prod(given.shape[1:])
     words = f"one {one}" if count == 1 else f"{count} {several}"
-    return f"- `{given.name}`: {words} a row (`{given.type}`, shape {given.shape})"
+    return f"- {in_markdown(given.name)}: {words} a row (`{given.type}`, shape {given.shape})"
 
 
 def _check_outside(encoder: TableEncoder, inputs: dict[str, np.ndarray], found: np.ndarray) -> None:

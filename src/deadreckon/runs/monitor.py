@@ -58,6 +58,7 @@ class Monitored(Shown):
         reference, log: names of the logs that were compared.
         rows, episodes: of the new log.
         compared: which rows and actions were compared, in words.
+        untested: why no column could be tested, a phrase; empty where they were.
         alpha: chance of a false alarm, over all looks.
         columns: observations and actions, with what changed.
         outside: rows of the new log that lie outside the reference.
@@ -71,6 +72,7 @@ class Monitored(Shown):
     rows: int
     episodes: int
     compared: str
+    untested: str
     alpha: float
     columns: tuple[Compared, ...]
     outside: Outside
@@ -107,7 +109,8 @@ def monitor(
         reference: the log to compare with, likewise; None: the one that the policy learned from.
         made_by: who made the new log. "policy": the policy of the run, so that its actions are compared with what the policy
             does in the reference, and where episodes have several steps their first steps alone, because a new policy visits
-            other states. "reference": whatever made the reference; then all rows and logged actions are compared, and the
+            other states; actions are compared in the episodes of the reference that the policy has not learned from, where
+            there are any. "reference": whatever made the reference; then all rows and logged actions are compared, and the
             value that was realised is not compared with the policy's. None: "policy"; where another reference is given than
             the log that the policy learned from, the policy made that, too, and all rows and logged actions are compared.
         estimates: the folder of `deadreckon ope --out` or `recommend`; None looks in the run's folder and beside it.
@@ -146,9 +149,15 @@ def monitor(
     first = by_policy and bool(old.lengths.max() > 1 or new.lengths.max() > 1)
     which = compared.whats(old)
     before = compared.sample(old, compared.some(np.arange(old.episodes), "reference"), first)
+    parts, fresh = [(before, which)], False
     if by_policy:
-        before = replace(before, actions=compared.acted(old, _done(one, before.observations, old, greedy)))
-    columns = compared.drifts(before, new, which, first, DRIFT * alpha)
+        acts, fresh = _acts(one, old, first, greedy)
+        sides = [[what for what in which if (what.about == "action") == acting] for acting in (False, True)]
+        parts = [(each, side) for each, side in zip((before, acts), sides) if side]
+    columns, tests = [], 0
+    for each, side in parts:
+        found, made = compared.drifts(each, new, side, first, DRIFT * alpha * len(side) / len(which))
+        columns, tests = [*columns, *found], tests + made
     outside = compared.outside(old, new, which, first, OUTSIDE * alpha)
     value: Realised | str = "not compared: the new log was not made by the policy of the run"
     if told is not None and bool(told[0]["estimand"]["greedy"]) != greedy:
@@ -156,15 +165,39 @@ def monitor(
         value = f"not compared: the policy's {used} actions are in use, and its {judged} ones were estimated"
     elif made_by != "reference":
         value = realised(new, old, told, return_range, VALUE * alpha)
-    tested = "" if new.episodes >= drift.FIRST else f"not tested: {drift.FIRST} finished episodes are needed"
-    if len(before.starts) < compared.FEWEST:
-        tested = f"not tested: the reference has {len(before.starts)} episodes or clusters, {compared.FEWEST} are needed"
-    findings = [*_of_value(value, alpha), *_of_columns(columns, tested), *_of_outside(outside, columns, len(new))]
+    untested = "" if tests else _untested(len(before.starts), new)
+    findings = [*_of_value(value, alpha), *_of_columns(columns, untested), *_of_outside(outside, columns, len(new))]
     findings.sort(key=lambda each: not each.alarm)
-    words = _words(by_policy, first, greedy)
+    words = _words(by_policy, first, greedy, fresh)
     return Monitored(
-        one.name, old.name, new.name, len(new), new.episodes, words, alpha, tuple(columns), outside, value, tuple(findings)
+        one.name, old.name, new.name, len(new), new.episodes, words, untested, alpha, tuple(columns), outside, value,
+        tuple(findings),
     )
+
+
+def _acts(one: Subject, old: Dataset, first: bool, greedy: bool) -> tuple[compared.Sample, bool]:
+    """What the policy does in the reference, in the episodes that it has not learned from where these are enough, and whether
+    they are: in those that taught it, it may do what it has memorised."""
+    every = np.arange(old.episodes)
+    unseen = every if one.taught is None else every[~np.isin(old.episode_ids, one.taught)]
+    fresh = one.taught is not None and len(np.unique(compared.units_of(old)[unseen])) >= compared.FEWEST
+    acts = compared.sample(old, compared.some(unseen if fresh else every, "reference"), first)
+    return replace(acts, actions=compared.acted(old, _done(one, acts.observations, old, greedy))), fresh
+
+
+def _untested(units: int, new: Dataset) -> str:
+    """Why no column was tested.
+
+    Args:
+        units: of the reference.
+        new: the new log.
+    """
+    if new.episodes < drift.FIRST:
+        return f"not tested: {drift.FIRST} finished episodes are needed"
+    if units < compared.FEWEST:
+        return f"not tested: the reference has {units} episodes or clusters, {compared.FEWEST} are needed"
+    own = len(np.unique(compared.units_of(new)))
+    return f"not tested: the new log has {own} episodes or clusters, {compared.FEWEST} are needed"
 
 
 def _done(one: Subject, observations: np.ndarray, log: Dataset, greedy: bool) -> np.ndarray:
@@ -173,11 +206,12 @@ def _done(one: Subject, observations: np.ndarray, log: Dataset, greedy: bool) ->
     return np.asarray(first_actions(one.policy, shaped, jax.random.key(0), greedy))
 
 
-def _words(by_policy: bool, first: bool, greedy: bool) -> str:
+def _words(by_policy: bool, first: bool, greedy: bool, fresh: bool) -> str:
     if not by_policy:
         return "compared: all rows and logged actions"
     rows = "the first step of each episode, since a new policy visits other states later" if first else "all rows"
-    return f"compared: {rows}; actions with the policy's {'greedy' if greedy else 'sampled'} ones in the reference"
+    where = "in the episodes of the reference that it has not learned from" if fresh else "in the reference"
+    return f"compared: {rows}; actions with the policy's {'greedy' if greedy else 'sampled'} ones {where}"
 
 
 def _of_value(value: Realised | str, alpha: float) -> list[Finding]:

@@ -261,8 +261,9 @@ def checked(results: dict[str, Any]) -> str:
     if "beyond" in truth:
         limit = f"; its time limit leaves {100 * truth['beyond']:.0f} % of the discounted time out, which estimates count"
     rank = int((means > means[chosen]).sum()) + 1
-    words = f"in the simulator {names[chosen]} has {means[chosen]:.2f} ± {truth['error'][chosen]:.2f} and is "
-    error = lambda other: f" ± {truth['apart'][chosen][other]:.2f}" if "apart" in truth else ""  # noqa: E731
+    said = lambda error: f" (standard error {error:.2f})"  # noqa: E731 - in words: a bare ± could be an interval
+    words = f"in the simulator {names[chosen]} has {means[chosen]:.2f}{said(truth['error'][chosen])} and is "
+    error = lambda other: said(truth["apart"][chosen][other]) if "apart" in truth else ""  # noqa: E731
     if rank == 1:
         others = [i for i in np.argsort(-means, kind="stable").tolist() if i != chosen]
         behind = [f"; the next, {names[i]}, has less by {means[chosen] - means[i]:.2f}{error(i)}" for i in others[:1]]

@@ -2,8 +2,9 @@
 
 The interval is a confidence sequence (`stats.confidence_sequence`) of the returns of finished episodes, in the order of time.
 It needs a range that returns cannot leave, and takes it without looking at the new log: as given, or that of the returns in the
-reference, widened on each side by half of its width unless these take few different values, such as 0 and 1. A return beyond
-the range makes the end of the interval that rests on it infinite from there on, and is reported.
+reference, widened on each side by half of its width unless these take few different values, such as 0 and 1. Where an estimate
+lies above it the range reaches further, as no return within it could speak for such an estimate. A return beyond the range
+makes the end of the interval that rests on it infinite from there on, and is reported.
 """
 
 from dataclasses import dataclass
@@ -125,6 +126,14 @@ def realised(
     if given is not None and not (np.isfinite(given).all() and given[0] < given[1]):
         raise UserError(f"return_range must be least and greatest return of an episode, got {given[0]:g} .. {given[1]:g}")
     x, source = returns_of(new, estimand), "as given"
+    estimated, least, among = None, -np.inf, 1
+    if told is not None:
+        first, i, among = told[0]["results"][0], told[1], len(told[0]["policies"])
+        value, low, high = (_number(first[key][i]) for key in ("value", "low", "high"))
+        # Each interval is for itself, and whoever chooses among policies takes one whose estimate is rather too high.
+        more = float(ndtri(1 - ALPHA / (2 * among)) / ndtri(1 - ALPHA / 2))
+        estimated = Interval(value, value - more * (value - low), value + more * (high - value))
+        least = estimated.low if np.isfinite(estimated.low) else -np.inf
     if given is None:
         before = returns_of(old, estimand)
         low, high = float(before.min()), float(before.max())
@@ -133,17 +142,11 @@ def realised(
             room = WIDER * (high - low) or max(abs(high), 1.0)
             source = f"{source}, {low:.4g} .. {high:.4g}, and half of its width on each side"
             low, high = low - room, high + room
+        if least >= high:
+            source, high = f"{source}, and up to the estimate", least + WIDER * (high - low)
         given = low, high
     sequence = confidence_sequence(x, given, 2 * alpha)
-    estimated, below, among = None, None, 1
-    if told is not None:
-        first, i, among = told[0]["results"][0], told[1], len(told[0]["policies"])
-        value, low, high = (_number(first[key][i]) for key in ("value", "low", "high"))
-        # Each interval is for itself, and whoever chooses among policies takes one whose estimate is rather too high.
-        more = float(ndtri(1 - ALPHA / (2 * among)) / ndtri(1 - ALPHA / 2))
-        estimated = Interval(value, value - more * (value - low), value + more * (high - value))
-        least = estimated.low if np.isfinite(estimated.low) else -np.inf
-        below = refuted_at(x, given, least, alpha) if np.isfinite(least) else None
+    below = refuted_at(x, given, least, alpha) if np.isfinite(least) else None
     outside = int(((x < given[0]) | (x > given[1])).sum())
     return Realised(estimand, sequence, estimated, given, source, outside, below, among)
 

@@ -61,7 +61,7 @@ class Service:
         policy: takes rows.
         words: which policy it is.
         limits: of a request.
-        seed: of sampled actions of all requests that name none.
+        seed: of what requests that name none draw, one after the other; None: another one in each process.
         sampled: whether requests that do not say it get sampled actions.
 
     Raises:
@@ -69,9 +69,10 @@ class Service:
     """
 
     def __init__(
-        self, policy: Predictor, words: str, limits: Limits | None = None, seed: int = 0, sampled: bool = False
+        self, policy: Predictor, words: str, limits: Limits | None = None, seed: int | None = None, sampled: bool = False
     ):  # fmt: skip
-        check_seed(seed)
+        if seed is not None:
+            check_seed(seed)
         self.policy, self.words, self.limits, self.sampled = policy, words, limits or Limits(), sampled
         self.rng = np.random.default_rng(seed)
 

@@ -49,6 +49,7 @@ class Subject:
         data: what `run.json` says of the log, or that of a cross-fit's first run; empty of a file alone.
         folder: of the run or cross-fit; None of a file alone.
         decision: folder of the decision that chose it; None where there is none.
+        taught: (episodes,) uint64 `episode_ids` of the episodes that it learned from; None where that is not known.
     """
 
     name: str
@@ -62,6 +63,7 @@ class Subject:
     data: Mapping[str, Any] = field(default_factory=dict)
     folder: Path | None = None
     decision: Path | None = None
+    taught: np.ndarray | None = None
 
     @property
     def schema(self) -> Schema | None:
@@ -206,7 +208,8 @@ def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
     config = None if run is None else run.config
     data = config or (load(owner / FIRST).config if owner is not None and (owner / FIRST / "run.json").exists() else {})
     return Subject(
-        one.name, one.acting, one.run, one.seed, one.file, one.read, told, config, data.get("data", {}), owner, decision
+        one.name, one.acting, one.run, one.seed, one.file, one.read, told, config, data.get("data", {}), owner, decision,
+        one.taught,
     )
 
 

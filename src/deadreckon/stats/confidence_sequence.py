@@ -18,6 +18,7 @@ from deadreckon.stats.betting import FRACTIONS
 from deadreckon.stats.interval import ALPHA
 
 HALVINGS = 18  # of the range, in the search of an end
+ROUNDING = 1e-9  # of the range
 POINTS = 12  # sample sizes at which the ends are computed, at most
 
 
@@ -74,12 +75,12 @@ def refuted_at(x: np.ndarray, bounds: tuple[float, float], least: float, alpha: 
         least: the smallest mean that would be fine.
         alpha: chance that it is ever refuted although the mean is that large.
     """
-    high = bounds[1]
-    if least >= high:
-        return None  # such a mean is beyond the range itself, and no sample can speak for it or against it
-    x = np.asarray(x, float)
+    high, x = bounds[1], np.asarray(x, float)
     beyond = np.flatnonzero(x > high)
     known = x[: beyond[0]] if len(beyond) else x
+    if least >= high:  # which no mean of the range is, but for that of samples that all lie at its end
+        short = np.flatnonzero((known < high) | (least > high + ROUNDING * (high - bounds[0])))
+        return int(short[0]) + 1 if len(short) else None
     over = np.flatnonzero(_capital(high - known, high - least) >= np.log(1 / alpha))
     return int(over[0]) + 1 if len(over) else None
 

@@ -1,6 +1,5 @@
 """Where the rows of batches come from: the device, the host, or experience that grows while learners learn."""
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
@@ -12,6 +11,7 @@ from jaxtyping import Array, Key
 
 from deadreckon.data.batch import BatchSource
 from deadreckon.errors import UserError
+from deadreckon.memory import memory
 from deadreckon.training.program import Column, Plan, indices, layout_of, pack
 from deadreckon.training.replay import Experience
 
@@ -280,8 +280,7 @@ def _fits(size: int) -> bool:
     stats = jax.devices()[0].memory_stats()
     if stats and "bytes_limit" in stats:
         return size < RESIDENT_SHARE * stats["bytes_limit"]
-    memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return size < RESIDENT_SHARE * memory
+    return size < RESIDENT_SHARE * memory()
 
 
 def _earliest(steps: list[np.ndarray]) -> np.ndarray:

@@ -36,6 +36,7 @@ from deadreckon.foreign.arrow import check_arrow
 from deadreckon.foreign.door import file_size
 from deadreckon.foreign.parquet import ROWS, check_parquet
 from deadreckon.interrupts import resumable
+from deadreckon.memory import memory
 from deadreckon.names import natural
 from deadreckon.progress import Progress, unwatched
 
@@ -82,14 +83,14 @@ def advice(source: Path | str, separator: str | None = None) -> str | None:
     if (kind := streamed_format(source, separator)) is None:
         return None
     files = sorted(Path(source).rglob("*.parquet")) if Path(source).is_dir() else [Path(source)]
-    size, memory = sum(file.stat().st_size for file in files), os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    size = sum(file.stat().st_size for file in files)
     if kind == "parquet":
         from pyarrow import parquet
 
         with reading(source, "Parquet"):
             about = [parquet.read_metadata(file) for file in files]
         size = sum(each.row_group(group).total_byte_size for each in about for group in range(each.num_row_groups))
-    if size <= SHARE * memory:
+    if size <= SHARE * memory():
         return None
     told = f"{size / 1e9:.1f} GB, more than {SHARE:.0%} of the memory"
     command = f"deadreckon data convert {shlex.quote(str(source))} FOLDER"
