@@ -1188,6 +1188,12 @@ MUTANTS = (
         ("report/test_design_page.py::test_ends_on_a_log_scale_are_told_by_its_decades",),
     ),
     Mutant(
+        "factor-shared", "ope/linear_sums.py",
+        "return int(policy == self.logged and not np.array_equal(self.lost_rows[:, 0], self.lost_rows[:, 1]))",
+        "return int(self.lacks_rows(policy))", "the behaviour policy is solved with the factor of more rows",
+        ("ope/test_cut.py::test_the_behaviour_policy_has_a_factor_of_its_own_rows",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

@@ -19,6 +19,7 @@ from deadreckon.ope.groups import Groups, by_group
 from deadreckon.ope.linear import Fit, LinearFQE
 from deadreckon.ope.registry import as_estimators, estimator
 from deadreckon.ope.select import gains, select
+from deadreckon.policies import BlackBoxPolicy
 from deadreckon.theory.tabular import garnet
 from tests.ope.worlds import as_policy, tables
 
@@ -356,3 +357,21 @@ def test_of_rewards_that_nothing_follows_no_row_is_lost(horizon):
     case = OPEInput(log, [as_policy(np.array([[1.0, 0.0]]))], discount=0.0, horizon=horizon, logged=True)
     for each in (LinearFQE(), DoublyRobust(kind="dr", fqe=LinearFQE()), DoublyRobust(kind="marginal", fqe=LinearFQE())):
         np.testing.assert_allclose(each.on(case).value, [1.0, 0.5], atol=0.06)
+
+
+def test_the_behaviour_policy_has_a_factor_of_its_own_rows():
+    """Some episodes end before the horizon, of which nobody knows what follows, and others go on beyond it: rewards are 1."""
+    rng, horizon = np.random.default_rng(0), 4
+    lengths = np.tile([2, 8], 150)
+    rows = int(lengths.sum())
+    ends = np.zeros(rows, bool)
+    ends[np.cumsum(lengths) - 1] = True
+    log = Dataset.from_arrays(
+        observations=rng.normal(size=(rows, 2)), actions=rng.integers(0, 2, rows), rewards=np.ones(rows),
+        terminals=np.zeros(rows, bool), timeouts=ends, behavior_log_probs=np.full(rows, np.log(0.5)),
+    )  # fmt: skip
+    policy = BlackBoxPolicy(
+        lambda seen, rng: rng.integers(0, 2, len(seen)), action_probs=lambda seen: np.full((len(seen), 2), 0.5)
+    )
+    found = LinearFQE(ridge=1.0).on(OPEInput(log, [policy], discount=1.0, horizon=horizon, logged=True))
+    np.testing.assert_allclose(found.value, horizon, rtol=0.02)

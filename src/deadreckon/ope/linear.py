@@ -190,13 +190,13 @@ class Fit:
         every_gram, every_reward, _ = sums.whole(policy)
         gram, following, reward = (np.tensordot(weight, x, 1) for x in (every_gram, sums.next[:, policy], every_reward))
         target = reward + self.case.discount * following @ pilot
-        errors, fewer = np.zeros(len(RIDGES)), sums.lacks_rows(policy)
+        errors, kind = np.zeros(len(RIDGES)), sums.kind(policy)
         for part in parts:
             own_gram = every_gram[part].sum(0)
             own = every_reward[part].sum(0) + self.case.discount * sums.next[part, policy].sum(0) @ pilot
             for j, ridge in enumerate(RIDGES):
                 rows = weight.tobytes() + np.asarray(part).tobytes()
-                factor = self._factor(gram - own_gram, ridge, rows, fewer)
+                factor = self._factor(gram - own_gram, ridge, rows, kind)
                 theta = solved(factor, target - own)
                 errors[j] += theta @ own_gram @ theta - 2 * theta @ own
         return float(RIDGES[int(np.argmin(errors))])
@@ -205,7 +205,7 @@ class Fit:
         """Solves for one policy on groups that count `weight` times each; a ridge under which it diverges is made stronger."""
         gram, following, reward, start, rows = sums.of(weight, policy)
         while True:
-            factor = self._factor(gram, ridge, weight.tobytes(), sums.lacks_rows(policy))
+            factor = self._factor(gram, ridge, weight.tobytes(), sums.kind(policy))
             base, backup = solved(factor, reward), self.case.discount * solved(factor, following)
             solve, onward = partial(solved, factor), backup
             if self.features.table is not None:
@@ -241,7 +241,7 @@ class Fit:
     def _last(self, sums: Sums, weight: np.ndarray, ridge: float, *, share: bool = True) -> Last:
         """What is solved with one step to go, by all rows; `share` keeps the factor for the other policies."""
         gram, reward, rows = sums.of_all(weight)
-        kept = partial(self._factor, gram, ridge, b"all" + weight.tobytes(), False)
+        kept = partial(self._factor, gram, ridge, b"all" + weight.tobytes(), 0)
         factor = kept() if share else cho_factor(self.penalised(gram, ridge))
         solve = partial(solved, factor) if self.features.table is None else partial(np.multiply, _inverse_counts(gram))
         return Last(solved(factor, reward), solve, rows)
@@ -422,10 +422,10 @@ class Fit:
             found["mass"] = weight[:, :-1].sum(1) * (1.0 - discount * goes_on) + weight[:, -1]
         return found
 
-    def _factor(self, gram: np.ndarray, ridge: float, rows: bytes, fewer: bool) -> Any:
-        """The Cholesky factor of a penalised Gram matrix, made once for the groups of rows that `rows` tells apart, and for the
-        behaviour policy once more where it is of `fewer`."""
-        key = (rows, ridge, fewer)
+    def _factor(self, gram: np.ndarray, ridge: float, rows: bytes, kind: int) -> Any:
+        """The Cholesky factor of a penalised Gram matrix, made once for the groups of rows that `rows` tells apart, and for
+        each kind of `Sums.kind`."""
+        key = (rows, ridge, kind)
         if key not in self._factors:
             self._factors[key] = cho_factor(self.penalised(gram, ridge))
         return self._factors[key]

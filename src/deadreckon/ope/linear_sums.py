@@ -58,6 +58,10 @@ class Sums:
         """Whether some rows say nothing of a policy, so that its sums are of fewer."""
         return bool(self.lost_rows[:, int(policy == self.logged)].any())
 
+    def kind(self, policy: int) -> int:
+        """Which policies share a Gram matrix: 1 of the behaviour policy where it has fewer rows than the others, else 0."""
+        return int(policy == self.logged and not np.array_equal(self.lost_rows[:, 0], self.lost_rows[:, 1]))
+
     def whole(self, policy: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """(groups, ...) gram, reward and rows of one policy, of the rows that say what follows."""
         if not self.lacks_rows(policy):

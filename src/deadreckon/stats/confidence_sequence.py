@@ -79,7 +79,8 @@ def refuted_at(x: np.ndarray, bounds: tuple[float, float], least: float, alpha: 
     beyond = np.flatnonzero(x > high)
     known = x[: beyond[0]] if len(beyond) else x
     if least >= high:  # which no mean of the range is, but for that of samples that all lie at its end
-        short = np.flatnonzero((known < high) | (least > high + ROUNDING * (high - bounds[0])))
+        slack = ROUNDING * (high - bounds[0])
+        short = np.flatnonzero((known < high - slack) | (least > high + slack))
         return int(short[0]) + 1 if len(short) else None
     over = np.flatnonzero(_capital(high - known, high - least) >= np.log(1 / alpha))
     return int(over[0]) + 1 if len(over) else None
