@@ -130,7 +130,7 @@ class Fit:
         self.std = float(case.log.spec.reward.std) or 1.0
         self.horizon = case.estimand.horizon
         self.counts_next = case.discount > 0 and self.horizon != 1 and not np.asarray(case.log.terminals).all()
-        self._factors: dict[tuple[bytes, float, bool], Any] = {}  # the policies share them
+        self._factors: dict[tuple[bytes, float, int], Any] = {}  # the policies share them
 
     def next_actions(self, case: OPEInput) -> np.ndarray | None:
         """What the policies do after each row; None where nothing that follows counts."""
