@@ -1,7 +1,7 @@
 """False alarms and power of `deadreckon monitor`, on simulated logs whose truth is known.
 
     python benchmarks/monitor.py --logs 200            # the tables of docs/use/monitor.md
-    python benchmarks/monitor.py --logs 100 --memorised
+    python benchmarks/monitor.py --logs 60 --memorised   # a policy that has overfitted
 
 Each new log is looked at after every episode. Where nothing has changed, an alarm at any look is a false one, and the interval
 of the realised value misses if it ever leaves out the true mean. The estimate's lower end is that true mean itself: the worst

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.stats
+from scipy.cluster.hierarchy import fcluster
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from scipy.spatial.distance import cdist
@@ -22,7 +23,7 @@ from deadreckon.mbo.forward import Forward, on_held_out
 from deadreckon.mbo.front import propose_front
 from deadreckon.mbo.gp import GP
 from deadreckon.mbo.proposal_table import about, about_front
-from deadreckon.mbo.replicates import _tree
+from deadreckon.mbo.replicates import _joined
 from deadreckon.mbo.validation import checkable, judged
 from deadreckon.mbo.variables import Variable
 from deadreckon.report.design_advice import rule_note
@@ -298,11 +299,16 @@ def test_designs_that_are_spread_otherwise_are_recipes_of_their_own(kind):
 def test_the_tree_that_joins_designs_is_minimal():
     rng = np.random.default_rng(0)
     for z in (rng.normal(size=(60, 3)), rng.integers(0, 9, (60, 2)).astype(float), nearly_repeated().x.astype(float)):
-        distance = cdist(z, z)
-        lengths, ends = _tree(distance)
-        np.testing.assert_array_equal(np.sort(lengths), np.sort(minimum_spanning_tree(distance).data))
-        np.testing.assert_array_equal(distance[tuple(ends)], lengths)
-        assert connected_components(coo_matrix((np.ones(59), ends), distance.shape), False)[0] == 1
+        distance, tree = _joined(z)
+        np.testing.assert_array_equal(distance, cdist(z, z))
+        least = minimum_spanning_tree(distance).tocoo()
+        np.testing.assert_array_equal(tree[:, 2], np.sort(least.data))
+        assert fcluster(tree, tree[-1, 2], "distance").max() == 1
+        for height in tree[[5, 20, 40], 2]:  # what is joined up to a distance are the tree's components
+            near = least.data <= height
+            parts = connected_components(coo_matrix((least.data[near], (least.row[near], least.col[near])), distance.shape))[1]
+            group = fcluster(tree, height, "distance")
+            np.testing.assert_array_equal(group[:, None] == group, parts[:, None] == parts)
 
 
 def test_a_table_of_recipes_says_so():

@@ -80,3 +80,10 @@ def test_an_episode_that_has_ended_keeps_its_last_weight_for_the_rest_of_the_tim
     half = 1 + 0.5 + 0.25 + 0.125
     np.testing.assert_allclose(np.exp(Episodes(log, 0.5, 0, np.arange(2)).typical(log_rho, whole=False)), [3 * half, 2 * half])
     np.testing.assert_allclose(np.exp(Episodes(log, 0.0, 0, np.arange(2)).typical(log_rho, whole=False)), [3.0, 2.0])
+    # Of two that go on after the first step one is cut off there: it has no more, and the other counts twice from then on.
+    cut = Dataset.from_arrays(
+        observations=np.zeros((3, 1)), actions=np.zeros((3, 1)), rewards=np.zeros(3), terminals=np.array([0, 0, 1], bool),
+        timeouts=np.array([1, 0, 0], bool),
+    )  # fmt: skip
+    weights = Episodes(cut, 1.0, 0, np.arange(2)).typical(np.log([3.0, 2.0, 2.0]), whole=False)
+    np.testing.assert_allclose(np.exp(weights), [3.0, 2.0 + 2.0 * 2.0])

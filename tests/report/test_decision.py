@@ -153,6 +153,7 @@ def test_a_policy_that_was_trained_further_is_not_deployed_by_what_was_judged(tm
     page = lambda: shown(write(runs, tmp_path / "page.html", estimates=tmp_path / "ope").read_text())  # noqa: E731
     assert "DEPLOY" in page()
     assert "has changed since" not in page()
+    assert headline(runs, tmp_path / "ope").startswith("Deploy good seed 0: ")
     (runs[1] / "policy.npz").write_bytes(b"PK more updates")
     assert "DEPLOY good seed 0" in page()
     assert "other seed 0 has changed since it was judged: its estimates are of what it was" in page()
@@ -160,6 +161,7 @@ def test_a_policy_that_was_trained_further_is_not_deployed_by_what_was_judged(tm
     assert "DEPLOY" not in page()
     assert "From the log alone" not in page()
     assert page().count("The policy good seed 0 has changed since it was judged, so the decision on it is not shown;") == 1
+    assert headline(runs, tmp_path / "ope").startswith("The policy good seed 0 has changed since it was judged")
 
 
 def test_a_standard_error_is_called_one_where_intervals_are_near(runs):

@@ -71,8 +71,8 @@ class D4PG(Agent):
         if not self.v_min < self.v_max:
             raise UserError(f"{type(self).__name__}: v_min must be below v_max, got {self.v_min} and {self.v_max}")
         if spec.rows and self.discount < 1.0:
-            steps = 1.0 / (1.0 - self.discount)
-            least, most = min(spec.reward.min, spec.reward.min * steps), max(spec.reward.max, spec.reward.max * steps)
+            ahead = 1.0 / (1.0 - self.discount)
+            least, most = min(spec.reward.min, spec.reward.min * ahead), max(spec.reward.max, spec.reward.max * ahead)
             if most < self.v_min or least > self.v_max:
                 raise UserError(
                     f"{type(self).__name__}: rewards of {spec.name} are {spec.reward.min:.4g} to {spec.reward.max:.4g}, so "

@@ -3,7 +3,7 @@
 The thesis splits its tasks (Table D.3): settings may be tuned in the simulators of training tasks only. Where there is no
 simulator, as with a log of one's own, or none may be used, off-policy estimates choose (thesis 8.2); how much that loses is
 known wherever there is a simulator after all, and told. Of a log of one's own, settings learn from one part and are
-estimated on another; the part that `train` holds out is in neither, so that it can judge what is chosen.
+estimated on another; the part that `train` holds out by default is in neither, so that it can judge what is chosen.
 """
 
 import itertools

@@ -14,7 +14,7 @@ from scipy.special import stdtrit
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.doubts import ROUNDED
 from deadreckon.mbo.fitted import Fitted
-from deadreckon.mbo.rules import NO_RULES, written
+from deadreckon.mbo.rules import NO_RULES, at_value, written
 from deadreckon.randomness import generator
 from deadreckon.stats.interval import ALPHA
 
@@ -218,11 +218,6 @@ def keeping(data: Designs) -> np.ndarray:
 def on_steps(data: Designs) -> np.ndarray:
     """(rows,) which designs of the data have multiples of the steps of all variables that have one."""
     return np.array([NO_RULES.broken(data.variables, row) is None for row in written(data.variables, data.x)], bool)
-
-
-def at_value(values: np.ndarray, value: float) -> np.ndarray:
-    """(rows,) which values of a variable are the one that is fixed, to rounding errors: a share of it, whatever its unit."""
-    return np.abs(np.asarray(values, np.float64) - value) <= SLACK * abs(value)
 
 
 def permitted(data: Designs) -> np.ndarray:

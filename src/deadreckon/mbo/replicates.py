@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial.distance import cdist
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.spatial.distance import pdist, squareform
 
 from deadreckon.errors import UserError
 from deadreckon.mbo.design_table import numbers_of
@@ -108,15 +107,13 @@ def _numbered(codes: np.ndarray) -> np.ndarray:
 
 def _linked(z: np.ndarray) -> np.ndarray:
     """(designs,) number of the recipe of each of different designs, by their places."""
-    distance = cdist(z, z)
-    lengths, ends = _tree(distance)
-    edges = np.sort(lengths)
+    distance, tree = _joined(z)
+    edges = tree[:, 2]
     wide = np.maximum(CHANCE ** (-1.0 / np.arange(1, len(edges))), LEAST)
     gaps = edges[1:] / np.maximum(edges[:-1], 1e-300) / wide
     if gaps.max() >= 1.0:
         last = int(gaps.argmax())
-        near = lengths <= edges[last]
-        group = connected_components(coo_matrix((lengths[near], ends[:, near]), distance.shape), False)[1]
+        group = fcluster(tree, edges[last], "distance") - 1
         # One row far away, or two regions, are no recipes.
         several = (np.bincount(group) > 1).sum() > 1 and len(edges) - last > APART
         if several and GAP * distance[group[:, None] == group].max() < np.median(edges[last + 1 :]):
@@ -124,20 +121,13 @@ def _linked(z: np.ndarray) -> np.ndarray:
     return np.arange(len(z))
 
 
-def _tree(distance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(n - 1,) lengths of the edges of a minimal spanning tree of n points, and (2, n - 1) their ends (Prim's algorithm).
+def _joined(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n, n) distances of points, and SciPy's tree (n - 1, 4) of their single linkage, the distances of which are sorted.
 
-    SciPy's sorts all n squared distances, which takes sixty times as long. Points at one place are joined by way of others.
+    Points at one place are joined by way of others: no two different designs have the distance of a recipe's runs for certain.
     """
-    count = len(distance)
-    lengths, ends = np.empty(count - 1), np.empty((2, count - 1), int)
-    nearest, source, outside, last = np.full(count, np.inf), np.zeros(count, int), np.arange(count) > 0, 0
-    for i in range(count - 1):
-        closer = outside & (distance[last] > 0) & (distance[last] < nearest)
-        nearest[closer], source[closer] = distance[last, closer], last
-        last = int(np.where(outside, nearest, np.inf).argmin())
-        lengths[i], ends[:, i], outside[last] = nearest[last], (source[last], last), False
-    return lengths, ends
+    far = pdist(z)
+    return squareform(far), linkage(np.where(far > 0, far, 2.0 * far.max()), "single")
 
 
 def units_told(data: "Designs", groups: str | None) -> list[str]:

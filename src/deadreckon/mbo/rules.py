@@ -15,6 +15,7 @@ from deadreckon.errors import UserError
 from deadreckon.mbo.constraints import Forbidden, Linear, conditions, places, read_clause, read_fixed, read_linear
 from deadreckon.mbo.variables import Variable
 
+ROUNDING = 1e-6  # of a fixed value, by which numbers of 32 bits may miss it
 _CONDITIONS = 50  # of a forbidden combination
 
 
@@ -125,7 +126,7 @@ class Rules:
         """
         exact = [Fraction(str(each)) for each in values]
         for column, value in self.fixed:
-            if abs(float(exact[column]) - value) > 1e-6 * abs(value):
+            if not at_value(float(exact[column]), value):
                 return f"{variables[column].name} = {value:g}"
         for v, value in zip(variables, exact):
             if v.step is not None and value % Fraction(str(v.step)):
@@ -143,6 +144,11 @@ class Rules:
 
 
 NO_RULES = Rules()
+
+
+def at_value(values: Any, value: float) -> Any:
+    """(rows,) which values of a variable are the one that is fixed, to rounding errors: a share of it, whatever its unit."""
+    return np.abs(np.asarray(values, np.float64) - value) <= ROUNDING * abs(value)
 
 
 def written(variables: Sequence[Variable], x: np.ndarray) -> list[list[Any]]:

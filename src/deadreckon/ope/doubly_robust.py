@@ -124,7 +124,10 @@ class DoublyRobust(Estimator):
         diagnostics = self._diagnostics(case, nuisances) | tails_of(case, tails) | multiplied(case.episodes, ess, average)
         diagnostics["beyond"] = np.array(share)
         nuisance = None
+        early = 0.0  # the least that remains of an error of the critics of any policy, beside the behaviour policy
         if left:
+            policies, logged = left[: len(case.policies)], left[len(case.policies) :]
+            early = max([min(policies), *logged])
             diagnostics["uncorrected"] = uncorrected = np.array(left)
             nuisance = np.where(uncorrected > 0, uncorrected * self._critics_errors(case, nuisances, begins), 0.0)
             # The same draws for all policies, so that what their critics share falls out of differences.
@@ -134,7 +137,7 @@ class DoublyRobust(Estimator):
             diagnostics["normalising"] = np.array(shifts)
         return Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), bootstrap=redrawn, ess=ess, nuisance=nuisance,
-            corrected=case.beyond <= TAIL and min(left, default=0.0) <= TAIL, warnings=tuple(warnings),
+            corrected=case.beyond <= TAIL and early <= TAIL, warnings=tuple(warnings),
             inflation=stretched(share), diagnostics=diagnostics,
         )  # fmt: skip
 
@@ -175,16 +178,6 @@ class DoublyRobust(Estimator):
             return ratios, logged_probs(each, self.behavior, self.model, folds) if each.data.spec.discrete else None
 
         return out_of_fold(case, Fit(self.fqe, case), self.folds, propensities)
-
-    def scores(self, case: OPEInput, part: np.ndarray) -> np.ndarray:
-        """(policies, episodes of the part) whose means are plain doubly robust estimates of a part (episodes,) of those judged,
-        bool: what each adds, without normalisation."""
-        episodes, nuisances, rows = case.episodes_of(part), self.nuisances(case)[0], part[case.data.episode_of]
-        ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
-        return np.stack([
-            nuisances.begins[i, part] + episodes.contributions(episodes.cumulate(row[rows]), nuisances.errors[i, rows])
-            for i, row in enumerate(ratios)
-        ])  # fmt: skip
 
     def _trusting(self, case: OPEInput) -> Estimates:
         """With weights that are trusted up to a limit (`switch`) or shrunk (`dros`), which other folds choose.

@@ -103,7 +103,8 @@ class Estimates(Shown):
         return self.corrected and max(beyond, self.left(which)) <= TAIL
 
     def left(self, which: int) -> float:
-        """Share of the discounted time in which nothing corrects the critics of one policy, or of the behaviour policy."""
+        """Share of an error of the critics that remains in the estimate of one policy, or of the behaviour policy if that is
+        more."""
         left = self.diagnostics.get("uncorrected")
         if left is None:
             return 0.0

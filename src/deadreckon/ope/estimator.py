@@ -65,7 +65,10 @@ class Estimator(eqx.Module):
         if case.crossed and not self.takes_crossed:
             raise UserError(f"{self.label} {APART}")
         if case.data.successors is not None and not self.takes_apart:
-            raise UserError(f"{case.data.name}: its rows do not follow each other, which {self.label} needs; use FQE")
+            raise UserError(
+                f"{case.data.name}: its rows do not follow each other, so {self.label} would take what the behaviour policy "
+                "did elsewhere for what it did next; use FQE, also with linear features, or a model"
+            )
 
     def on(self, case: OPEInput) -> Estimates:
         """The same on a case that several estimators share."""

@@ -87,15 +87,17 @@ def by_group(
         raise UserError(f"gains by group {WEIGHTLESS}")
     code, unit, units = groups.codes[case.held], case.episodes.group, case.episodes.groups
     size = np.bincount(code, minlength=len(groups.names))
-    row = log_ratios(case, "auto", model, None)[which]
+    found, _ = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model).nuisances(case)
+    row, logged = log_ratios(case, "auto", model, None)[which], len(case.policies)
+    score, beyond = found.begins[which] - found.begins[logged], np.ones(len(size))
     # Groups may be recorded for different times, so each has its own chances of a cut-off.
-    plain, score, beyond = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model), np.zeros(len(code)), np.ones(len(size))
     for g in np.flatnonzero(size):
         part = code == g
-        scores, episodes = plain.scores(case, part), case.episodes_of(part)
-        score[part] = scores[which] - scores[len(case.policies)]
-        share = case.beyond_of(episodes.cumulate(row[part[case.data.episode_of]]), episodes)
-        stretch = stretched([share])
+        rows, episodes = part[case.data.episode_of], case.episodes_of(part)
+        along = episodes.cumulate(row[rows])
+        score[part] += episodes.contributions(along, found.errors[which, rows])
+        score[part] -= episodes.contributions(np.zeros_like(along), found.errors[logged, rows])
+        stretch = stretched([case.beyond_of(along, episodes)])
         beyond[g] = 1.0 if stretch is None else stretch[0]
     mean = np.bincount(code, score, len(groups.names)) / np.maximum(size, 1)
     # The influence of a unit on a group is that of its episodes which are in it.

@@ -233,16 +233,18 @@ class Fit:
         else:
             factor = cho_factor(penalised)
             base, backup = solved(factor, reward), self.case.discount * solved(factor, following)
-            theta = self._last(sums, weight, ridge, share=False).base if sums.lacks_rows(policy) else base
+            theta = base
+            if sums.lacks_rows(policy):
+                every, paid, _ = sums.of_all(weight)
+                theta = solved(cho_factor(self.penalised(every, ridge)), paid)
             for _ in range(self.horizon - 1):
                 theta = base + backup @ theta
         return float(start @ theta) * self.std
 
-    def _last(self, sums: Sums, weight: np.ndarray, ridge: float, *, share: bool = True) -> Last:
-        """What is solved with one step to go, by all rows; `share` keeps the factor for the other policies."""
+    def _last(self, sums: Sums, weight: np.ndarray, ridge: float) -> Last:
+        """What is solved with one step to go, by all rows."""
         gram, reward, rows = sums.of_all(weight)
-        kept = partial(self._factor, gram, ridge, b"all" + weight.tobytes(), 0)
-        factor = kept() if share else cho_factor(self.penalised(gram, ridge))
+        factor = self._factor(gram, ridge, b"all" + weight.tobytes(), 0)
         solve = partial(solved, factor) if self.features.table is None else partial(np.multiply, _inverse_counts(gram))
         return Last(solved(factor, reward), solve, rows)
 

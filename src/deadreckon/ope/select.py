@@ -249,7 +249,7 @@ def _model_based(found: Estimates, which: int, accepted: bool, support: Support 
     beyond = found.diagnostics.get("beyond", np.zeros(which + 1))[which]
     why = "nothing that was logged corrects an error of the model"
     if found.corrected and (left := found.left(which)) > TAIL:
-        why = f"{why} in {100 * left:.0f} % of the discounted time"
+        why = f"{100 * left:.0f} % of an error of its critics remains, or of those of the behaviour policy"
     if beyond > TAIL and not degenerate:
         why = f"{100 * beyond:.0f} % of its discounted time lies beyond the ends of the recording; a shorter horizon asks less"
     return [f"its estimate is model-based only: {why}"]

@@ -1,7 +1,7 @@
 """The card: what `ope.select` decided from the log alone. There is no other verdict on a page."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +32,13 @@ def unjudged(page: Page) -> str:
     )
 
 
-def as_it_is(told: dict[str, Any], estimates: Path, folders: Sequence[Path]) -> tuple[dict[str, Any] | None, str | None]:
-    """What of estimates still holds for the policies in `folders`, and where that is nothing, why, in one sentence.
+def places(page: Page) -> list[Path]:
+    """Folders of the runs on a page, and of the cross-fits that these may be in."""
+    return [place for e in page.entries for folder, _ in e.folders for place in (folder.path, folder.path.parent)]
+
+
+def as_it_is(told: dict[str, Any], estimates: Path, page: Page) -> tuple[dict[str, Any] | None, str | None]:
+    """What of estimates still holds for the policies on a page, and where that is nothing, why, in one sentence.
 
     A decision on a policy that was trained further is no decision on what is there now. Another policy that has changed is
     warned of: the decision stands, but its estimates are not of what the page shows.
@@ -41,12 +46,12 @@ def as_it_is(told: dict[str, Any], estimates: Path, folders: Sequence[Path]) -> 
     Args:
         told: the estimates.
         estimates: the folder or file that they are from.
-        folders: of the runs on the page, and of the cross-fits that these are in.
+        page: with the runs.
     """
     record = estimates if estimates.is_dir() else estimates.parent
     changed = [
         each["name"] for each in told["policies"]
-        if any(is_from(each, folder) and has_changed(each, record, folder) for folder in folders)
+        if any(is_from(each, folder) and has_changed(each, record, folder) for folder in places(page))
     ]  # fmt: skip
     choice = told["choice"]
     if choice["name"] in changed:

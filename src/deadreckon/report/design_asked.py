@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.effects import allowed, at_value
+from deadreckon.mbo.effects import allowed
 from deadreckon.mbo.program import ends_of
-from deadreckon.mbo.rules import Rules, written
+from deadreckon.mbo.rules import Rules, at_value, written
 from deadreckon.mbo.variables import Variable
 from deadreckon.report.design_edges import data_value, shown_value
 from deadreckon.report.markup import Markup, join, tag

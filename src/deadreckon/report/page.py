@@ -57,12 +57,11 @@ def write(
     told = None if estimates is None else read_estimates(estimates)
     page, lead = read(runs), None
     if told is not None and estimates is not None:
-        shown = [place for e in page.entries for folder, _ in e.folders for place in (folder.path, folder.path.parent)]
         of = {each["name"]: each for each in told["policies"]}[told["choice"]["name"]]
-        if not any(is_from(of, place) for place in shown):
+        if not any(is_from(of, place) for place in decision.places(page)):
             file = f" ({of['file']})" if of.get("file") else ""
             raise UserError(f"{estimates} decides on {of['run']}{file}, which is not among these runs; name its folder too")
-        told, lead = decision.as_it_is(told, Path(estimates), shown)
+        told, lead = decision.as_it_is(told, Path(estimates), page)
     text = render(dataclasses.replace(page, estimates=told), title, lead)
     with replacing(out) as temporary:
         temporary.write_text(text, encoding="utf-8")

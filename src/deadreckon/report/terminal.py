@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from deadreckon.report.decision import as_it_is, unjudged
 from deadreckon.report.decision import headline as decided
-from deadreckon.report.decision import unjudged
 from deadreckon.report.entries import read
 from deadreckon.report.rows import Row, rows
 from deadreckon.report.simulated import compare
@@ -62,6 +62,7 @@ def headline(runs: Sequence[Path | str | Run], estimates: Path | str | None = No
     """
     page = read(runs)
     if estimates is not None:
-        return decided(read_estimates(estimates))
+        told, changed = as_it_is(read_estimates(estimates), Path(estimates), page)
+        return str(changed) if told is None else decided(told)
     found = compare(page)
     return (unjudged(page) if found is None else found.headline).replace("\N{MINUS SIGN}", "-")
