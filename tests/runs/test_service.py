@@ -58,17 +58,22 @@ def test_rows_get_the_actions_that_predict_gives(service, run):
     assert list(post(service, rows(new)[0], "probabilities=true&outside=flag")[1]) == ["action", "probabilities", "outside"]
 
 
-def test_sampled_actions_differ_from_request_to_request_unless_a_seed_is_named(service):
+def test_sampled_actions_differ_from_request_to_request_unless_a_seed_is_named(service, run):
     one = rows(table(1))[0]
-    assert len({post(service, one, "greedy=false")[1]["action"]["offer"] for _ in range(40)}) > 1
+    drawing = app(Service(predictor(chosen(run.path).file), "a policy", seed=0))
+    assert len({post(drawing, one, "greedy=false")[1]["action"]["offer"] for _ in range(40)}) > 1
     assert len({post(service, one, "greedy=false&seed=3")[1]["action"]["offer"] for _ in range(5)}) == 1
 
 
 def test_a_service_of_sampled_actions(run):
-    found = app(Service(predictor(chosen(run.path).file), "a policy", sampled=True))
+    policy = predictor(chosen(run.path).file)
+    found = app(Service(policy, "a policy", seed=0, sampled=True))
     one = rows(table(1))[0]
     assert len({post(found, one)[1]["action"]["offer"] for _ in range(40)}) > 1
     assert len({post(found, one, "greedy=true")[1]["action"]["offer"] for _ in range(5)}) == 1
+    # Compared by the generators' states: actions of services without a seed would be equal now and then.
+    first, second = (Service(policy, "a policy").rng.bit_generator.state for _ in range(2))
+    assert first != second
 
 
 GOOD = {"age": 30, "plan": "a", "member": True}
