@@ -1194,6 +1194,16 @@ MUTANTS = (
         ("ope/test_cut.py::test_the_behaviour_policy_has_a_factor_of_its_own_rows",),
     ),
     Mutant(
+        "imputed-zeros", "dynamics/autoregressive.py", "jax.lax.cond(known.all(), lambda: target, drawn)", "0.0",
+        "ends and rewards of unknown successors are conditioned on no change",
+        ("dynamics/test_ensemble.py::test_such_ends_are_drawn_as_often_as_they_happen",),
+    ),
+    Mutant(
+        "history-moves-on", "data/history.py", "after = self.log.ends + self.log.final_known", "after = self.log.ends + 1",
+        "histories move on where it is not known what followed",
+        ("data/test_history.py::test_what_follows_repeats_the_last_row_where_it_is_not_known",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

@@ -7,6 +7,7 @@ from deadreckon.data.batch import BatchSpec, TransitionSource
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.history import beginning, stacked
 from deadreckon.data.spec import Box, Discrete
+from deadreckon.dynamics.model import unsaid
 from deadreckon.errors import UserError
 
 
@@ -49,6 +50,15 @@ def test_discrete_actions_are_one_hot():
     log = stacked(two_episodes(actions=np.array([2, 0, 1, 1, 0]), action_space=Discrete(3)), 2)
     np.testing.assert_array_equal(log.observations[:3], [[1, 0, 0, 0, 1], [1, 0, 0, 1, 2], [2, 1, 0, 0, 3]])
     np.testing.assert_array_equal(log.final_observations, [[3, 0, 1, 0, 9], [5, 1, 0, 0, 8]])
+
+
+def test_what_follows_repeats_the_last_row_where_it_is_not_known():
+    """As of single observations: of these nothing is learned (`dynamics.model.unsaid`)."""
+    log = stacked(two_episodes(terminals=[0, 0, 1, 0, 0], timeouts=[0, 0, 0, 0, 1], final_known=[False, True],
+                               final_observations=np.array([[3.0], [8.0]])), 3)  # fmt: skip
+    np.testing.assert_allclose(log.final_observations, [ROWS[2], FINAL[1]], rtol=1e-6)
+    told = unsaid(log.observations[:], log.next_observations, log.terminals)
+    np.testing.assert_array_equal(told, [False, False, True, False, False])
 
 
 def test_the_end_of_a_row_is_the_history_of_fewer_steps():

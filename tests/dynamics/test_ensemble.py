@@ -290,3 +290,24 @@ def test_ends_of_which_a_log_does_not_say_what_they_led_to_teach_no_change(kind)
     assert report.elite_error < 0.01
     if kind is Gaussian:
         assert abs(float(jax.nn.sigmoid(logit).mean()) - 0.2) < 0.05
+
+
+@pytest.mark.parametrize("kind", [Gaussian, AutoRegressive])
+def test_such_ends_are_drawn_as_often_as_they_happen(kind):
+    """A fifth of all rows end by chance, with a reward of -5 instead of 1; all others change by 1."""
+    rng = np.random.default_rng(0)
+    terminal = rng.random(500) < 0.2
+    observation = rng.normal(size=(500, 1))
+    log = Dataset.from_arrays(
+        observations=observation, actions=np.zeros((500, 1)), rewards=1.0 - 6.0 * terminal, terminals=terminal,
+        timeouts=~terminal, final_observations=observation + ~terminal[:, None], final_known=~terminal,
+        action_space=Box((-1.0,), (1.0,)),
+    )  # fmt: skip
+    model = kind(members=1, hidden=(16,), lr=1e-2)
+    rows = TransitionSource(log, model.needs(log.spec))
+    params, _, unit = fit([model], rows, [0], 300).lane(0)
+    seen = jnp.asarray(rows.view.observe(observation.astype(np.float32)))[None]
+    change = jax.jit(model.draw)(params, seen, jnp.zeros((1, 500, 1)), jax.random.key(3))
+    assert abs(float(change.ends.mean()) - terminal.mean()) < 0.05
+    assert abs(float(unit) * float(change.reward.mean()) - np.mean(1.0 - 6.0 * terminal)) < 0.4
+    assert float((change.observation - seen).mean()) == pytest.approx(1.0 / float(rows.view.std[0]), rel=0.1)

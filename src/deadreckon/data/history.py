@@ -40,9 +40,7 @@ def stacked(log: Dataset, steps: int, view: Normalizer | None = None) -> Dataset
     if log.successors is not None:
         raise UserError(f"{log.name}: its rows do not follow each other, so it has no histories; leave history at 1")
     rows = Histories(log, steps, view or Normalizer.of(log.spec))
-    return replace(
-        log, observations=cast(np.ndarray, rows), final_observations=rows.final(), part_of=lambda: log.episode_ids
-    )
+    return replace(log, observations=cast(np.ndarray, rows), final_observations=rows.final(), part_of=lambda: log.episode_ids)
 
 
 def history_size(observation_size: int, action_size: int, steps: int) -> int:
@@ -90,8 +88,10 @@ class Histories:
         return self._before(flat, self.log.starts[self.log.episode_at(flat)], newest).reshape(*rows.shape, self.shape[1])
 
     def final(self) -> np.ndarray:
-        """(episodes, history_size) histories after each episode's last action."""
-        return self._before(self.log.ends + 1, self.log.starts, np.asarray(self.log.final_observations, np.float32))
+        """(episodes, history_size) histories after each episode's last action; where it is not known what that led to, the
+        last row's own."""
+        after = self.log.ends + self.log.final_known
+        return self._before(after, self.log.starts, np.asarray(self.log.final_observations, np.float32))
 
     def _before(self, rows: np.ndarray, starts: np.ndarray, newest: np.ndarray) -> np.ndarray:
         """Histories that end with the observations `newest`, which were seen at `rows` of episodes that begin at `starts`."""

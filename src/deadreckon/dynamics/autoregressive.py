@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from deadreckon.dynamics.gaussian import BOUND_WEIGHT
 from deadreckon.dynamics.model import LOG_VARIANCE, Model, bernoulli_nll, choices, gaussian_nll, known_of, soft_bounds
 from deadreckon.nets.mlp import MLP, ensemble
-from deadreckon.randomness import keys
+from deadreckon.randomness import key_for, keys
 from deadreckon.training.hyperparameters import Count, static
 
 
@@ -43,7 +43,11 @@ class AutoRegressive(Model):
 
     def losses(self, params, inputs, target, terminal, key):
         """See `Model`; of the numbers that were drawn, as if for all."""
-        target, known = known_of(target)  # conditioned on as no change where it is not known
+        target, known = known_of(target)
+        # What is not known is drawn as it will be when the model is: rewards and ends that were conditioned on zeros, which are
+        # hardly ever drawn, would hardly ever happen.
+        drawn = lambda: self.sample(jax.lax.stop_gradient(params), inputs, key_for(key, "not known"))[0]  # noqa: E731
+        target = jnp.where(known, target, jax.lax.cond(known.all(), lambda: target, drawn))
         numbers = target.shape[-1]
         which = jax.random.randint(key, (*terminal.shape, self.outputs), 0, numbers)
         wide = lambda x: jnp.broadcast_to(x[:, None], (len(x), self.outputs, x.shape[-1]))  # noqa: E731
