@@ -1204,6 +1204,11 @@ MUTANTS = (
         ("data/test_history.py::test_what_follows_repeats_the_last_row_where_it_is_not_known",),
     ),
     Mutant(
+        "unknown-learned", "ope/critics.py", 'error * extra["known"].T if "known" in extra else error', "error",
+        "critics of the behaviour policy learn that its last action goes on",
+        ("ope/test_cut.py::test_what_the_behaviour_policy_would_do_next",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

@@ -2,13 +2,16 @@
 
 from dataclasses import replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from deadreckon.data.batch import Batch
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
-from deadreckon.ope import ImportanceSampling, OPEInput
+from deadreckon.ope import FQED, ImportanceSampling, OPEInput
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.decide import automatic
 from deadreckon.ope.doubly_robust import DoublyRobust, stretched
@@ -197,9 +200,20 @@ def test_what_the_behaviour_policy_would_do_next(recorded):
     case = OPEInput(many, [as_policy(other)], discount=DISCOUNT, horizon=None, logged=True)
     assert Table.of(many) is None
     assert (case.shown == (~many._is_end | np.asarray(many.terminals))).all()
-    known = FQE(steps=10).problem(case)[1].extra["known"]
-    assert known[:, 0].all()
-    assert (known[:, 1] == case.shown).all()
+    settings = {"hidden": (4,), "members": 1, "batch_size": 64}
+    for small in (FQE(weight_decay=0.0, **settings), FQED(**settings)):
+        learner, rows = small.problem(case)
+        known = rows.extra["known"]
+        assert known[:, 0].all()
+        assert (known[:, 1] == case.shown).all()
+        # A batch of rows of which nobody knows it moves the critic of the other policy alone.
+        columns = rows.take(np.flatnonzero(~case.shown)[:64])
+        batch = Batch(**{name: columns.pop(name) for name in learner.needs(many.spec).columns}, extra=columns)
+        first = learner.init(rows.spec, jax.random.key(0))
+        after = jax.jit(learner.update)(first, batch, step=jnp.int32(0), key=jax.random.key(1))[0]
+        moves = jax.tree.map(lambda a, b: np.abs(b - a).reshape(2, -1).max(1), first.critics, after.critics)
+        moved = jax.tree.leaves(moves)
+        assert (np.max(moved, 0) > 0).tolist() == [True, False]
 
 
 def shuffled(log: Dataset) -> Dataset:
@@ -236,9 +250,7 @@ def test_what_follows_a_row_may_not_be_the_next_row():
     (mine,) = as_estimators([lambda data, policies, discount: [1.0]])
     assert np.isnan(mine.on(case).value[-1])
 
-    many = replace(
-        log, observations=log.observations + 1e-3 * np.random.default_rng(0).standard_normal(log.observations.shape)
-    )
+    many = replace(log, observations=log.observations + 1e-3 * np.random.default_rng(0).standard_normal(log.observations.shape))
     with pytest.raises(UserError, match="give the rows in the order in which they were recorded"):
         OPEInput(many, [as_policy(other)], discount=DISCOUNT, horizon=None, logged=True)
 

@@ -364,6 +364,18 @@ class OPEInput(Fits):
         after = np.where(self.data._is_end, rows, rows + 1)
         return self._table("next", _Following(self.data), samples, after)
 
+    def known_next(self, terminals: np.ndarray) -> dict[str, np.ndarray]:
+        """The column `known` (rows, policies) for a fit of critics: whether it is known what each policy does after a row, 1 or
+        0. What the behaviour policy did next can be missing, what others would do cannot; {} where all is known.
+
+        Args:
+            terminals: (rows,) of the rows that are fitted, also where the horizon ends an episode: nothing follows there.
+        """
+        shown = self.shown | np.asarray(terminals)
+        if not self.logged or shown.all():
+            return {}
+        return {"known": np.where(np.arange(self.count) == self.count - 1, shown[:, None], True).astype(np.float32)}
+
     def initial_actions(self, samples: int) -> np.ndarray:
         """(episodes, policies, ...) table of what the policies do at the initial observations."""
         starts = self.data.starts

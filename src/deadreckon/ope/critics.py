@@ -58,6 +58,11 @@ def expected(
     return jax.vmap(lambda member: jax.vmap(one, (0, 1))(member, table))(critics)
 
 
+def where_known(error: Float[Array, "m p b"], extra: dict[str, Array]) -> Float[Array, "m p b"]:
+    """Errors of critics, 0 where it is not known what the policy does next; see `OPEInput.known_next`."""
+    return error * extra["known"].T if "known" in extra else error
+
+
 def _each(critics: MLP, inputs: Float[Array, "b i"]) -> Float[Array, "m p b o"]:
     return jax.vmap(jax.vmap(lambda net: net(inputs)))(critics)
 

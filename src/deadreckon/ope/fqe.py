@@ -22,7 +22,7 @@ from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.ope.behavior import masks
 from deadreckon.ope.case import OPEInput
-from deadreckon.ope.critics import Best, Fitted, OutOfFold, create, expected, taken
+from deadreckon.ope.critics import Best, Fitted, OutOfFold, create, expected, taken, where_known
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fits import settled
@@ -113,9 +113,7 @@ class Critics(eqx.Module):
         """Mean squared error, weighted by how often the row's episode counts for the member; summed over critics."""
         assert batch.extra is not None
         q = taken(critics, batch.observation, batch.action)
-        square = jnp.square(q - target)
-        if "known" in batch.extra:
-            square = square * batch.extra["known"].T
+        square = where_known(jnp.square(q - target), batch.extra)
         error = square * batch.extra["weight"].T[:, None, :]
         checked = jnp.zeros(())
         if self.stops:
@@ -164,10 +162,7 @@ class FQE(Estimator):
             self, case.discount, scale, share=1.0 / case.span, first=first, members=weight.shape[1], policies=case.count,
             stops=check is not None,
         )  # fmt: skip
-        extra = {"policy": case.next_actions(self.samples), "weight": weight[data.episode_of]}
-        shown = case.shown | np.asarray(data.terminals)  # nothing follows where the horizon ends an episode
-        if case.logged and not shown.all():  # what the behaviour policy did next is missing, not what others would do
-            extra["known"] = np.where(np.arange(case.count) == case.count - 1, shown[:, None], True).astype(np.float32)
+        extra = {"policy": case.next_actions(self.samples), "weight": weight[data.episode_of]} | case.known_next(data.terminals)
         if check is not None:
             extra["check"] = check[data.episode_of]
         return learner, TransitionSource(data, learner.needs(data.spec), extra)

@@ -19,7 +19,7 @@ from deadreckon.nets.mlp import ensemble
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, renewed
 from deadreckon.nets.return_distributions import cross_entropy, mean, project, support
 from deadreckon.ope.case import OPEInput
-from deadreckon.ope.critics import in_blocks
+from deadreckon.ope.critics import in_blocks, where_known
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fits import settled
@@ -105,7 +105,7 @@ class Distributions(eqx.Module):
         """Cross entropy, weighted by how often the row's episode counts for the member; summed over critics."""
         assert batch.extra is not None
         logits = self.logits(critics, batch.observation, batch.action)
-        error, q = cross_entropy(logits, target), mean(logits, self.support)
+        error, q = where_known(cross_entropy(logits, target), batch.extra), mean(logits, self.support)
         return (error * batch.extra["weight"].T[:, None, :]).mean(-1).sum(), {"loss": error.mean(), "q": q.mean()}
 
 
@@ -119,7 +119,6 @@ class FQED(Estimator):
 
     revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"renew": "target_update_period", "gradient_clip": "max_grad_norm"}
-    takes_apart = False
 
     members: Count = static(3)  # critics per policy, each fitted on a bootstrap resample of the episodes
     hidden: Sizes = static((512, 512, 256))  # width of each hidden layer
@@ -137,18 +136,23 @@ class FQED(Estimator):
         """What tables call it."""
         return "FQE-D"
 
-    def solve(self, case: OPEInput) -> Estimates:
-        """Mean of the distributions at the initial observations."""
+    def problem(self, case: OPEInput) -> tuple[Distributions, TransitionSource]:
+        """What is trained for a case, and the rows that it learns from."""
         data, scale = case.data, Scale.of(case)
         scale = scale._replace(high=max(scale.high, scale.low + 1e-3))
         learner = Distributions(self, case.discount, scale, share=1.0 / case.span, policies=case.count)
-        redrawn = case.redrawn(self.members)
-        extra = {"policy": case.next_actions(self.samples), "weight": redrawn[data.episode_of]}
-        rows = TransitionSource(data, learner.needs(data.spec), extra)
+        weight = case.redrawn(self.members)[data.episode_of]
+        extra = {"policy": case.next_actions(self.samples), "weight": weight} | case.known_next(data.terminals)
+        return learner, TransitionSource(data, learner.needs(data.spec), extra)
+
+    def solve(self, case: OPEInput) -> Estimates:
+        """Mean of the distributions at the initial observations."""
+        data, redrawn = case.data, case.redrawn(self.members)
+        learner, rows = self.problem(case)
         state = case.train(learner, rows, self.steps, "fqe-d")
         first = rows.view.observe(np.asarray(data.observations[data.starts]))
         of = lambda seen, table: _values(learner, state.critics, seen, table)  # noqa: E731
-        values = scale.unit * in_blocks(of, first, case.initial_actions(self.initial_samples))
+        values = learner.scale.unit * in_blocks(of, first, case.initial_actions(self.initial_samples))
         found = (values * redrawn.T[:, None]).sum(-1) / redrawn.sum(0)[:, None]
         low, high = ensemble_interval(found)
         warnings = case.convergence_warnings("fqe-d", "q")
