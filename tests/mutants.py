@@ -403,7 +403,7 @@ MUTANTS = (
     Mutant(
         "hidden-rows", "data/batch.py", 'np.searchsorted(self._before, flat, side="right")',
         "np.searchsorted(self._before, flat)",
-        "a row without a known successor is learned from in place of the one after it", ("training/test_fit.py",),
+        "a row without a next observation or terminal is learned from in place of the one after it", ("training/test_fit.py",),
     ),
     Mutant(
         "spooled-quotes", "data/formats/spool.py", """_compute.replace_substring(cells, b'"', b'""')""", "cells",
@@ -411,7 +411,7 @@ MUTANTS = (
     ),
     Mutant(
         "usable-timeouts", "data/dataset.py", "self.final_known | self.terminals[self.ends]", "self.final_known | True",
-        "rows without a known successor are learned from", ("data/test_dataset.py",),
+        "rows without a next observation or terminal are learned from", ("data/test_dataset.py",),
     ),
     Mutant(
         "returns-of-long-episodes", "data/episodes.py", "to_go[rows] += factor * to_go[rows + steps]",

@@ -81,12 +81,12 @@ def test_a_second_signal_ends_the_process_but_not_its_echo(monkeypatch):
 
 
 @pytest.mark.parametrize(("args", "kept", "number", "words"), [
-    (["train", "--out", "a b"], "run.json", signal.SIGINT, "this goes on with it: deadreckon train --out 'a b' --resume"),
-    (["train", "--resume"], "run.json", signal.SIGTERM, "this goes on with it: deadreckon train --resume"),
-    (["train", "--out", "a b"], "", signal.SIGTERM, "the same command begins anew"),
-    (["ope", "--out", "x"], "fits", signal.SIGINT, "this goes on with it: deadreckon ope --out x"),
-    (["predict"], "", signal.SIGINT, "the same command begins anew"),
-    (["recommend"], "run.json", signal.SIGTERM, "recommend does not go on; the same command with another --out begins anew"),
+    (["train", "--out", "a b"], "run.json", signal.SIGINT, "to continue: deadreckon train --out 'a b' --resume"),
+    (["train", "--resume"], "run.json", signal.SIGTERM, "to continue: deadreckon train --resume"),
+    (["train", "--out", "a b"], "", signal.SIGTERM, "the same command starts again"),
+    (["ope", "--out", "x"], "fits", signal.SIGINT, "to continue: deadreckon ope --out x"),
+    (["predict"], "", signal.SIGINT, "the same command starts again"),
+    (["recommend"], "run.json", signal.SIGTERM, "recommend cannot be resumed; start again with another --out"),
 ])  # fmt: skip
 def test_the_command_says_what_goes_on(args, kept, number, words, tmp_path, monkeypatch, capsys):
     if kept:

@@ -290,7 +290,7 @@ def test_what_another_command_is_at_is_left_to_it(planned, tmp_path, capsys):
     [program] = programs(jobs)
     with alone(store.folder(program)):
         run(jobs, store, Lines(1), Here(store.path))
-    assert "seeds 0 to 1: another command is at it, and it is left to that one" in capsys.readouterr().out
+    assert "seeds 0 to 1: skipped, since another command is running it" in capsys.readouterr().out
     assert store.undone(jobs) == jobs
     assert store.failure(jobs[0], 0) is None
 

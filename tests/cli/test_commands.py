@@ -130,7 +130,7 @@ def test_human_demonstrations_train_and_report_losses_and_mmd(real_data, tmp_pat
     assert main(["train", "--agent", "bear", "--data", str(log), "--out", "run", *small]) == 0
     out = capsys.readouterr().out
     assert "5497 of 6729 rows (82 %) have actions out of bounds" in out
-    assert "25 of 6729 rows have no known successor" in out
+    assert "25 of 6729 rows are left out" in out
     assert "critic_loss" in out
     assert "mmd " in out
     assert "MMD to the log" in out

@@ -63,7 +63,7 @@ def test_options_of_what_is_estimated(made, capsys, monkeypatch):
     common += ["--steps", "50", "--hidden", "8"]
     assert main([*common, "--horizon", "5", "--discount", "1", "--unseen", "--accept-model-based"]) == 0
     out = capsys.readouterr().out
-    assert "evaluated on: 40 episodes, which no policy has learned from as the user says, although 32 of them equal" in out
+    assert "evaluated on: 40 episodes, on which no policy was trained, according to --unseen, although 32 of them equal" in out
     assert "FQE-linear, model-based: expected return of the first 5 steps of an episode; sampled actions" in out
     assert "DEPLOY" not in out  # nobody asked for a decision
     assert main([*common, "--cluster", "user"]) == 2
@@ -99,7 +99,7 @@ def test_a_policy_of_a_table_is_used_by_predict(tmp_path):
 def test_episodes_are_counted_among_those_that_nobody_learned_from(made, capsys):
     common = ["ope", "--data", str(made / "log.hdf5"), "--policies", str(made / "bc"), "--estimators", "fqe", *SMALL]
     assert main([*common, "--episodes", "3"]) == 0
-    assert "evaluated on: 3 episodes, none of which taught a policy" in capsys.readouterr().out
+    assert "evaluated on: 3 episodes on which no policy was trained" in capsys.readouterr().out
 
 
 def test_list(capsys):

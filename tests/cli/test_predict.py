@@ -154,7 +154,7 @@ def test_policies_that_a_folder_stands_for(run, tmp_path, capsys):
     assert capsys.readouterr().err == ""
     assert main([*words, "--sampled", "False"]) == 0
     said = capsys.readouterr()
-    assert "! the decision was about sampled actions, and these are the deterministic (greedy) ones" in said.err
+    assert "! the decision evaluated sampled actions, but these are deterministic (greedy)" in said.err
     assert f"bc seed 1, the policy to deploy by {tmp_path}: actions in 40 rows" in said.out
     assert (tmp_path / "a.csv").read_text() != drawn
     want = run.predictor(1).encoder.named(run.policies[1](log.observations)).tolist()
@@ -178,7 +178,7 @@ def test_a_policy_without_a_schema(tmp_path, capsys):
     with open(tmp_path / "new.csv", "w", newline="") as file:
         csv.writer(file).writerows([["x"], [1.0]])
     assert main(["predict", str(run.path), str(tmp_path / "new.csv"), "--out", str(tmp_path / "a.csv")]) == 2
-    assert "keeps no schema of its log, because it learned from arrays, pictures, online, from a t" in capsys.readouterr().err
+    assert "has no schema of its log: it was trained on arrays, on images, in a simulator, on a t" in capsys.readouterr().err
 
 
 def test_kept_columns_are_of_the_rows_that_were_predicted(run, tmp_path):

@@ -43,7 +43,7 @@ def test_a_horizon(tmp_path, capsys):
     assert "12 in 3 episodes" in capsys.readouterr().out
     data(["convert", str(plain), str(tmp_path / "cut.hdf5"), "--horizon", "4"])
     assert read(tmp_path / "cut.hdf5").lengths.tolist() == [4, 4, 4]
-    assert "2 of 12 rows have no known successor" in capsys.readouterr().err
+    assert "2 of 12 rows are left out" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("source", ["d4rl", "minari"])

@@ -800,7 +800,7 @@ def test_the_command(server, original, twin, home, capsys):
     path = str(home / "data" / f"{NAME}@d4rl.hdf5")
     assert out == f"{path}\n"
     assert "downloading hopper-medium-v2 from d4rl: 0.0 MB of 0.0 MB" in err
-    assert f"! nobody says what this file's checksum should be; its sha256 is {original.sha256}" in err
+    assert f"! no checksum is known for this file; its sha256 is {original.sha256}" in err
     data(["get", NAME, "--source", "d4rl", "--sha256", original.sha256])
     assert capsys.readouterr() == (f"{path}\n", f"! {NAME}@d4rl is there already; --force downloads it again\n")
     data(["get", NAME, "--source", "minari", "--sha256", twin.sha256])

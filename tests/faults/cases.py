@@ -182,9 +182,9 @@ def interrupted(place: Place, command: Command, rng: random.Random) -> Outcome:
         return Outcome("", broken)
     line = next(line for line in running.lines() if line.startswith("deadreckon: interrupted"))
     if not command.goes_on:
-        return Outcome("said that nothing goes on", [] if "does not go on" in line else [line])
-    goes_on = re.fullmatch(r"deadreckon: interrupted; this goes on with it: deadreckon (.*)", line)
-    if not goes_on and line != "deadreckon: interrupted; the same command begins anew":
+        return Outcome("said that nothing goes on", [] if "cannot be resumed" in line else [line])
+    goes_on = re.fullmatch(r"deadreckon: interrupted; to continue: deadreckon (.*)", line)
+    if not goes_on and line != "deadreckon: interrupted; the same command starts again":
         return Outcome("", [f"said: {line}"])
     again = run(shlex.split(goes_on[1]) if goes_on else words, place.folder, LONG)
     return Outcome(f"said that it {'goes on' if goes_on else 'begins anew'}, and that is so", whole(place, command, again))

@@ -118,7 +118,7 @@ def test_unsupported_policies_have_endless_costs():
     assert np.isinf(ends[0, 1:]).all()
     assert np.isfinite(ends[1]).all()
     cost = Cost("cost", 2.0, ends, ())
-    assert cost.objection(0, 0.95) == "nobody knows whether its cost stays within 2"
+    assert cost.objection(0, 0.95) == "it is not known whether its cost stays within 2"
 
 
 class Members(Estimator):
@@ -141,8 +141,8 @@ def test_a_cost_that_never_occurred_has_no_upper_end(judge):
     (cost,) = costs_of(case, judge, _support(case), {"cost": 0.001}, 0.025, SMALL)
     assert cost.ends[0].tolist() == [0.0, -np.inf, np.inf]
     assert cost.objection(0, 0.975) == (
-        "nobody knows whether its cost stays within 0.001: in every judged episode that counts for it the total is 0, which "
-        "does not tell how rare others are"
+        "it is not known whether its cost stays within 0.001: in every evaluated episode that counts for it the total is 0; "
+        "how rare other totals are is not known"
     )
 
 
@@ -155,7 +155,8 @@ def test_a_cost_whose_fit_has_not_settled_is_not_known():
 
     (cost,) = costs_of(case(), Diverging(), _support(case()), {"cost": 99.0}, 0.05, SMALL)
     assert np.isinf(cost.ends[0, 1:]).all()
-    assert cost.objection(0, 0.95) == "nobody knows whether its cost stays within 99: the fit of its estimate has not settled"
+    why = "the fit of its estimate has not converged"
+    assert cost.objection(0, 0.95) == f"it is not known whether its cost stays within 99: {why}"
     assert cost.objection(1, 0.95) is None
 
 

@@ -135,7 +135,7 @@ def test_decisions_by_a_guarantee_and_under_confounding():
     # The tipping point is on every card of one-step logs, and with a factor it is what decides.
     tipping = plain.more["confounding"]["tipping"]
     assert 1.0 < tipping < 3.0
-    words = f"{UNSEEN}; its gain is no longer sure where odds of logged actions are off by {tipping:.3g}"
+    words = f"{UNSEEN}; its gain is no longer significant if the odds of logged actions are wrong by a factor of {tipping:.3g}"
     assert words in plain.choice.evidence
     for gamma, deploy in ((0.98 * tipping, True), (1.05 * tipping, False)):
         found = decide(faint, [LINEAR], model=MODEL, confounding=gamma)
@@ -260,7 +260,7 @@ def test_the_tail_beside_that_of_the_log():
         Confounding(case, MODEL)
     draws_nothing = OPEInput(lqr(-0.5, 0.5, 30, 10), [BlackBoxPolicy(lambda seen, rng: -seen)], discount=0.9, noise=None)
     for ask in (lambda: tails(draws_nothing, 0, 0.1, MODEL), lambda: Confounding(draws_nothing, MODEL)):
-        with pytest.raises(UserError, match="need weights, which mean nothing for policies of continuous actions"):
+        with pytest.raises(UserError, match="need importance weights, which are degenerate for deterministic policies"):
             ask()
 
 

@@ -266,11 +266,11 @@ def test_a_log_without_a_schema_takes_arrays_alone():
     assert encoder.encode([1.0, 2.0, 3.0]).single
     np.testing.assert_array_equal(encoder.encode(np.ones((5, 3))).observations, np.ones((5, 3)))
     assert encoder.named(np.ones((5, 2))).shape == (5, 2)
-    with pytest.raises(RowsError, match=r"keeps no schema of its log, .* give arrays of observations \(rows, 3\), or train"):
+    with pytest.raises(RowsError, match=r"has no schema of its log: .* give arrays of observations \(rows, 3\), or train"):
         encoder.encode({"x": 1.0})
     with pytest.raises(RowsError, match="not finite in row 1"):
         encoder.encode([[0.0, 0.0, 0.0], [0.0, np.nan, 0.0]])
-    with pytest.raises(RowsError, match="keeps no schema"):
+    with pytest.raises(RowsError, match="has no schema"):
         TableEncoder({}).encode([{"x": 1.0}])
 
 

@@ -56,7 +56,7 @@ def test_a_log_of_ones_own_is_decided_and_nothing_says_that_it_was_not(tmp_path)
     text = page_of(runs, told({"good seed 0": (12.0, 6.0, 18.0)}, checked=False))
     seen = shown(text)
     assert "not judged" not in seen.lower()
-    assert "Not checked: no simulator was named for the estimates" in seen
+    assert "Not checked in a simulator (--task names one)" in seen
     assert 'id="simulator"' not in text
     assert "estimate against true value" not in seen
 

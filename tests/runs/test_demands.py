@@ -40,7 +40,8 @@ def test_all_of_it_on_one_card(made, capsys):
     assert told["tail"]["low"] < told["tail"]["gain"] < told["tail"]["high"]
     for words in (
         "for any number of episodes, not only many, its gain is at least -", "no check can detect confounding",
-        "if odds of logged actions are off by up to 1.2, its gain is [-", "its worst 90 % of episodes return 0.",
+        "if the odds of logged actions are wrong by a factor of up to 1.2, its gain is [-",
+        "its worst 90 % of episodes return 0.",
         "by site (97.5 %, for all groups at once)",
     ):  # fmt: skip
         assert words in out, words

@@ -270,7 +270,7 @@ def test_from_the_command_line(tmp_path, home, capsys):
     assert main([*words, "--agent", "sac", "--out", str(tmp_path / "c")]) == 2
     assert f"is a run of {agent}, sac cannot go on from it; leave --agent out" in capsys.readouterr().err
     assert main(["train", "--from", str(tmp_path / "a"), "--data", str(path)]) == 2
-    assert "--from goes on in a simulator with a run on a log: say --online --task TASK" in capsys.readouterr().err
+    assert "--from continues an offline run in a simulator: add --online --task TASK" in capsys.readouterr().err
 
 
 def test_the_log_is_read_again_as_it_was(monkeypatch):

@@ -64,7 +64,7 @@ def test_a_fifth_is_held_out_where_nothing_else_judges(run, log):
     assert len(kept) == 4
     for path in kept:
         np.testing.assert_array_equal(store.taught(path), run.taught)
-    assert "learned from 16 of 20 episodes; 4 are held out for `deadreckon ope`" in summary(run)
+    assert "trained on 16 of 20 episodes; 4 are held out for `deadreckon ope`" in summary(run)
 
 
 @pytest.mark.slow
@@ -104,7 +104,7 @@ def test_nothing_is_held_out_where_a_simulator_judges_or_nobody_wants_it(log, tm
     assert len(asked.held) == known.episodes - len(asked.taught) == round(0.5 * known.episodes)
     whole = train(log, tmp_path / "whole", holdout=0)
     np.testing.assert_array_equal(whole.taught, log.episode_ids)
-    assert "learned from all 20 episodes, none is held out" in summary(whole)
+    assert "trained on all 20 episodes, none is held out" in summary(whole)
 
 
 def test_a_run_that_is_gone_on_with_keeps_what_it_held_out(run, log, tmp_path):
@@ -192,7 +192,7 @@ def test_the_command_holds_out_whole_users_and_does_not_observe_them(tmp_path, m
     options = ["--steps", "2", "--agent.hidden", "8", "--agent.batch-size", "8"]
     given = ["train", "--agent", "bc", *columns, *options]
     assert main([*given, "--holdout-by", "user", "--holdout", "0.3", "--out", "run"]) == 0
-    assert "learned from 56 of 80 episodes; 24 are held out" in capsys.readouterr().out
+    assert "trained on 56 of 80 episodes; 24 are held out" in capsys.readouterr().out
     run = dr.load_run("run")
     assert run.config["data"]["holdout"] == {"share": 0.3, "by": "user", "seed": 0, "learning": 56, "held": 24}
     assert run.policy.inner.net.weights[0].shape[0] == 1
@@ -201,10 +201,10 @@ def test_the_command_holds_out_whole_users_and_does_not_observe_them(tmp_path, m
     assert unseen.sum() == 24
     assert len(set(log.extras["user"][unseen])) == 6
     assert main([*given, "--holdout-by", "time", "--ignore", "user", "--out", "late"]) == 0
-    assert "learned from 64 of 80 episodes; 16" in capsys.readouterr().out
+    assert "trained on 64 of 80 episodes; 16" in capsys.readouterr().out
     np.testing.assert_array_equal(seen(dr.load_run("late").taught, log), np.arange(80) < 64)
     assert main([*given, "--holdout", "0", "--ignore", "user", "--out", "all"]) == 0
-    assert "learned from all 80 episodes, none is held out" in capsys.readouterr().out
+    assert "trained on all 80 episodes, none is held out" in capsys.readouterr().out
     assert main([*given, "--holdout-by", "usr", "--out", "no"]) == 2
     assert "unknown column 'usr': did you mean user?" in capsys.readouterr().err
 

@@ -157,10 +157,10 @@ def test_what_nobody_knows_is_not_deployed_unless_the_user_says_so(noise, tmp_pa
     log, run, _ = noise
     store.save(tmp_path / "mine.npz", run.policy)
     unknown = judge([tmp_path / "mine.npz"], log, **QUICK)
-    assert "nobody knows whether it has learned from these episodes" in unknown.choice.reason
+    assert "it is not known whether it was trained on these episodes" in unknown.choice.reason
     said = judge([tmp_path / "mine.npz"], log, unseen=True, **QUICK)
     assert said.results["judged"]["fresh"]
-    assert "as the user says" in said.results["judged"]["words"]
+    assert "according to --unseen" in said.results["judged"]["words"]
 
 
 @pytest.mark.slow

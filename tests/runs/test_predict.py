@@ -216,7 +216,7 @@ def test_a_policy_file_alone_is_enough(runs, tmp_path):
 def test_files_that_keep_no_schema_say_so(runs, tmp_path):
     log, run = runs["offers"]
     store.save(tmp_path / "old.npz", run.policy)
-    with pytest.raises(UserError, match="this policy keeps no schema of its log, .*: give arrays of observations"):
+    with pytest.raises(UserError, match="this policy has no schema of its log: .*; give arrays of observations"):
         dr.load_policy(tmp_path / "old.npz").predict(offers())
     assert dr.load_policy(tmp_path / "old.npz").predict(log.observations).tolist() == run.policy(log.observations).tolist()
 

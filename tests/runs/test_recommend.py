@@ -115,10 +115,10 @@ def test_there_is_a_card_in_time_whatever_the_work_does(doing, tmp_path, budget,
     told = read_json(tmp_path / "out" / "estimates.json")
     assert told["choice"]["deploy"] is False
     assert "Do not deploy" in (tmp_path / "out" / "report.html").read_text()
-    assert lines[0].startswith(f"a card in {in_words(budget)} at the latest: about ")
+    assert lines[0].startswith(f"time plan for {in_words(budget)}: about ")
     if what != "has ended but lives on":
         assert "not enough time" in str(found)
-        assert "a budget of 2m would do, as far as is known" in str(found)
+        assert "a budget of 2m should be sufficient" in str(found)
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["estimates.json", "report.html"]
 
 
@@ -388,7 +388,7 @@ def test_deterministic_policies_come_last_and_the_plan_says_what_that_means():
     made = Attempt(job_of("", ""), lambda what, value: None)
     made.told = [{"name": "td3_bc", "why": "-", "deterministic": True}]
     plan = made._plan((64,), 100, [10.0], 20.0, 20.0)
-    assert "judged by a model only, so deployed with --accept-model-based only" in plan
+    assert "model-based estimate only, so deployed with --accept-model-based only" in plan
 
 
 @pytest.mark.slow
@@ -401,7 +401,7 @@ def test_a_fit_that_has_not_settled_does_not_deploy(small, tmp_path, monkeypatch
     assert of(sent, "done") == [True]
     choice = read_json(out / "estimates.json")["choice"]
     assert not choice["deploy"]
-    assert all("the fit of its estimate has not settled" in own for own in choice["objections"])
+    assert all("the fit of its estimate has not converged" in own for own in choice["objections"])
 
 
 @pytest.mark.slow

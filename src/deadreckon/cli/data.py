@@ -40,7 +40,7 @@ class Get:
 
 @dataclass
 class Sample:
-    """Fetch a real table to try things on, as CSV; without NAME, list them."""
+    """Download a sample table as CSV; without NAME, list the sample tables."""
 
     name: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")] = None  # such as open-bandit-random-men
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None  # file to write; None: NAME.csv
@@ -54,9 +54,9 @@ class Reading:
     separator: Annotated[str | None, tyro.conf.arg(metavar="CHARACTER")] = None
     """character that separates the columns of a text file, or comma, semicolon, tab, pipe, space; None: detected"""
     decimal: Annotated[str | None, tyro.conf.arg(metavar="point|comma")] = None
-    """mark of decimals in a text file; None: detected"""
+    """decimal separator of a text file; None: detected"""
     thousands: Annotated[str | None, tyro.conf.arg(metavar="none|point|comma|space|apostrophe")] = None
-    """mark of thousands in a text file; None: detected"""
+    """thousands separator of a text file; None: detected"""
     encoding: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """encoding of a text file, such as utf-8, utf-16 or latin-1; None: detected"""
     dates: Annotated[str | None, tyro.conf.arg(metavar="iso|day-first|month-first")] = None
@@ -70,7 +70,7 @@ class Reading:
 class Mapping(Reading):
     """Which columns of a table (CSV, Parquet, a spreadsheet, a database) are what, and how its file is read.
 
-    Names decide about columns that are not given.
+    Columns that are not given get a role by name.
     """
 
     schema: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
@@ -85,8 +85,8 @@ class Mapping(Reading):
     ignore: Annotated[tuple[str, ...] | None, _COLUMNS] = None  # columns or prefixes that are not observations
     episode: Annotated[str | None, _COLUMN] = None  # column that identifies episodes
     time: Annotated[str | None, _COLUMN] = None  # column that orders the steps of an episode
-    terminal: Annotated[str | None, _COLUMN] = None  # column that marks true ends of episodes
-    timeout: Annotated[str | None, _COLUMN] = None  # column that marks the end of a recording (time-out)
+    terminal: Annotated[str | None, _COLUMN] = None  # column that marks terminals: the task itself ended
+    timeout: Annotated[str | None, _COLUMN] = None  # column that marks timeouts: only the recording ended
     propensity: Annotated[str | None, _COLUMN] = None  # column of the probability of the logged action
     keep: Annotated[tuple[str, ...] | None, _COLUMNS] = None
     """columns to keep that are not observations, such as a user to hold out by"""
@@ -106,7 +106,7 @@ class Info:
 
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]  # file, folder or name of a known log
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table, and how its file is read
-    horizon: int | None = None  # steps after which episodes are cut, where a file does not mark its time limits
+    horizon: int | None = None  # steps after which episodes were cut off, if the file does not mark time limits
     html: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """HTML page to write: the columns, returns, actions and coverage as charts; an old one is replaced"""
 
@@ -130,7 +130,7 @@ class Convert:
     source: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")]  # file or folder to read
     target: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TARGET")]  # file, folder or minari:ID to write
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table, and how its file is read
-    horizon: int | None = None  # steps after which episodes are cut, where a file does not mark its time limits
+    horizon: int | None = None  # steps after which episodes were cut off, if the file does not mark time limits
     force: bool = False  # whether to overwrite an existing target
 
 
@@ -194,7 +194,7 @@ def _get(options: Get) -> None:
     if not got.new:
         print(f"! {got.name} is there already; --force downloads it again", file=sys.stderr)
     elif got.vouched is None:
-        known = f"nobody says what this file's checksum should be; its sha256 is {got.sha256}"
+        known = f"no checksum is known for this file; its sha256 is {got.sha256}"
         print(f"! {known}, and --sha256 checks another copy against it", file=sys.stderr)
     print(got.path)
 

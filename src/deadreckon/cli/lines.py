@@ -36,7 +36,7 @@ class Lines:
             print(f"{self.done} of {self.total}: {event.program}, done by another command", flush=True)
         elif event.what == "elsewhere":
             self._left += 1
-            print(f"{event.program}: another command is at it, and it is left to that one", flush=True)
+            print(f"{event.program}: skipped, since another command is running it", flush=True)
         elif event.what == "split":
             parts = event.program.parts
             self.total += len(parts) - 1

@@ -31,12 +31,12 @@ COMMANDS = {
     "tune": ("tune", "tune", "choose an agent's settings by estimates from a log alone, or on training tasks"),
     "recommend": ("recommend", "recommend", "learn from a log within a time budget, and recommend a policy to deploy, if any"),
     "design": ("design", "design", "propose designs from a table of scored ones (design describe|problems|get|methods|bench)"),
-    "predict": ("predict", "predict", "write a policy's actions in the rows of a new table, named as in its log"),
+    "predict": ("predict", "predict", "write a policy's actions for the rows of a new table, named as in its log"),
     "serve": ("serve", "serve", "serve a policy over HTTP: rows as JSON in, named actions out"),
     "evaluate": ("evaluate", "evaluate", "run policies in a simulator, for returns and scores with intervals"),
     "bench": ("bench", "bench", "run a benchmark suite and show its table with published numbers; bench list, bench show"),
     "theory": ("theory", "theory", "run experiments on the thesis's theory in small exact MDPs: gridworld, mmd, bounds, cnml"),
-    "explain": ("explain", "explain", "imitate a policy by a small tree, with its fidelity, and name the columns that matter"),
+    "explain": ("explain", "explain", "explain a policy by a small decision tree, and name the columns that matter"),
     "export": ("export", "export", "write a policy for other programs: ONNX, StableHLO, numpy or MLflow, with a model card"),
     "monitor": ("monitor", "monitor", "compare a new log with a policy's own: drift, rows outside the log, realised value"),
     "report": ("report", "report", "write a self-contained HTML page about run folders"),
@@ -138,12 +138,12 @@ def _run(given: list[str]) -> int:
 def _interrupted(args: Sequence[str]) -> int:
     """Says which command goes on, if any; gives the exit code."""
     if args and args[0] == "recommend":  # its time cannot be taken up again
-        what = "recommend does not go on; the same command with another --out begins anew"
+        what = "recommend cannot be resumed; start again with another --out"
     elif not interrupts.goes_on():
-        what = "the same command begins anew"
+        what = "the same command starts again"
     else:
         more = ["--resume"] if args[0] == "train" and "--resume" not in args else []
-        what = f"this goes on with it: {shlex.join(['deadreckon', *args, *more])}"
+        what = f"to continue: {shlex.join(['deadreckon', *args, *more])}"
     print(f"deadreckon: interrupted; {what}", file=sys.stderr, flush=True)
     return 128 + (interrupts.arrived() or signal.SIGINT)
 

@@ -26,7 +26,7 @@ class Monitor:
     reference: Annotated[str | None, tyro.conf.arg(metavar="LOG")] = None
     """log to compare with, such as the policy's first weeks; None: the log that the policy learned from"""
     made_by: Literal["policy", "reference"] | None = None
-    """maker of the new log: the run's policy, or whatever made the reference; None: policy, or reference with --reference"""
+    """origin of the new log: the run's policy, or the same as the reference's; None: policy, or reference with --reference"""
     estimates: Annotated[str | None, tyro.conf.arg(metavar="FOLDER")] = None
     """folder of `deadreckon ope --out` or `recommend`; None: found in the run's folder or beside it"""
     return_range: tuple[float, float] | None = None

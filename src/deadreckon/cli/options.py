@@ -21,8 +21,8 @@ _LIMITS = tyro.conf.arg(metavar="[COLUMN=]LIMIT [COLUMN=LIMIT ...]")
 class _Online(OnlineSettings):
     demonstrations: str | None = None  # log of demonstrations, a known name or a file, for agents that learn from them
     start: Annotated[str | None, tyro.conf.arg(name="from", metavar="RUN")] = None
-    """folder of a run on a log whose agent goes on, from its last update; None: from nothing"""
-    data: str | None = None  # log that every batch has a share of, a known name or a file; None: that of --from, or none
+    """folder of an offline run to continue, from its last update; None: train from scratch"""
+    data: str | None = None  # log to mix into every batch, a known name or a file; None: that of --from, or none
     settings: tyro.conf.Suppress[Any] = None
     watch: tyro.conf.Suppress[Any] = None
     callback: tyro.conf.Suppress[Any] = None
@@ -40,11 +40,11 @@ class _OnLog(TrainSettings):
 
 @dataclass
 class TrainOnline:
-    """Learn a policy by acting in a simulator; --agent NAME chooses the algorithm, --from RUN goes on with a run on a log."""
+    """Learn a policy by acting in a simulator; --agent NAME chooses the algorithm, --from RUN continues an offline run."""
 
     task: str | None = None
     """simulator to learn in: a task (see `deadreckon tasks`), a Gymnasium id such as gymnasium:Pendulum-v1, or module:Class;
-    None: with --from, the one that the run was judged in"""
+    None: with --from, the task of that run"""
     steps: int = 1_000_000  # environment steps per seed, including the uniformly random ones at the beginning
     seeds: int | None = None
     """number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1; None: 1"""
@@ -86,7 +86,7 @@ class Train:
 @dataclass(frozen=True, kw_only=True)
 class _Judge(JudgeSettings):
     cost_limit: Annotated[tuple[str, ...] | None, _LIMITS] = None
-    """largest total cost of a policy, of one cost or COLUMN=LIMIT of each; deploy only if its interval is within"""
+    """limit of a policy's total cost, one number or COLUMN=LIMIT each; deploy only if the interval's upper end is within"""
     out: str | None = None  # folder of estimates (for `report --estimates`) and checkpoints, to continue from
     model: tyro.conf.Suppress[Any] = None  # the sizes of fits make it
     counted: tyro.conf.Suppress[bool] = True
@@ -122,7 +122,7 @@ class _Recommend(RecommendSettings):
     holdout_by: Annotated[str | None, tyro.conf.arg(metavar="random|time|COLUMN")] = None
     """how to choose held-out episodes: random, the latest (time), or all episodes of some values of a COLUMN"""
     cost_limit: Annotated[tuple[str, ...] | None, _LIMITS] = None
-    """largest total cost of a policy, of one cost or COLUMN=LIMIT of each; deploy only if its interval is within"""
+    """limit of a policy's total cost, one number or COLUMN=LIMIT each; deploy only if the interval's upper end is within"""
     columns: tyro.conf.Suppress[Any] = None
 
 

@@ -65,9 +65,9 @@ def predict(args: Sequence[str]) -> None:
     policy = predictor(found.file, options.table)
     if policy.encoder.schema is None:
         raise UserError(
-            f"{found.words} keeps no schema of its log, because it learned from arrays, pictures, online, from a table whose "
-            "columns it was not given (then train it again with --action and --reward), or under an earlier version: train it "
-            "again from a table, or give arrays or pictures to its policy in Python"
+            f"{found.words} has no schema of its log: it was trained on arrays, on images, in a simulator, on a table without "
+            "column options, or by an earlier version; train it again from a table with --action and --reward, or call its "
+            "policy in Python with arrays"
         )
     ways = {key: value for key, value in vars(options.file).items() if value is not None}
     schema = Schema.from_json(policy.encoder.schema, str(found.file)).read_as(own)
@@ -75,7 +75,7 @@ def predict(args: Sequence[str]) -> None:
     table, told = read_rows(source, schema, plain=kept, **(own or {}) | ways)
     sampled = found.sampled if options.sampled is None else options.sampled
     if found.sampled and not sampled:
-        told = ["the decision was about sampled actions, and these are the deterministic (greedy) ones", *told]
+        told = ["the decision evaluated sampled actions, but these are deterministic (greedy)", *told]
     for line in told:
         print(f"! {line}", file=sys.stderr)
     for column in options.keep:

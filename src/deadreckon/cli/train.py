@@ -60,7 +60,7 @@ def _begun(args: Sequence[str], name: str | None, online: bool) -> tuple[str, An
     if given is None:
         return None
     if not online:
-        raise UserError("--from goes on in a simulator with a run on a log: say --online --task TASK")
+        raise UserError("--from continues an offline run in a simulator: add --online --task TASK")
     from deadreckon.agents import agent_name
     from deadreckon.runs.started import start_of
 
@@ -213,6 +213,6 @@ def _learned_from(data: dict[str, Any]) -> list[str]:
     if "episodes" not in data:
         return []
     if held := data.get("holdout"):
-        told = f"learned from {held['learning']:,} of {data['episodes']:,} episodes"
+        told = f"trained on {held['learning']:,} of {data['episodes']:,} episodes"
         return [f"{told}; {held['held']:,} are held out for `deadreckon ope`"]
-    return [f"learned from all {data['episodes']:,} episodes, none is held out"]
+    return [f"trained on all {data['episodes']:,} episodes, none is held out"]

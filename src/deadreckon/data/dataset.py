@@ -115,7 +115,7 @@ class Dataset(Shown):
         check_masks(name, log.observations, log.actions, log.action_space)
         warnings = bounds_warnings(name, log.actions, log.action_space, strict, log.provenance.extra)
         if lost := log.dropped:
-            warnings += [f"{lost} of {len(log)} rows have no known successor (the log ends there without a terminal), left out"]
+            warnings += [f"{lost} of {len(log)} rows are left out: they have neither a next observation nor a terminal"]
         return replace(log, warnings=tuple(warnings))
 
     @classmethod

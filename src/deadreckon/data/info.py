@@ -144,7 +144,7 @@ def render(info: Info, warnings: tuple[str, ...] = ()) -> str:
     scale = f"{info.observation_scales[0]:.3g} .. {info.observation_scales[1]:.3g}"
     facts = {
         "log": f"{info.name} ({info.source}, fingerprint {info.fingerprint})",
-        "rows": f"{info.rows:,} in {info.episodes:,} episodes, {info.dropped:,} without a known successor",
+        "rows": f"{info.rows:,} in {info.episodes:,} episodes, {info.dropped:,} without a next observation or terminal",
         "lengths": f"{_line(info.lengths)} (least, quartiles, most)",
         "ends": f"{info.terminal_share:.1%} terminal, {info.timeout_share:.1%} timeout",
         "returns": f"{_line(info.returns)}, mean {info.mean_return:.4g}",
@@ -173,7 +173,7 @@ def _ends(log: Dataset, info: Info) -> list[str]:
         text = f"{share:.0%} of the terminal episodes have the longest length, {longest:.0f}"
         out.append(f"{text}: if that is a time limit, mark them as timeouts")
     if info.own_successors:
-        text = f"{info.own_successors:,} rows have a next observation that the following row does not continue"
+        text = f"{info.own_successors:,} rows have a next observation that differs from the following row's observation"
         out.append(f"{text}: rows were shuffled, left out, or episode ends are not marked")
     if info.dropped > 0.05 * info.rows:
         text = f"{info.dropped / info.rows:.0%} of the rows have no known successor"

@@ -126,7 +126,7 @@ def _copies_of_action(log: Dataset, sample: _Sample) -> list[str]:
                 text += f", which has probability 1e{chance:.0f} by the propensities if it is known before"
                 out.append(f"{text}; leave it out (--ignore)")
             else:
-                out.append(f"{text}; unless a rule without chance took actions by it, leave it out (--ignore)")
+                out.append(f"{text}; unless a deterministic rule chose the actions by it, leave it out (--ignore)")
     return out
 
 

@@ -27,6 +27,6 @@ def about_propensities(log: Dataset) -> list[str]:
         own = np.where(actions == action, weights, 0.0)
         mean, error = float(own.mean()), float(own.std()) / np.sqrt(len(own))
         if mean > 1.0 + max(_EXCESS, _ERRORS * error):
-            text = f"propensities are too small: 1 / propensity of the rows with action {name} is {mean:.2f} in the mean"
-            return [f"{text}, and 1 is the most; do they belong to the logged actions?"]
+            text = f"propensities are too small: the weights 1 / propensity of action {name} have the mean {mean:.2f}"
+            return [f"{text}, but at most 1 is possible; check that they belong to the logged actions"]
     return []

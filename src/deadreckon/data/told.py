@@ -163,7 +163,7 @@ def _becomes(log: Dataset, column: Column, seen: dict[str, Any], at: tuple[int, 
         how = ["one 0/1 number per level"] if column.kind == "category" else []
         if column.marked:
             filled = "no level" if column.fill is None else f"{column.fill:.4g}"
-            how.append(f"missing cells: {filled}, and 1 in the last")
+            how.append(f"missing cells: {filled}, marked in the last")
         return span + (f" ({'; '.join(how)})" if how else "") + _kept(column)
     if column.role == "action":
         if isinstance(log.action_space, Box):
@@ -174,7 +174,7 @@ def _becomes(log: Dataset, column: Column, seen: dict[str, Any], at: tuple[int, 
         return f"left out: {seen.get('reason') or 'by request'}"
     words = {
         "reward": "the reward", "next_observation": f"the next {column.of}", "episode": "tells episodes apart",
-        "time": "orders the steps", "terminal": "marks true ends", "timeout": "marks ends of recordings",
+        "time": "orders the steps", "terminal": "marks terminals", "timeout": "marks timeouts",
         "propensity": f"its logarithm is kept as {LOG_PROBS}", "group": "kept; its episodes are held out together",
         "cost": "a cost, kept", "legal": f"legal actions, the last {log.spec.mask_size} numbers of the observation",
         "next_legal": "legal actions of the next observation",

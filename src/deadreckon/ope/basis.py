@@ -21,7 +21,7 @@ HEAVY = 0.7  # Pareto k of the weights above which their mean is not reliable (V
 # their mass lies in episodes that the log happens not to show that no interval by those it shows covers.
 SHARE, MANY = 0.2, 50.0
 ROUNDING = 1e-6  # of weights that average one, by which propensities may be off that are kept in 32 bits
-MORE = "; more episodes, or a policy nearer the behaviour policy, would tell more"
+MORE = "; record more episodes, or evaluate a policy closer to the behaviour policy"
 
 
 class Basis(NamedTuple):
@@ -114,8 +114,8 @@ class Basis(NamedTuple):
         own, told = [], self.diagnostics
         if self.units is not None and self.units < UNITS:
             own.append(
-                f"there are only {self.units} episodes or clusters to judge by, {UNITS} are needed, or --cross-fit where the "
-                "log has as many"
+                f"there are only {self.units} episodes or clusters to evaluate on, {UNITS} are needed; use train --cross-fit "
+                "if the log has that many"
             )
         own += self.lost
         # Of weights that take few values, which are bounded, k may be anything: it counts where few episodes decide.
@@ -125,5 +125,5 @@ class Basis(NamedTuple):
                 f"95 % confidence, at most {HEAVY:g})"
             )
         if told.get("settled", 1.0) < 1:
-            own.append("the fit of its estimate has not settled")
+            own.append("the fit of its estimate has not converged")
         return own

@@ -33,7 +33,7 @@ from deadreckon.randomness import generator, sequence
 from deadreckon.training.pictures import of_pictures
 
 LARGEST = 1e15  # size of a reward: the mean square of such values is still within float32
-WEIGHTLESS = "need weights, which mean nothing for policies of continuous actions that do not draw them"
+WEIGHTLESS = "need importance weights, which are degenerate for deterministic policies with continuous actions"
 
 
 @dataclass(frozen=True)

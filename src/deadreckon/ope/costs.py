@@ -72,7 +72,7 @@ class Cost(NamedTuple):
             return None
         if not np.isfinite(high):
             why = f": {self.unknown[which]}" if self.unknown and self.unknown[which] else ""
-            return f"nobody knows whether its {self.told} stays within {self.limit:g}{why}"
+            return f"it is not known whether its {self.told} stays within {self.limit:g}{why}"
         between = f"{value:.4g} [{low:.4g}, {high:.4g}] ({level_in_words(level)})"
         return f"its {self.told} is {between}, which may be above its limit of {self.limit:g}"
 
@@ -170,9 +170,9 @@ def _unknown(found: Estimates, case: OPEInput, model: BehaviorModel, alpha: floa
     if found.ess is not None:  # without any weight that is the reason
         same &= found.ess > 0
     settled = found.diagnostics.get("settled", np.ones(len(found.names)))
-    alike = "in every judged episode that counts for it the total is {:.4g}, which does not tell how rare others are"
+    alike = "in every evaluated episode that counts for it the total is {:.4g}; how rare other totals are is not known"
     return tuple(
-        alike.format(value) if alone else "" if known >= 1 else "the fit of its estimate has not settled"
+        alike.format(value) if alone else "" if known >= 1 else "the fit of its estimate has not converged"
         for value, alone, known in zip(total, same, settled)
     )
 

@@ -178,18 +178,18 @@ def _confounded(
         return values, alone if gamma is None else _demanded(alone, -np.inf, words)
     tipping = bounds.tipping(which) if np.isfinite(choice.low) else np.nan
     values["tipping"] = None if np.isnan(tipping) else min(tipping, MOST)
-    undone = f"its gain is no longer sure where odds of logged actions are off by {tipping:.3g}"
+    undone = f"its gain is no longer significant if the odds of logged actions are wrong by a factor of {tipping:.3g}"
     if np.isnan(tipping):
-        undone = "its gain is not above zero with confidence even if there is none"
+        undone = "its gain is not significant even without confounding"
     elif np.isinf(tipping):
-        undone = f"its gain stays sure where odds of logged actions are off by {MOST:g}"
+        undone = f"its gain remains significant if the odds of logged actions are wrong by a factor of {MOST:g}"
     choice = replace(choice, evidence=(*choice.evidence, f"{UNSEEN}; {undone}"))
     if gamma is None:
         return values, choice
     found = [bounds.gain(i, gamma) for i in range(len(case.policies))]
     values["bounds"] = [[end if np.isfinite(end) else None for end in ends] for ends in found]
     low, high = found[which]
-    words = f"if odds of logged actions are off by up to {gamma:g}, its gain is [{low:+.4g}, {high:+.4g}]"
+    words = f"if the odds of logged actions are wrong by a factor of up to {gamma:g}, its gain is [{low:+.4g}, {high:+.4g}]"
     return values, _demanded(choice, low, words)
 
 

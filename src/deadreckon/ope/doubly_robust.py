@@ -253,8 +253,8 @@ class DoublyRobust(Estimator):
         if len(over):
             worst = over[np.argmax(residual[over] / np.maximum(fitted[over], 1e-12))]
             found.append(
-                f"the critics of {case.names[worst]} overfit: they are off by {residual[worst]:.2g} deviations of the reward "
-                f"where they have not learned and by {fitted[worst]:.2g} where they have; estimates stay valid, but wide"
+                f"the critics of {case.names[worst]} overfit: their error is {residual[worst]:.2g} reward standard deviations "
+                f"out of fold and {fitted[worst]:.2g} on the training rows; estimates remain valid, but intervals are wide"
             )
         return found + self._network_warnings(case)
 
@@ -324,12 +324,12 @@ class DoublyRobust(Estimator):
         if exact:
             warnings.append(
                 f"{self.label} assumes that observations are Markov (they hold all that matters), which its interval does "
-                "not know"
+                "not include"
             )
         else:
             warnings.append(
-                "its critics and its ratios are linear in the same features, which are not a table here: where both are wrong, "
-                "nothing corrects them, and the interval does not know"
+                "its critics and its ratios are linear in the same features, which are not a table here: if both are wrong, "
+                "nothing corrects the error, and the interval does not include it"
             )
         return Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), ess=ess, corrected=exact,

@@ -41,8 +41,8 @@ def without_losses(case: OPEInput, found: Estimates, support: Support, model: Be
         chance = (1.0 - share) ** count
         if chance > alpha / 2 / len(out) and low <= shift:
             out[i] = (
-                f"the {count:.0f} rows that its weights amount to have no reward below {least:.4g}, as {share:.1%} of all rows "
-                f"have; so many have none by chance in {chance:.0%} of logs, and with as many its lower end would be "
+                f"none of its {count:.0f} effective rows has a reward below {least:.4g}, but {share:.1%} of all rows do; this "
+                f"happens by chance in {chance:.0%} of logs, and with the log's share of such rewards its lower end would be "
                 f"{low - shift:+.4g}"
             )
     return out

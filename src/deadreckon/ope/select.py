@@ -167,7 +167,7 @@ def select(
     elif low > 0:
         deploy, reason = True, f"{unit}; the lower end is above zero"
     else:
-        deploy, reason = False, f"{name} has the highest lower end, with {unit}, which may be chance"
+        deploy, reason = False, f"{name} has the highest lower end, with {unit}; the lower end is not above zero"
     evidence = []
     for each, told in zip(estimates[1:], found[1:]):
         chosen = max(range(len(names)), key=lambda i: _standing(each, told[i]))
@@ -179,8 +179,8 @@ def select(
     which, moved = moved_most(first, known)
     if moved > ALARMING * max(high - low, 0.0):
         warnings.append(
-            f"the learned propensities do not fit the log: normalised weights, which should change nothing, move the gain of "
-            f"{first.names[which]} by {moved:.2g}, and all intervals are wider for it"
+            f"the learned propensities do not fit the log: normalising the weights, which should change nothing, changes the "
+            f"gain of {first.names[which]} by {moved:.2g}; all intervals are widened accordingly"
         )
     if support is not None and np.isnan(support.missing[best]):
         warnings.append(f"the log is too short to tell how many of {name}'s actions have support")
@@ -247,7 +247,7 @@ def _model_based(found: Estimates, which: int, accepted: bool, support: Support 
     if accepted or (found.corrects(which) and not degenerate):
         return []
     beyond = found.diagnostics.get("beyond", np.zeros(which + 1))[which]
-    why = "nothing that was logged corrects an error of the model"
+    why = "no logged reward corrects the model's errors"
     if found.corrected and (left := found.left(which)) > TAIL:
         why = f"{100 * left:.0f} % of an error of its critics remains, or of those of the behaviour policy"
     if beyond > TAIL and not degenerate:

@@ -97,7 +97,7 @@ class StateMarginal(Estimator):
         ess = np.asarray(ess)
         warnings = [
             *episodes.warnings(case.names, ess, ahead=case.cut_ahead),
-            "SMIS assumes that states are Markov (they hold all that matters), which its interval does not know",
+            "SMIS assumes that states are Markov (they hold all that matters), which its interval does not include",
             *(f"{100 * part:.0f} % of what {name} does leads to states in which nothing is known of what it does there"
               for name, part in zip(case.names, lost) if part > TAIL),
         ]  # fmt: skip

@@ -139,8 +139,8 @@ class TableEncoder:
         if not self.observed:
             size = "size" if self.shape is None else ", ".join(map(str, self.shape))
             raise RowsError(
-                f"{self.name}: this policy keeps no schema of its log, because it learned from arrays, online, from a table "
-                "whose columns it was not given (--action, --reward), or under an earlier version: give arrays of observations "
+                f"{self.name}: this policy has no schema of its log: it was trained on arrays, in a simulator, on a table "
+                "without column options (--action, --reward), or by an earlier version; give arrays of observations "
                 f"(rows, {size}), or train it again from the table"
             )
         if missing := [key for key in self.observed if key not in columns]:

@@ -151,7 +151,7 @@ def _against(told: dict[str, Any], chosen: int) -> Markup:
     said = {f"{name}: {'; '.join(own)}" for name, own in others}
     lines = [*choice["evidence"], *(line for line in choice["warnings"] if line not in said)]
     lines = [*choice["objections"][chosen], *lines]
-    items = tag("p", "Nothing that can be checked.")
+    items = tag("p", "None were found.")
     if lines:
         items = tag("ul", [tag("li", line) for line in lines], class_="caveats")
     more = None
@@ -185,6 +185,6 @@ def _gains(page: Page, told: dict[str, Any]) -> Markup | None:
         return None
     marks.sort(key=lambda mark: (mark.name != told["choice"]["name"], mark.hollow, -mark.spread.value))
     level = level_in_words(told["choice"]["level"])
-    hollow = "; hollow: something speaks against it" if any(mark.hollow for mark in marks) else ""
+    hollow = "; hollow: with objections" if any(mark.hollow for mark in marks) else ""
     drawn = forest.forest(marks, f"estimated gain over the behaviour policy, {level} for all at once", [(LOGGED, 0.0)])
     return figure(drawn, f"Estimated gain over the behaviour policy ({first['method']}, {level} for all at once{hollow})")

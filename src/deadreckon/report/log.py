@@ -62,7 +62,8 @@ def _facts(info: Info) -> list[tuple[str, str]]:
         ("source", info.source), ("fingerprint", info.fingerprint), ("rows", f"{info.rows:,}"),
         ("episodes", f"{info.episodes:,}"), ("steps an episode", f"{info.lengths[0]:g} to {info.lengths[-1]:g}"),
         ("ends", f"{info.terminal_share:.1%} terminal, {info.timeout_share:.1%} timeout"),
-        ("without a known successor", f"{info.dropped:,} rows"), ("observation", f"{shape} {info.observation_dtype}"),
+        ("without a next observation or terminal", f"{info.dropped:,} rows"),
+        ("observation", f"{shape} {info.observation_dtype}"),
         ("actions", info.action), ("mean return", number(info.mean_return)), ("mean reward", number(info.reward_mean)),
     ]  # fmt: skip
 

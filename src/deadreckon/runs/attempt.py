@@ -343,7 +343,7 @@ class Attempt:
         width = max(len(each["name"]) for each in self.told)
         lines = []
         for each, rate in zip(self.told, rates):
-            no = "; draws nothing: judged by a model only" if each["deterministic"] else ""
+            no = "; deterministic: model-based estimate only" if each["deterministic"] else ""
             may = "" if not no or self.settings.accept_model_based else ", so deployed with --accept-model-based only"
             lines.append(f"  {each['name']:<{width}}  {in_words(steps / rate):>6}  {each['why']}{no}{may}")
         head = f"{len(lines)} candidates of {steps:,} updates, networks of {', '.join(map(str, hidden))}"

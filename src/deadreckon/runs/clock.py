@@ -53,6 +53,6 @@ class Clock:
         parts = [LEARNING * work, (1 - LEARNING) * work, self.reserve]
         learning, judging, reserve = map(in_words, parts)
         return (
-            f"a card in {in_words(self.budget)} at the latest: about {learning} for pilots and learning, {judging} for judging "
-            f"on held-out episodes, {reserve} in reserve; pilots measure what this log needs on this machine"
+            f"time plan for {in_words(self.budget)}: about {learning} for pilots and training, {judging} for the evaluation "
+            f"on held-out episodes, {reserve} in reserve; pilots measure the speed on this log and machine"
         )

@@ -20,7 +20,7 @@ from deadreckon.runs.reading import Read, check_encoding, check_episodes
 from deadreckon.runs.seen import Seen
 from deadreckon.runs.train import Run, load
 
-NOBODY = "nobody knows whether it has learned from these episodes (--unseen says that it has not)"
+NOBODY = "it is not known whether it was trained on these episodes (--unseen asserts that it was not)"
 LEARNED = "it has learned from these episodes"
 
 
@@ -170,7 +170,7 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
         held = np.flatnonzero(fresh_too)
         equal = int((~known.unseen[held]).sum())
         more = f", although {equal:,} of them equal episodes that taught a policy" if equal else ""
-        told = f"{len(held):,} episodes, which no policy has learned from as the user says{more}"
+        told = f"{len(held):,} episodes on which no policy was trained, according to --unseen{more}"
         return Fresh(held, against, told)
     crossed = not left.all()
     left &= known.unseen
@@ -183,7 +183,7 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
         return Fresh(everything, against, told)
     against = [NOBODY if nobody else None for nobody in unknown]
     held = np.flatnonzero(left)
-    those = f"{len(held):,} episodes, none of which taught a policy"
+    those = f"{len(held):,} episodes on which no policy was trained"
     if taught:
         those = f"{len(held):,} held-out episodes of {data.episodes:,}"
     return Fresh(held, against, those + (", as far as is known" if any(unknown) else ""))

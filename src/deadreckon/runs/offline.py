@@ -219,7 +219,7 @@ def grounds(results: dict[str, Any]) -> list[tuple[str, str]]:
     looked = f"look {looks['number']} at these episodes or some of them, {policies} so far in all looks"
     if not looks["counted"]:
         looked = "looks at these episodes were not counted"
-    known = {"logged": "those that were logged", "learned": "a model's of the behaviour policy: none were logged"}
+    known = {"logged": "logged", "learned": "estimated by a model of the behaviour policy; none were logged"}
     lines = [
         ("log", results["log"]),
         ("estimated", results["estimand"]["words"]),
@@ -251,7 +251,7 @@ def checked(results: dict[str, Any]) -> str:
     """What the simulator says to the choice, in one line: its regret is what the best policy would have had beyond it."""
     truth = results["truth"]
     if truth is None:
-        return "not checked: no simulator was named for the estimates"
+        return "not checked in a simulator (--task names one)"
     means = np.asarray(truth["mean"])
     names = [each["name"] for each in results["policies"]]
     chosen = names.index(results["choice"]["name"])

@@ -191,14 +191,14 @@ def _unjudged(out: Path, log: str, again: str | None, found: Found, clock: Clock
     if found.refused or found.unfinished or found.fault:
         reason = str(found.refused or found.unfinished or found.fault)
         if state.get("short"):
-            evidence.append(f"a budget of {_enough(state, clock)} would do, as far as is known")
+            evidence.append(f"a budget of {_enough(state, clock)} should be sufficient")
     else:
         learned = sum(each["state"] == "learned" for each in candidates)
         of = f"{learned} of {len(candidates)} candidates have learned, none is judged"
         came = of if candidates else "nothing has learned"
         reason = f"not enough time: {in_words(clock.budget)} were over while {stage}; {came}"
         evidence.append(f"to be done: {', '.join(_rest(stage, bool(candidates)))}")
-        evidence.append(f"a budget of {_enough(state, clock)} would do, as far as is known")
+        evidence.append(f"a budget of {_enough(state, clock)} should be sufficient")
     learned = [each for each in candidates if each["state"] == "learned"]
     if learned and again is not None:
         words = ["deadreckon", "ope", "--data", again, "--policies", *(str(out / each["name"]) for each in learned), "--select"]

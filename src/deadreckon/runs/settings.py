@@ -111,8 +111,8 @@ class OnlineSettings(RunSettings):
     threads: int | None = None  # threads of the simulator; None: one per core; results do not depend on it
     settings: Online | None = None  # how acting and learning take turns; None: the agent's own, or the defaults of `Online`
     demonstrations: Dataset | str | Path | None = None  # log of demonstrations, for agents that learn from them (DAPG)
-    start: object = None  # run on a log (a `Run` or its folder) whose agent goes on, from its last update; None: from nothing
-    data: Dataset | str | Path | None = None  # log that every batch has a share of; None: that of `start`, or none
+    start: object = None  # offline run to continue (a `Run` or its folder), from its last update; None: train from scratch
+    data: Dataset | str | Path | None = None  # log to mix into every batch; None: that of `start`, or none
     log_share: float = 0.5  # share of the log in each batch, where there is one; the rest is the agent's own experience
 
 

@@ -33,8 +33,8 @@ def read_table(
     Args:
         path: of the file.
         separator: of the columns of a text file: one character, or `comma`, `semicolon`, `tab`, `pipe`, `space`.
-        decimal: mark of decimals in a text file: a point or a comma.
-        thousands: mark of thousands in a text file: `none`, a point, a comma, a space or an apostrophe.
+        decimal: decimal separator of a text file: a point or a comma.
+        thousands: thousands separator of a text file: `none`, a point, a comma, a space or an apostrophe.
         encoding: of a text file: a name that Python knows, such as utf-8, utf-16, latin-1.
         dates: how texts of dates are read: `iso`, `day-first` or `month-first`.
         sheet: of a spreadsheet: its name, or its number counted from 1.
