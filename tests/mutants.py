@@ -1209,6 +1209,26 @@ MUTANTS = (
         ("ope/test_cut.py::test_what_the_behaviour_policy_would_do_next",),
     ),
     Mutant(
+        "returns-unrounded", "runs/realised.py",
+        "x = np.where(np.abs(x - edge) <= ROUNDING * (given[1] - given[0]), edge, x)", "x = x + 0.0",
+        "a return that rounding puts beyond its range opens the interval",
+        ("runs/test_monitor.py::test_a_return_at_the_end_of_its_range_is_within_it",),
+    ),
+    Mutant(
+        "estimate-normal", "runs/realised.py", 'told[0].get("judged", {}).get("units", np.inf) - 1', "np.inf",
+        "an estimate from few episodes is widened for its choice as if they were many",
+        ("runs/test_monitor.py::test_the_estimate_of_one_of_many_is_taken_as_that_of_the_chosen",),
+    ),
+    Mutant(
+        "single-certain", "stats/crossed.py", "elif 1 in (len(a), len(b)):", "elif len(a) == len(b) == 1:",
+        "one seed in one episode counts as certain", ("stats/test_means.py::test_one_value_does_not_say_how_it_varies",),
+    ),
+    Mutant(
+        "equal-ranked", "bench/tune.py", "known and np.ptp(means) > 0 and", "known and",
+        "a search whose settings all score the same dies at its end",
+        ("bench/test_tune.py::test_settings_of_equal_scores_have_no_order_that_estimates_could_find",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

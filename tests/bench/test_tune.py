@@ -12,7 +12,7 @@ from deadreckon.bench.jobs import Program
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import JobResult, Store
 from deadreckon.bench.suite import Method, Suite
-from deadreckon.bench.tune import Trial, Tuned, candidates, named, suite, tune
+from deadreckon.bench.tune import Trial, Tuned, candidates, chosen, named, suite, tune
 from deadreckon.bench.work import perform
 from deadreckon.cli.main import main
 from deadreckon.cli.tune import _option
@@ -158,6 +158,15 @@ def test_what_a_choice_by_estimates_loses_is_told():
     text = str(Tuned("td3_bc", "ope", trials, trials[1], None, 10.0))
     assert "the choice loses 10.0 points of score, 25 % of the range of all; a choice by chance would lose 16.7" in text
     assert text.startswith("* alpha = 1.0")
+
+
+def test_settings_of_equal_scores_have_no_order_that_estimates_could_find(tmp_path):
+    """As in a sparse task where nothing reaches the goal: all else is still told, and kept."""
+    settings = [{"alpha": value} for value in (1.0, 5.0)]
+    trials = [Trial(fields, np.zeros((1, 2)), np.array([value, value])) for fields, value in zip(settings, (1.0, 2.0))]
+    found = chosen(suite("td3_bc", [UMAZE], settings, by="ope", steps=10, seeds=2), "ope", trials, Store(tmp_path))
+    assert (found.best.fields, found.truth, found.lost) == ({"alpha": 5.0}, None, 0.0)
+    assert (tmp_path / "tuned.json").exists()
 
 
 @pytest.mark.slow  # a log of one's own is chosen from in the same way below

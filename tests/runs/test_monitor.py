@@ -391,6 +391,20 @@ def test_the_estimate_of_one_of_many_is_taken_as_that_of_the_chosen():
     # The quantiles of a normal distribution at 1 - 0.05 / 12 and at 0.975.
     assert found.estimated.low == pytest.approx(0.5 - 0.1 * 2.638257 / 1.959964, abs=1e-6)
     assert found.estimated.high == pytest.approx(0.5 + 0.1 * 2.638257 / 1.959964, abs=1e-6)
+    # Of an estimate from 20 episodes, Student's with 19 degrees of freedom.
+    few = realised(log, log, ({**told, "judged": {"units": 20}}, 0), (0.0, 1.0), 0.025)
+    assert few.estimated.low == pytest.approx(0.5 - 0.1 * 2.943895 / 2.093024, abs=1e-6)
+
+
+def test_a_return_at_the_end_of_its_range_is_within_it():
+    """Ten rewards of 0.1 sum to 1.000000015 in single precision."""
+    log = dr.Dataset.from_arrays(
+        observations=np.zeros((50, 1)), actions=np.zeros((50, 1)), rewards=np.full(50, 0.1), terminals=np.arange(50) % 10 == 9
+    )
+    assert returns_of(log, Estimand(1.0)).max() > 1.0
+    found = realised(log, log, None, (0.0, 1.0), 0.025)
+    assert (found.beyond, found.interval.high) == (0, 1.0)
+    assert realised(log, log, None, (0.0, 0.999), 0.025).beyond == 5
 
 
 def test_an_estimate_above_the_range_of_the_reference_is_refuted():

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from deadreckon.stats import bootstrap, means
+from deadreckon.stats import bootstrap, crossed, means
+from deadreckon.stats.interval import Interval
 
 
 def test_constants_by_hand():
@@ -60,3 +61,12 @@ def test_the_jackknife_is_right_on_average_also_where_groups_do_not_make_up_the_
     of_group = [np.where(np.arange(groups) == g, 0.0, 1.0) / (total - size) for g in range(groups)]  # a row of group g alone
     expected = sum(size * np.square(bootstrap.jackknife(values, size / total)).sum() for values in of_group)
     assert expected == pytest.approx(1 / total, rel=1e-12)
+
+
+def test_one_value_does_not_say_how_it_varies():
+    """One seed in one episode, against what has an interval of its own."""
+    one, many = np.array([[3.0]]), np.array([[1.0], [2.0], [0.0]])
+    for found in (crossed.against(one, Interval(1.0, 0.9, 1.1)), crossed.paired(one, many), crossed.paired(many, one)):
+        assert np.isnan([found.low, found.high]).all()
+    assert np.isfinite(crossed.paired(many, many + 1.0).low)
+    assert np.isfinite(crossed.against(many, Interval(1.0, 0.9, 1.1)).low)

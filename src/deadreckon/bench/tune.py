@@ -199,7 +199,7 @@ def chosen(search: Suite, by: By, trials: Sequence[Trial], store: Store) -> Tune
         raise UserError(f"no setting can be chosen: {trials[0].failure or 'nothing finite was estimated'}")
     best = int(np.nanargmax(standing))
     known = bool(np.isfinite(means).all()) and by == "ope"
-    truth = compare(standing, means) if known and len(trials) > 1 and np.isfinite(standing).all() else None
+    truth = compare(standing, means) if known and np.ptp(means) > 0 and np.isfinite(standing).all() else None
     lost = float(means.max() - means[best]) if known else None
     found = Tuned(search.methods[0].agent, by, tuple(trials), trials[best], truth, lost)
     write_json(store.path / "tuned.json", _json(found, search))

@@ -1,13 +1,13 @@
 """A lower bound of a gain that holds for any number of episodes, not only for many.
 
-With w the weight of a whole episode, G its return, which lies in [low, high], and gain = E[w G] - E[G],
+With w the weight of a whole episode, G its return, which lies in [low, high], and gain = J(policy) - E[G],
 
     x = (w - 1) (G - low) + (high - low)
 
 is never negative, because w is not and G - low is at most high - low; and its mean is at most gain + (high - low): weights have
-mean one, or less where the log does not show what the policy does. So a lower bound of the mean of x by betting
-(`stats/betting.py`), less high - low, bounds the gain, without a largest weight. Both returns come from the same episode, so
-what they share cancels. It holds for all policies at once (Bonferroni).
+mean one, or less where the log does not show what the policy does, and what is missing returns `low` or more. So a lower bound
+of the mean of x by betting (`stats/betting.py`), less high - low, bounds the gain, without a largest weight. Both returns come
+from the same episode, so what they share cancels. It holds for all policies at once (Bonferroni).
 
 It asks that propensities are those by which actions were drawn, that episodes are independent of each other and of the
 policies, and that the range is known without looking at the log.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import stdtrit
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.split import group_of
@@ -23,6 +23,7 @@ from deadreckon.stats.interval import ALPHA, Interval
 
 FEW = 10  # different returns of the reference whose range is taken as it is
 WIDER = 0.5  # of the range of returns, on each side
+ROUNDING = 1e-6  # of that range, by which sums of rewards in single precision may leave it
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ def finished(log: Dataset, like: Dataset) -> Dataset:
     if log.terminals[-1] or log.lengths[-1] >= like.lengths.max():
         return log
     if log.episodes == 1:
-        raise UserError(f"{log.name}: its only episode may go on, since it ends without a terminal; no episode is finished")
+        raise UserError(f"{log.name}: its only episode may not be finished, since it ends without a terminal")
     return log.select(np.arange(log.episodes - 1))
 
 
@@ -112,26 +113,28 @@ def realised(
     if told is not None:
         estimand = Estimand(**{key: told[0]["estimand"][key] for key in ("discount", "horizon", "greedy")})
     if told is not None and (share := max(before := unseen(old, estimand), unseen(new, estimand))) > TAIL:
-        beyond = f"the estimate counts rewards beyond time-outs ({100 * share:.0f} % of the discounted time)"
+        beyond = f"the estimate includes rewards after timeouts ({100 * share:.0f} % of the discounted time)"
         how = "estimate with a horizon (`deadreckon ope --horizon`)"
         if before <= TAIL:  # episodes side by side, of which several may go on
             cut = _cut(new, estimand)
             those = f"{len(cut):,} of {new.episodes:,} episodes of {new.name} end without a terminal"
             those = f"{those}, after {cut.min():,} steps or more"
-            how = f"{those}: if they go on, give the episodes alone that began before the first of them"
+            how = f"{those}: if these are not finished, give only the episodes that started before the first of them"
         return f"not compared: {beyond}, which a log does not show; {how}"
     if (units := len(np.unique(units_of(new)))) < new.episodes:
         those = f"the {new.episodes:,} episodes come from {units:,} values of {group_of(new)}"
         return f"not compared: {those}, and the interval needs independent ones; give one episode of each"
     if given is not None and not (np.isfinite(given).all() and given[0] < given[1]):
-        raise UserError(f"return_range must be least and greatest return of an episode, got {given[0]:g} .. {given[1]:g}")
+        raise UserError(f"return_range must be the least and the greatest return of an episode, got {given[0]:g} .. {given[1]:g}")
     x, source = returns_of(new, estimand), "as given"
     estimated, least, among = None, -np.inf, 1
     if told is not None:
         first, i, among = told[0]["results"][0], told[1], len(told[0]["policies"])
         value, low, high = (_number(first[key][i]) for key in ("value", "low", "high"))
         # Each interval is for itself, and whoever chooses among policies takes one whose estimate is rather too high.
-        more = float(ndtri(1 - ALPHA / (2 * among)) / ndtri(1 - ALPHA / 2))
+        # Few clusters widen Student's quantile for several policies by more than a normal one's.
+        freedom = max(told[0].get("judged", {}).get("units", np.inf) - 1, 1)
+        more = float(stdtrit(freedom, 1 - ALPHA / (2 * among)) / stdtrit(freedom, 1 - ALPHA / 2))
         estimated = Interval(value, value - more * (value - low), value + more * (high - value))
         least = estimated.low if np.isfinite(estimated.low) else -np.inf
     if given is None:
@@ -145,6 +148,8 @@ def realised(
         if least >= high:
             source, high = f"{source}, and up to the estimate", least + WIDER * (high - low)
         given = low, high
+    edge = np.clip(x, *given)
+    x = np.where(np.abs(x - edge) <= ROUNDING * (given[1] - given[0]), edge, x)
     sequence = confidence_sequence(x, given, 2 * alpha)
     below = refuted_at(x, given, least, alpha) if np.isfinite(least) else None
     outside = int(((x < given[0]) | (x > given[1])).sum())
