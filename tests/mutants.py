@@ -1229,6 +1229,38 @@ MUTANTS = (
         ("bench/test_tune.py::test_settings_of_equal_scores_have_no_order_that_estimates_could_find",),
     ),
     Mutant(
+        "own-steps-fresh", "runs/online.py", "np.unique(np.concatenate([given, *own]))", "given",
+        "an online run's own steps pass for episodes that it was not trained on",
+        ("runs/test_online.py::test_its_own_steps_are_episodes_that_it_was_trained_on",),
+    ),
+    Mutant(
+        "replay-fresh", "runs/gather.py", "made.seed == 0", "made.seed is None",
+        "the training of the package's snapshots passes for a log that they have not seen",
+        ("runs/test_offline.py::test_snapshots_have_seen_the_training_that_a_replay_log_repeats",),
+    ),
+    Mutant(
+        "log-unread", "runs/gather.py", 'run.config["data"].get("provenance") or run.config.get("log_read")',
+        'run.config["data"].get("provenance")',
+        "how the log in an online run's replay was read is not known",
+        ("runs/test_fine_tuned.py::test_how_its_log_was_read_and_what_was_held_out_together_are_known",),
+    ),
+    Mutant(
+        "evaluations-stay", "runs/folder.py", 'for kind in ("metrics", "evaluations"):', 'for kind in ("metrics",):',
+        "a run that ends sooner after its resume has an evaluation of a policy that is gone",
+        ("runs/test_folder.py::test_what_is_beyond_the_checkpoint_is_forgotten",),
+    ),
+    Mutant(
+        "seed-ignored", "runs/online.py", "if wanted != start.run.seeds:",
+        "if seeds is not None and wanted != start.run.seeds:",
+        "another seed of a fine-tuned run is ignored",
+        ("runs/test_fine_tuned.py::test_other_seeds_than_those_of_the_run_are_refused",),
+    ),
+    Mutant(
+        "hardly-begun", "runs/attempt.py", 'elif run.config["steps"] < FEWEST:', "elif False:",
+        "a candidate of 60 updates is evaluated beside others",
+        ("runs/test_recommend.py::test_a_candidate_that_hardly_began_is_left_out_beside_others",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

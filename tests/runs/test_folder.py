@@ -44,6 +44,16 @@ def test_what_dead_processes_left_is_forgotten_and_what_others_write_is_not(tmp_
         assert sorted(path.name for path in tmp_path.rglob("*")) == sorted([living.name, ".notes.tmp", "metrics"])
 
 
+@pytest.mark.parametrize("kind", ["metrics", "evaluations"])
+def test_what_is_beyond_the_checkpoint_is_forgotten(kind, tmp_path):
+    """Evaluations too: a run that ends sooner after its resume would have one of a policy that is gone as its last."""
+    (tmp_path / kind).mkdir()
+    for step in (10, 20):
+        (tmp_path / kind / f"{step:010d}.parquet").touch()
+    Folder(tmp_path).drop_after(10)
+    assert [path.name for path in (tmp_path / kind).iterdir()] == [f"{10:010d}.parquet"]
+
+
 @pytest.mark.parametrize("name", AGENTS)
 def test_what_follows_from_the_length_of_a_run_is_named_by_its_agent(name):
     kind = agent_class(name)

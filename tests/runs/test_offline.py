@@ -2,6 +2,7 @@
 
 import dataclasses
 import types
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from deadreckon.agents.bc import BC
 from deadreckon.collect import generate
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.folder import write_folder
+from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Discrete
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
@@ -19,7 +21,7 @@ from deadreckon.policies import BlackBoxPolicy, store
 from deadreckon.report import write
 from deadreckon.runs import offline
 from deadreckon.runs.crossfit import cross_fit
-from deadreckon.runs.gather import gather
+from deadreckon.runs.gather import LEARNED, NOBODY, fresh, gather
 from deadreckon.runs.offline import checked, grounds, judge, read_estimates
 from deadreckon.runs.train import train
 from deadreckon.stats.interval import level_in_words
@@ -57,15 +59,15 @@ def test_the_check_in_words():
         "policies": [{"name": name} for name in "abc"], "choice": {"name": "c"},
     }  # fmt: skip
     line = checked(told)
-    assert line.startswith("in the simulator c has 3.00 (standard error 0.20) and is number 2 of 3; the best, b, has 4.00: ")
+    assert line.startswith("in the simulator c has 3.00 (standard error 0.20) and is in place 2 of 3; the best, b, has 4.00: ")
     assert line.endswith("a regret of 1.00, 33 % of the range of all")
     assert checked(told | {"truth": None}).startswith("not checked")
     limited = checked(told | {"truth": told["truth"] | {"beyond": 0.37}})
-    assert limited.endswith("of all; its time limit leaves 37 % of the discounted time out, which estimates count")
+    assert limited.endswith("of all; its time limit leaves 37 % of the discounted time out, which the estimates include")
     told["truth"]["apart"] = [[0.0, 0.1, 0.2], [0.1, 0.0, 0.3], [0.2, 0.3, 0.0]]
     assert "a regret of 1.00 (standard error 0.30), 33 % of the range" in checked(told)
     behind = checked(told | {"choice": {"name": "b"}})
-    assert behind.endswith("the best of 3; the next, c, has less by 1.00 (standard error 0.30)")
+    assert behind.endswith("the best of 3; the next, c, is lower by 1.00 (standard error 0.30)")
 
 
 def test_differences_in_the_simulator_are_of_episodes_that_begin_alike(monkeypatch):
@@ -96,7 +98,7 @@ def test_the_page_shows_it(made):
 def test_estimates_from_before_episodes_were_held_out_are_refused(made, tmp_path):
     _, _, (_, _, told) = made
     write_json(tmp_path / "estimates.json", {name: value for name, value in told.items() if name != "estimand"})
-    with pytest.raises(UserError, match="judged policies on the rows that taught them; estimate them again"):
+    with pytest.raises(UserError, match="evaluated policies on their training rows; estimate them again"):
         read_estimates(tmp_path)
 
 
@@ -111,8 +113,18 @@ def test_where_policies_come_from(made):
     assert (found[-1].run, found[-1].taught) == ("hopper snapshot-10", None)
     with pytest.raises(UserError, match="there are no policies of 'nothing'"):
         gather(["nothing"])
-    with pytest.raises(UserError, match="no policy to judge"):
+    with pytest.raises(UserError, match="no policy to evaluate"):
         gather([])
+
+
+def test_snapshots_have_seen_the_training_that_a_replay_log_repeats():
+    log = Dataset.from_arrays(
+        observations=np.zeros((20, 11)), actions=np.zeros((20, 3)), rewards=np.arange(20.0), terminals=np.ones(20, bool),
+        provenance=Provenance("collected", "hopper-medium-replay-v2", 0),
+    )  # fmt: skip
+    assert set(fresh(gather("hopper"), log, False).against) == {LEARNED}
+    for other in (Provenance("collected", "hopper-medium-replay-v2", 1), Provenance("collected", "hopper-medium-v2", 0)):
+        assert set(fresh(gather("hopper"), replace(log, provenance=other), False).against) == {NOBODY}
 
 
 # ---- fresh episodes -----------------------------------------------------------------------------------------------------
@@ -145,7 +157,7 @@ def test_policies_are_judged_on_the_episodes_that_taught_none_of_them(noise):
     own = judge([run], part, **QUICK)
     assert not own.results["judged"]["fresh"]
     assert not own.choice.deploy
-    assert "it has learned from these episodes" in own.choice.reason
+    assert "it was trained on these episodes" in own.choice.reason
     # A log that it has never seen.
     other = log.select(np.arange(300)[::-1])
     new = dataclasses.replace(other, rewards=other.rewards + 1.0, part_of=None)
@@ -168,7 +180,7 @@ def test_what_a_user_says_of_one_policy_brings_no_episodes_back_that_taught_anot
     log, run, _ = noise
     told = judge([run, run.policy], log, "is", unseen=True, **QUICK).results
     assert told["judged"]["episodes"] == len(run.held) < log.episodes
-    assert "equal episodes that taught" not in told["judged"]["words"]
+    assert "equal a policy's training episodes" not in told["judged"]["words"]
     assert judge([run.policy], log, "is", unseen=True, **QUICK).results["judged"]["episodes"] == log.episodes
 
 
@@ -198,7 +210,7 @@ def test_python_functions_are_judged_too_and_what_they_have_no_support_for_has_n
     assert dict(grounds(told))["log"] == log.name
     alone = judge(policies[1:], log, ["dr-linear", "is"], unseen=True, **QUICK).choice
     assert not any("agrees" in line for line in alone.evidence)
-    with pytest.raises(UserError, match="policies to judge are runs, folders, files or policies, got int"):
+    with pytest.raises(UserError, match="policies to evaluate are runs, folders, files or policies, got int"):
         judge([3], log, unseen=True, **QUICK)
 
 
@@ -329,5 +341,5 @@ def test_a_log_whose_levels_mean_something_else_is_refused(tmp_path):
 
     known, other = (Dataset.from_frame(table(sites), action="dose", reward="gain") for sites in (["a", "b"], ["b", "c"]))
     run = train(BC(hidden=(4,)), known, steps=4, out=tmp_path / "run")
-    with pytest.raises(UserError, match=r"run learned from a log whose observations are \['site=a', 'site=b'\]"):
+    with pytest.raises(UserError, match=r"run was trained on a log whose observations are \['site=a', 'site=b'\]"):
         judge([run], other)

@@ -10,13 +10,16 @@ import pytest
 import deadreckon as dr
 from deadreckon import tasks
 from deadreckon.cli.train import summary
+from deadreckon.data.formats.hdf5 import read_hdf5, write_hdf5
+from deadreckon.data.provenance import Provenance
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
-from deadreckon.online import Online
+from deadreckon.online import Online, replay_log
 from deadreckon.online.rows import row_width
 from deadreckon.policies import store
 from deadreckon.runs import online as module
 from deadreckon.runs.evaluate import evaluate
+from deadreckon.runs.gather import LEARNED, fresh, gather
 from deadreckon.runs.recorder import Recorder
 from deadreckon.training.checkpoint import load_arrays
 from tests.agents.little import Little
@@ -69,6 +72,25 @@ def stop_at(step):
     return watch
 
 
+def replayed(run, seed=0):
+    """A seed's steps as a log."""
+    path, steps = run.path / "replay" / f"seed{seed}.bin", STEPS
+    return replay_log(path, HOPPER, SETTINGS.copies, steps, name="replay", provenance=Provenance("replay"))
+
+
+def test_its_own_steps_are_episodes_that_it_was_trained_on(run, tmp_path):
+    """Estimates of them are not of held-out episodes, and nothing is deployed by them; other logs it has not seen."""
+    log = replayed(run)
+    np.testing.assert_array_equal(run.taught, np.unique(log.episode_ids))
+    assert run.held.size == 0
+    np.testing.assert_array_equal(store.taught(run.path / "policies" / "seed0.npz"), run.taught)
+    assert store.taught(run.path / "policies" / f"{16:010d}-seed0.npz") is None  # whose steps had not all been taken
+    write_hdf5(log, tmp_path / "replay.hdf5")
+    for given in (log, read_hdf5(tmp_path / "replay.hdf5")):
+        assert fresh(gather(run), given, False).against == [LEARNED]
+    assert fresh(gather(run), replayed(train(tmp_path / "other", seed=1), 1), False).against == [None]
+
+
 @pytest.mark.slow
 def test_run_folder_holds_what_was_asked_and_what_came_out(run):
     config = run.config
@@ -88,8 +110,6 @@ def test_run_folder_holds_what_was_asked_and_what_came_out(run):
     with np.load(run.path / "evaluations" / "trajectories.npz") as file:
         lengths = evaluations["length"][-3:]
         assert file["trajectories"].shape == (1, 3, max(lengths), 11)
-    # It is known to have seen no log.
-    assert run.taught.size == run.held.size == store.taught(run.path / "policies" / "seed0.npz").size == 0
     rows = np.fromfile(run.path / "replay" / "seed0.bin", np.float32).reshape(STEPS, -1)
     terminals, timeouts = rows[:, -2] > 0, rows[:, -1] > 0
     assert terminals.any()
@@ -200,6 +220,7 @@ def test_a_run_made_longer_equals_one_that_was_long_from_the_beginning(run, long
     again = train(tmp_path / "r", steps=STEPS + 48, resume=True)
     assert_same(again, longer, STEPS + 48)
     assert again.metrics.equals(longer.metrics)
+    np.testing.assert_array_equal(again.taught, longer.taught)
     assert again.config["steps"] == longer.config["steps"] == UPDATES + 24
     assert longer.metrics.slice(0, 6).equals(run.metrics)
     with pytest.raises(dr.UserError, match="holds another run: steps was 72, now 48"):
@@ -280,7 +301,7 @@ def test_evaluations_are_at_least_a_block_apart(tmp_path):
     (None, {"evaluate_every": 0}, "evaluate_every must be >= 1, got 0"),
     (None, {"threads": 0}, "threads must be 1 or more, got 0"),
     (None, {"task": "hoper"}, "unknown task 'hoper': did you mean hopper"),
-    ([Little()], {"seeds": 2}, "one agent a seed is needed, got 1 agents and 2 seeds"),
+    ([Little()], {"seeds": 2}, "one agent per seed is needed, got 1 agents and 2 seeds"),
     (Little(lr=-1.0), {}, "Little.lr takes a finite number >= 0, got -1"),
     ("mbpo", {"settings": replace(SETTINGS, explore=8)}, "explore, .* the model is first fitted to, must be 10 or more, got 8"),
 ])  # fmt: skip
@@ -306,7 +327,7 @@ def test_a_run_is_opened_again_to_look_into(run, tmp_path):
     with pytest.raises(UserError, match="is not the folder of an online run"):
         module.reopened(tmp_path)
     shutil.rmtree(trained.path / "checkpoints")
-    with pytest.raises(UserError, match="has no checkpoint yet in which something was learned"):
+    with pytest.raises(UserError, match="has no checkpoint with an update yet"):
         module.reopened(trained.path)
 
 

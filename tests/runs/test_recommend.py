@@ -26,7 +26,7 @@ from deadreckon.policies.deployed import history_of
 from deadreckon.report import recommended
 from deadreckon.runs import attempt as work
 from deadreckon.runs import follow as module
-from deadreckon.runs.attempt import Attempt, Job
+from deadreckon.runs.attempt import Attempt, Job, Pilot, Unfinished
 from deadreckon.runs.callback import StopTraining
 from deadreckon.runs.candidates import Candidate
 from deadreckon.runs.durations import in_words, seconds_of
@@ -84,7 +84,7 @@ STATES = textwrap.dedent("""
     own = {"why": "-", "deterministic": False, "planned": 90}
     known = [{"name": "bc", "agent": "bc", "updates": 90, "state": "learned", **own},
              {"name": "iql", "agent": "iql", "updates": 0, "state": "learning", **own}]
-    send("state", {"log": "near", "rows": 400, "episodes": 40, "stage": "learning", "since": time.time(), "need": 200.0})
+    send("state", {"log": "near", "rows": 400, "episodes": 40, "stage": "training", "since": time.time(), "need": 200.0})
     send("state", {"candidates": known})
     send("watch", ["iql", 30, 90])
 """)
@@ -128,16 +128,16 @@ def test_what_was_found_is_told(doing, tmp_path):
     watch = lambda *each: seen.append(each)  # noqa: E731
     found = recommend("near.csv", 2.0, out=tmp_path / "out", watch=watch, page=recommended.write)
     said = str(found)
-    assert said.startswith("DO NOT DEPLOY: not enough time: 2 s were over while learning; 1 of 2 candidates have learned")
-    assert "bc: learned, 90 of 90 updates" in said
-    assert "iql: was learning, 30 of 90 updates" in said
-    assert "to be done: learning, judging" in said
+    assert said.startswith("DO NOT DEPLOY: not enough time: the budget of 2 s was used up during training; 1 of 2 candidates")
+    assert "bc: trained, 90 of 90 updates" in said
+    assert "iql: was training, 30 of 90 updates" in said
+    assert "to be done: training, evaluation" in said
     assert "a budget of 4m would do" in said  # 1.2 times the 200 s that the work came to
     assert f"deadreckon ope --data near.csv --policies {tmp_path / 'out' / 'bc'} --select" in said
     assert seen == [("iql", 30, 90)]
     assert "was" not in found.results["recommend"]["candidates"][1]["state"]
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "iql: was learning, 30 of 90 updates" in page
+    assert "iql: was training, 30 of 90 updates" in page
     with pytest.raises(UserError, match="holds no estimates: not enough time"):
         dr.report.write([], tmp_path / "page.html", estimates=tmp_path / "out")
 
@@ -222,7 +222,7 @@ def test_an_interruption_ends_the_work(doing, tmp_path):
 
 
 @pytest.mark.parametrize(("budget", "options", "words"), [
-    (0.0, {}, "the budget must be more than nothing"), (-5.0, {}, "the budget must be more than nothing"),
+    (0.0, {}, "the budget must be above 0"), (-5.0, {}, "the budget must be above 0"),
     ("soon", {}, "a time is written"), (60.0, {"discount": 1.0}, r"discount must be in \[0, 1\), got 1"),
     (60.0, {"holdout": 0.0}, "the share held out must lie between 0 and 1"),
     (60.0, {"seed": -1}, r"seed must be 0 .. 2\^32 - 1, got -1"), (60.0, {"seed": 2**32}, "seed must be 0"),
@@ -254,7 +254,7 @@ def test_what_fails_at_the_start_leaves_nothing_in_the_way(doing, tmp_path, monk
 
 
 def test_an_old_folder_is_left_alone(tmp_path):
-    with pytest.raises(UserError, match="is there already"):
+    with pytest.raises(UserError, match="exists already"):
         recommend(a_log(), 60.0, out=tmp_path)
 
 
@@ -325,7 +325,7 @@ def test_policies_learn_from_one_part_and_are_judged_by_the_other(small, tmp_pat
     assert told["truth"] is None
     assert np.isfinite(told["results"][0]["value"]).all()
     stages = [state["stage"] for state in of(sent, "state") if "stage" in state]
-    assert stages == ["reading the log", "pilots", "learning", "judging"]
+    assert stages == ["reading the log", "pilots", "training", "evaluation"]
     assert of(sent, "line")[-1].startswith("about ")
     assert [each["state"] for each in [s for s in of(sent, "state") if "candidates" in s][-1]["candidates"]] == ["learned"] * 2
 
@@ -361,8 +361,8 @@ def test_what_diverges_or_runs_out_of_time_is_told(small, tmp_path, monkeypatch)
     monkeypatch.setattr(Attempt, "_steps", lambda self, seconds, rates: 60)
     sent, out = attempt(tmp_path, a_log())
     lines = of(sent, "line")
-    assert "pilot: bold is left out, it diverges (NaN or Inf) on this log" in lines
-    assert any(line.startswith("bc was ended after") for line in lines)
+    assert "pilot: bold is left out, because it diverges (NaN or Inf) on this log" in lines
+    assert any(line.startswith("bc was stopped after") for line in lines)
     assert dr.load_run(out / "bc").config["steps"] < 60
     assert (out / "estimates.json").exists()
 
@@ -374,11 +374,30 @@ def test_candidates_that_hardly_began_to_learn_are_not_judged(small, tmp_path, m
     monkeypatch.setattr(Attempt, "_steps", lambda self, seconds, rates: 20)
     sent, out = attempt(tmp_path, a_log())
     (unfinished,) = of(sent, "unfinished")
-    words = "not enough time: it would do for 20 updates of each candidate, 200 are the fewest; reading, compiling"
+    words = "not enough time: 20 updates of each candidate would fit, and at least 200 are needed; reading, compiling"
     assert unfinished.startswith(words)
     assert [each["need"] > 0 for each in of(sent, "state") if "need" in each] == [True]
     assert {"short": True} in of(sent, "state")
     assert not (out / "estimates.json").exists()
+
+
+@pytest.mark.parametrize(("reached", "kept"), [((60, 500), ["bold"]), ((60, 80), None)])
+def test_a_candidate_that_hardly_began_is_left_out_beside_others(small, tmp_path, monkeypatch, reached, kept):
+    monkeypatch.setattr(work, "FEWEST", 200)
+    monkeypatch.setattr(Attempt, "_steps", lambda self, seconds, rates: 5_000)
+    trained = iter([SimpleNamespace(failures=[None], config={"steps": steps}) for steps in reached])
+    monkeypatch.setattr(Attempt, "_learned", lambda self, *given: next(trained))
+    sent = []
+    made = Attempt(job_of("-", tmp_path), lambda what, value: sent.append((what, value)))
+    made.told = [{"name": each.name, "why": "-", "deterministic": False, "state": "not begun"} for each in work.CONTINUOUS]
+    learn = lambda: made._learn(work.CONTINUOUS, (4,), [Pilot(1.0, 10.0)] * 2, 1.0, None, None)  # noqa: E731
+    if kept is None:
+        with pytest.raises(Unfinished, match="no candidate reached 200 updates"):
+            learn()
+        return
+    assert len(learn()) == 1
+    assert [each["name"] for each in made.told if each["state"] == "learned"] == kept
+    assert "bc is left out: its time was over after 60 updates" in of(sent, "line")
 
 
 def test_deterministic_policies_come_last_and_the_plan_says_what_that_means():

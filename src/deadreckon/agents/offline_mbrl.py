@@ -37,6 +37,7 @@ class OfflineMBRL(ModelBasedAgent, SAC):
     revision: ClassVar[int] = 2
     supports_discrete: ClassVar[bool] = False
     largest_temperature: ClassVar[float] = math.inf
+    online: ClassVar[bool] = False
     by_length: ClassVar[tuple[str, ...]] = ("actor_decay_steps",)
     other_names: ClassVar[dict[str, str]] = {
         "length": "rollout_length", "rollouts": "rollout_batch_size", "keep": "retain_rounds",

@@ -40,15 +40,15 @@ class _OnLog(TrainSettings):
 
 @dataclass
 class TrainOnline:
-    """Learn a policy by acting in a simulator; --agent NAME chooses the algorithm, --from RUN continues an offline run."""
+    """Train a policy by acting in a simulator; --agent NAME chooses the algorithm, --from RUN continues an offline run."""
 
     task: str | None = None
-    """simulator to learn in: a task (see `deadreckon tasks`), a Gymnasium id such as gymnasium:Pendulum-v1, or module:Class;
+    """simulator to train in: a task (see `deadreckon tasks`), a Gymnasium id such as gymnasium:Pendulum-v1, or module:Class;
     None: with --from, the task of that run"""
     steps: int = 1_000_000  # environment steps per seed, including the uniformly random ones at the beginning
     seeds: int | None = None
     """number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1; None: 1"""
-    seed: int = 0  # first random seed
+    seed: int | None = None  # first random seed; None: 0, or with --from that of the run
     out: str | None = None  # run folder; None: runs/AGENT-TASK-online, or runs/AGENT-TASK-fine-tuned with --from
     copies: int | None = None  # environments stepped in parallel per seed; None: the agent's own number, or 8
     explore: int | None = None  # environment steps with uniform actions before the first update; None: the agent's, or 10,000
@@ -59,12 +59,12 @@ class TrainOnline:
 
 @dataclass
 class Train:
-    """Learn a policy from a log with the algorithm --agent NAME (required), or with --online by acting in a simulator.
+    """Train a policy on a log with the algorithm --agent NAME (required), or with --online by acting in a simulator.
 
     --preset NAME sets the hyperparameters to those published for a log or domain; see `deadreckon agents`.
     """
 
-    data: str  # log to learn from: a known name, or a file
+    data: str  # log to train on: a known name, or a file
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of a table, and how its file is read
     horizon: int | None = None  # number of steps after which episodes were cut off, for logs that do not mark time limits
     steps: int = 100_000  # number of updates per seed
@@ -108,7 +108,7 @@ class Ope:
     select: bool = False  # whether to print a decision card: which policy to deploy, or none, and why
     map: Annotated[Mapping, tyro.conf.arg(name="")] = field(default_factory=Mapping)  # columns of a table
     log_horizon: int | None = None  # number of steps after which episodes were cut off: the --horizon that `train` had, if any
-    episodes: int | None = None  # number of episodes to use, the first that no policy has learned from; None: all of these
+    episodes: int | None = None  # number of episodes to use, the first on which no policy was trained; None: all of these
     task: str | None = None
     """simulator in which to check the decision, if there is one: a task, a Gymnasium id or module:Class"""
     settings: Annotated[_Judge, tyro.conf.arg(name="")] = field(default_factory=_Judge)
@@ -130,7 +130,7 @@ class _Recommend(RecommendSettings):
 class Recommend:
     """Train agents on a log, estimate their values on held-out episodes, and recommend which to deploy in a given time."""
 
-    data: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]  # log to learn from: a known name, or a file
+    data: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]  # log to train on: a known name, or a file
     budget: str = "30m"  # time of the whole command, such as 90s, 30m or 2h; a decision card is written at its end
     out: str = "runs/recommend"  # folder of the runs, the estimates and report.html, which must not exist yet
     settings: Annotated[_Recommend, tyro.conf.arg(name="")] = field(default_factory=_Recommend)

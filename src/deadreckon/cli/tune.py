@@ -16,8 +16,12 @@ from deadreckon.interrupts import resumable
 
 # Episodes that chose settings flatter them, and another hold-out than the default is made of such episodes, too.
 _JUDGING = (
-    "to judge it, train with the default hold-out of the same log, without --holdout, --holdout-by and --cross-fit, or keep "
-    "new episodes for that: other episodes of this log may have chosen it"
+    "to evaluate it, train with the default hold-out of the same log, without --holdout, --holdout-by, --cross-fit, --horizon "
+    "and --mmap, or use new episodes: other episodes of this log may have chosen it"
+)
+_SELECTED = (
+    "its score is the best of {} settings on the seeds that chose it, which is too high on average; train it with new seeds to "
+    "know its score"
 )
 
 
@@ -30,7 +34,7 @@ class Tune:
     """
 
     agent: str  # agent to tune, among `deadreckon agents`
-    data: tuple[str, ...]  # logs to learn from: names or files; one log where estimates choose
+    data: tuple[str, ...]  # logs to train on: names or files; one log where estimates choose
     by: Literal["ope", "simulator"] = "ope"
     """criterion: off-policy estimates from the log, or scores in the simulators of training tasks"""
     values: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=V,V...")] = ()
@@ -40,8 +44,8 @@ class Tune:
     trials: int | None = None
     """largest number of settings; None: all combinations of the values, or 20 with --sampler optuna"""
     sampler: Literal["grid", "optuna"] = "grid"
-    """how settings are proposed: all combinations, or some of them by chance (grid), or in rounds, each by the results of those
-    before it (optuna)"""
+    """how settings are proposed: all combinations, or a random part of them (grid), or in rounds that use earlier results
+    (optuna)"""
     steps: int = 20_000  # updates of each setting and seed
     seeds: int = 3  # number of seeds of each setting
     rows: int | None = None  # rows of logs that have a recipe; None: all
@@ -72,7 +76,7 @@ def tune(args: Sequence[str]) -> None:
     if options.sampler == "optuna":
         return _in_rounds(options, given, fixed)
     if ranges := [name for name, values in (given or {}).items() if not isinstance(values, list)]:
-        raise UserError(f"{ranges[0]} is a range, of which there are no combinations; say --sampler optuna, or name values")
+        raise UserError(f"{ranges[0]} is a range, which has no combinations; use --sampler optuna, or list values")
     settings = found.candidates(options.agent, given, options.trials, options.seed)
     sizes = {"steps": options.steps, "seeds": options.seeds, "rows": options.rows}
     asked = found.suite(options.agent, options.data, settings, by=options.by, fixed=fixed, **sizes)
@@ -126,6 +130,8 @@ def _told(result: Any, fixed: dict[str, Any]) -> None:
     print(f"\n{result}\n\nchosen: {' '.join(_option(name, value) for name, value in best.items() if value is not None)}")
     if result.by == "ope":
         print(_JUDGING)
+    elif len(result.trials) > 1:
+        print(_SELECTED.format(len(result.trials)))
 
 
 def _option(name: str, value: Any) -> str:

@@ -150,7 +150,7 @@ class Attempt:
         judging = self._judging(log, learning, len(candidates), hidden, pilots)
         runs = self._learn(candidates, hidden, pilots, judging, log, holdout)
         if not runs:
-            raise Unfinished("no candidate learned anything: all of them diverged (NaN or Inf)")
+            raise Unfinished("all candidates diverged (NaN or Inf) in training")
         judged = self._judge(runs, log, hidden, pilots, judging)
         self._check(runs, judge_in, judged)
 
@@ -164,7 +164,7 @@ class Attempt:
         log = log.with_action_space(log.action_space if judge_in is None else judge_in.action_space)
         if len(log.spec.observation_shape) != 1:
             seen = f"{log.name} has shape {log.spec.observation_shape}"
-            raise UserError(f"recommend learns from flat observations, {seen}; use train and ope")
+            raise UserError(f"recommend needs flat observations, but {seen}; use train and ope")
         if log.successors is not None:  # the rules for decisions need ratios of episodes
             raise UserError(f"{log.name}: its rows do not follow each other, which recommend needs; use train and ope")
         given = self.settings.holdout
@@ -212,14 +212,14 @@ class Attempt:
                     hidden, found = SMALL, self._pilot(candidate, SMALL, log)
             last = (begun - self.left()) / max(whole, 1e-9)
             if found is None:
-                self.send("line", f"pilot: {candidate.name} is left out, it diverges (NaN or Inf) on this log")
+                self.send("line", f"pilot: {candidate.name} is left out, because it diverges (NaN or Inf) on this log")
                 continue
             rates = [each.rate for each in (*pilots, found)]
             if len(candidates) >= ENOUGH and self._steps(0.5 * self.left(), rates) < WORTH:
                 break  # more updates of the earlier ones are worth more
             candidates.append(candidate)
             pilots.append(found)
-            self.send("line", f"pilot: {candidate.name}, {found.rate:,.0f} updates a second with networks of {hidden[0]}")
+            self.send("line", f"pilot: {candidate.name}, {found.rate:,.0f} updates per second with layers of {hidden[0]} units")
         self.told = [
             {"name": each.name, "agent": each.agent, "why": each.why, "deterministic": each.deterministic, "updates": 0,
              "planned": 0, "state": "not begun"}
@@ -287,32 +287,35 @@ class Attempt:
         self.send("state", {"need": (spent + begin + least * sum(1 / rate for rate in rates) + LATE * judging) / SAFETY})
         if steps < FEWEST:
             # Whoever has hardly begun to learn would be judged to be no better, which is another thing than not knowing.
-            text = f"it would do for {steps} updates of each candidate, {FEWEST} are the fewest"
+            text = f"{steps} updates of each candidate would fit, and at least {FEWEST} are needed"
             raise self._short(f"{text}; reading, compiling and pilots took {spent:.0f} s")
         for told in self.told:
             told["planned"] = steps
         self._tell()
         self.send("line", self._plan(hidden, steps, rates, time_for, judging))
-        self._stage("learning")
+        self._stage("training")
         end, runs = time.time() + time_for, []
         for i, (candidate, told) in enumerate(zip(candidates, self.told)):
             now = time.time()
             if i and now >= end:
-                self.send("line", f"{candidate.name} does not begin: the time for learning is over")
+                self.send("line", f"{candidate.name} is not started: the time for training is over")
                 continue
             own = now + max(end - now, 0.0) / rates[i] / sum(1 / rate for rate in rates[i:])
             run = self._learned(candidate, told, hidden, steps, rates[i], own, log, holdout)
             if failure := run.failures[0]:
                 told["state"] = "diverged"
                 self.send("line", f"{candidate.name} is left out: its {failure.metric} was not finite at update {failure.step}")
+            elif run.config["steps"] < FEWEST:
+                told |= {"state": "too few updates", "updates": run.config["steps"]}
+                self.send("line", f"{candidate.name} is left out: its time was over after {run.config['steps']:,} updates")
             else:
                 told |= {"state": "learned", "updates": run.config["steps"]}
                 if run.config["steps"] < steps:
-                    self.send("line", f"{candidate.name} was ended after {run.config['steps']:,} updates: its time was over")
+                    self.send("line", f"{candidate.name} was stopped after {run.config['steps']:,} updates: its time was over")
                 runs.append(run)
             self._tell()
-        if runs and max(run.config["steps"] for run in runs) < FEWEST:
-            raise self._short(f"no candidate came to {FEWEST} updates, the fewest that are judged")
+        if not runs and any(told["state"] == "too few updates" for told in self.told):
+            raise self._short(f"no candidate reached {FEWEST} updates, the fewest for an evaluation")
         return runs
 
     def _short(self, why: str) -> "Unfinished":
@@ -346,9 +349,10 @@ class Attempt:
             no = "; deterministic: model-based estimate only" if each["deterministic"] else ""
             may = "" if not no or self.settings.accept_model_based else ", so deployed with --accept-model-based only"
             lines.append(f"  {each['name']:<{width}}  {in_words(steps / rate):>6}  {each['why']}{no}{may}")
-        head = f"{len(lines)} candidates of {steps:,} updates, networks of {', '.join(map(str, hidden))}"
+        head = f"{len(lines)} candidates of {steps:,} updates, hidden layers of {', '.join(map(str, hidden))} units"
         total = min(learning, sum(steps / rate for rate in rates)) + judging
-        parts = f"about {in_words(total)} more: learning until {in_words(learning)} from now, judging about {in_words(judging)}"
+        times = f"training until {in_words(learning)} from now, evaluation about {in_words(judging)}"
+        parts = f"about {in_words(total)} more: {times}"
         return "\n".join([parts, head, *lines])
 
     # ---- judging ------------------------------------------------------------------------------------------------------
@@ -356,12 +360,12 @@ class Attempt:
     def _judge(
         self, runs: list[Run], log: Dataset, hidden: tuple[int, ...], pilots: list[Pilot], judging: float
     ) -> offline.Judged:
-        self._stage("judging")
+        self._stage("evaluation")
         left, model = self.left(), PROPENSITIES
         if left < judging:  # the machine has become slower; propensities stop early by themselves
             steps = int(PROPENSITIES.steps * left / (LATE * judging))
             model = dataclasses.replace(PROPENSITIES, steps=max(steps // 100 * 100, 500))
-            self.send("line", f"time is short: {model.steps:,} updates of propensities instead of {PROPENSITIES.steps:,}")
+            self.send("line", f"time is short: {model.steps:,} updates of propensities, not {PROPENSITIES.steps:,}")
         learned = [each for each in self.told if each["state"] == "learned"]
         estimators: Any = "auto"
         if self.settings.accept_model_based and any(each["deterministic"] for each in learned):
@@ -400,7 +404,7 @@ class Attempt:
                     self.send("state", {"checked": True})
                     return
         took = in_words(time.perf_counter() - begun)
-        self.send("line", f"not checked in {judge_in.name}: no time is left (looking took {took})")
+        self.send("line", f"not checked in {judge_in.name}: no time is left (a trial took {took})")
 
     # ---- telling ------------------------------------------------------------------------------------------------------
 
@@ -425,8 +429,8 @@ def _changed(units: dict[str, Any]) -> str:
     """What is told of the units that candidates learn in; empty where they are the log's."""
     parts = ["with standardised observations"] if "standardise" in units else []
     if scale := units.get("reward_scale"):
-        parts.append(f"from rewards times {scale:g} where agents can scale them")
-    return f"candidates learn {' and '.join(parts)}, as numbers of this log are far from 1 in size" if parts else ""
+        parts.append(f"on rewards times {scale:g} where agents can scale them")
+    return f"candidates are trained {' and '.join(parts)}, since numbers of this log are far from 1 in size" if parts else ""
 
 
 def attempt(job: Job, send: Callable[[str, Any], None]) -> None:

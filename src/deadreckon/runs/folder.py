@@ -5,7 +5,8 @@
     metrics/N.parquet   one immutable part a chunk, N updates done: step, seed, one column a metric
     checkpoints/N.npz   the newest states, see `training.checkpoint`
     policies/N-seedS.npz   what was judged after N updates; policies/seedS.npz is the last
-    episodes.npz        `episode_ids` of the episodes that were learned from (taught) and that were not (held)
+    episodes.npz        `episode_ids` of the episodes that were learned from (taught) and that were not (held); online, where
+                        those of its own steps are among them, once the run has finished
     log.npz             stretches of the log, for pictures
     evaluations/N.parquet  one row per episode; evaluations/trajectories.npz of the last policies
     replay/seedS.bin    online: every environment step, see `online.exploration`; the newest checkpoint says how many count
@@ -80,13 +81,17 @@ class Folder:
 
     def note_episodes(self, taught: np.ndarray, held: np.ndarray) -> None:
         """Writes which episodes are learned from, (learning,) uint64, and which are not, (held,), unless it is there."""
-        if not (path := self.path / "episodes.npz").exists():
+        if not (path := self._episodes).exists():
             with replacing(path) as temporary, open(temporary, "wb") as file:
                 np.savez(file, taught=taught, held=held)
 
+    @property
+    def _episodes(self) -> Path:
+        return self.path / "episodes.npz"
+
     def episodes(self, which: str) -> np.ndarray | None:
         """What `note_episodes` wrote, `taught` or `held`; None in folders from before it did."""
-        if not (path := self.path / "episodes.npz").exists():
+        if not (path := self._episodes).exists():
             return None
         found = read_arrays(path, "a note of episodes").get(which)
         if found is None or found.dtype != np.uint64 or found.ndim != 1:
@@ -122,11 +127,12 @@ class Folder:
     def drop_after(self, step: int) -> None:
         """Forgets what a killed run wrote beyond its last checkpoint, and the temporary files that dead processes left."""
         refuse_links(self.path, _WHAT)
-        for path in (self.path / "metrics").glob("*.parquet"):
-            if not re.fullmatch("[0-9]+", path.stem):
-                raise UserError(f"{path}: parts of metrics are called after a number of updates; take this file away")
-            if int(path.stem) > step:
-                path.unlink()
+        for kind in ("metrics", "evaluations"):
+            for path in (self.path / kind).glob("*.parquet"):
+                if not re.fullmatch("[0-9]+", path.stem):
+                    raise UserError(f"{path}: files of {kind} are named after a number of updates; remove this file")
+                if int(path.stem) > step:
+                    path.unlink()
         for folder in (self.path, *self.path.glob("*/")):
             clear(folder)
 
@@ -157,7 +163,7 @@ class Folder:
                 raise UserError(f"{self.path} exists and is not a run; choose another --out")
             return []
         if not resume:
-            raise UserError(f"{self.path} holds a run already; --resume goes on with it, or choose another --out")
+            raise UserError(f"{self.path} holds a run already; --resume continues it, or choose another --out")
         before = self.read_config()
         asked = _at_length(config, before)
         kept = ("together", "agent", "online", "demonstrations", "start", "log", "data", "task", "seeds", "steps", "evaluation",
@@ -166,10 +172,10 @@ class Folder:
             do = "choose another --out" if asked is config else _remedy(before, different)
             raise UserError(f"{self.path} holds another run: {different[0]}; {do}")
         if "revisions" not in before:  # from before they were noted: random streams have changed since
-            why = "was begun by code of other revisions, which learns otherwise"
-            raise UserError(f"{self.path} {why}; begin anew with another --out")
+            why = "was started by code of other revisions, which trains differently"
+            raise UserError(f"{self.path} {why}; start again with another --out")
         if different := differences(before, asked, ("revisions",)):
-            raise UserError(f"{self.path} was begun by code that learns otherwise: {different[0]}; choose another --out")
+            raise UserError(f"{self.path} was started by code that trains differently: {different[0]}; choose another --out")
         return [
             f"{text}: the last bits of the numbers may differ from those of an unbroken run"
             for text in differences(before, config, ("versions",))
@@ -190,6 +196,8 @@ class Folder:
         if before["steps"] < config["steps"]:
             for number in config["seeds"]:
                 self.policy(number).unlink(missing_ok=True)  # with it, the run is no longer finished
+            if "online" in config:  # it will have more episodes of its own
+                self._episodes.unlink(missing_ok=True)
             write_json(self.config, before | {name: config[name] for name in ("steps", "evaluation")})
 
 
@@ -250,5 +258,5 @@ def policy_seed(name: str, seeds: Sequence[int], failures: Sequence[Any], seed: 
         raise UserError(f"{name} has no policy of seed {seed}; its seeds are {', '.join(map(str, seeds))}")
     healthy = [each for each, failure in zip(seeds, failures) if failure is None]
     if seed is None and not healthy:
-        raise UserError(f"all seeds of {name} have failed; name one, whose last good policy is used")
+        raise UserError(f"all seeds of {name} have failed; name one to use its last policy from before the failure")
     return healthy[0] if seed is None else seed

@@ -21,7 +21,7 @@ from deadreckon.runs.seen import Seen
 from deadreckon.runs.train import Run, load
 
 NOBODY = "it is not known whether it was trained on these episodes (--unseen asserts that it was not)"
-LEARNED = "it has learned from these episodes"
+LEARNED = "it was trained on these episodes"
 
 
 class Gathered(NamedTuple):
@@ -76,7 +76,7 @@ def gather(given: Any) -> list[Gathered]:
             found.append(Gathered(each, f"policy {number}", None, None))
             continue
         if not isinstance(each, Run | CrossFit | str | Path):
-            raise UserError(f"policies to judge are runs, folders, files or policies, got {type(each).__name__}")
+            raise UserError(f"policies to evaluate are runs, folders, files or policies, got {type(each).__name__}")
         path = None if isinstance(each, Run | CrossFit) else Path(each)
         if isinstance(each, CrossFit) or (path is not None and (path / CROSS_FIT).exists()):
             cross = each if isinstance(each, CrossFit) else load_cross_fit(path)  # pyrefly: ignore[bad-argument-type] - a path
@@ -84,7 +84,7 @@ def gather(given: Any) -> list[Gathered]:
             found += [Gathered((cross, s), name, s, None, by, cross.file_of(s), read, task) for s in cross.runs[0].seeds]
         elif path is None or path.is_dir():
             run = each if isinstance(each, Run) else load(each)
-            held = run.config["data"].get("holdout")
+            held = run.config["data"].get("holdout") or (run.config.get("log") or {}).get("holdout")
             by, folder, read = None if held is None else held["by"], Folder(run.path), _read(run)
             found += [
                 Gathered(policy, run.path.name, seed, run.taught, by, folder.policy(seed), read, run.config["task"])
@@ -99,7 +99,7 @@ def gather(given: Any) -> list[Gathered]:
             for s in library.evaluated(str(each)):
                 found.append(_saved(s.file, f"{each} {s.name}")._replace(file=None, task=str(each)))
     if not found:
-        raise UserError("no policy to judge")
+        raise UserError("no policy to evaluate")
     return found
 
 
@@ -111,7 +111,8 @@ def _saved(file: Path, name: str) -> Gathered:
 
 
 def _read(run: Run) -> Read:
-    return Read.of(run.config["data"].get("provenance"), run.taught, run.held)
+    # Of a run online with a log in its replay, that log's.
+    return Read.of(run.config["data"].get("provenance") or run.config.get("log_read"), run.taught, run.held)
 
 
 def check_encodings(found: Sequence[Gathered], data: Dataset) -> None:
@@ -146,6 +147,8 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
     Raises:
         UserError: nobody can tell which episodes a policy has learned from, or no episode is left.
     """
+    # Those of a run that a training again repeats have seen all of it.
+    found = [g._replace(taught=data.episode_ids) if _of_training(g, data) else g for g in found]
     if not unseen:
         for each in {id(g.read): g for g in found}.values():  # the seeds of a run share theirs
             check_episodes(each.run, each.read, data)
@@ -159,27 +162,27 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
     against: list[str | None] = [None] * len(found)
     if unseen:
         if not left.any():
-            raise UserError("no episode is left that all of these cross-fits have held out; judge each by itself")
+            raise UserError("no episode is left that all of these cross-fits have held out; evaluate each by itself")
         # Of a policy whose file knows all of these episodes, the log is its own, and it is known which of them taught it.
         own = [g for g in found if g.taught is not None and not isinstance(g.policy, tuple) and _covers(g.read.episodes, data)]
         fresh_too = left & Seen.of([g.taught for g in own], data).unseen
         if not fresh_too.any():
             against = [LEARNED if any(g is each for each in own) else None for g in found]
-            told = f"{int(left.sum()):,} episodes, which policies have learned from: their estimates are optimistic"
+            told = f"{int(left.sum()):,} episodes, on which policies were trained: their estimates are optimistic"
             return Fresh(np.flatnonzero(left), against, told)
         held = np.flatnonzero(fresh_too)
         equal = int((~known.unseen[held]).sum())
-        more = f", although {equal:,} of them equal episodes that taught a policy" if equal else ""
+        more = f", although {equal:,} of them equal a policy's training episodes" if equal else ""
         told = f"{len(held):,} episodes on which no policy was trained, according to --unseen{more}"
         return Fresh(held, against, told)
     crossed = not left.all()
     left &= known.unseen
     if not left.any() and crossed:
-        raise UserError("no episode is left that all of these policies can be judged on; judge the cross-fit by itself")
+        raise UserError("no episode is left on which all of these policies can be evaluated; evaluate the cross-fit by itself")
     if not left.any():
         everything = np.arange(data.episodes)
         against = [NOBODY if nobody else LEARNED for nobody in unknown]
-        told = f"all {data.episodes:,} episodes, which policies have learned from: estimates are optimistic"
+        told = f"all {data.episodes:,} episodes, on which policies were trained: estimates are optimistic"
         return Fresh(everything, against, told)
     against = [NOBODY if nobody else None for nobody in unknown]
     held = np.flatnonzero(left)
@@ -187,6 +190,13 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
     if taught:
         those = f"{len(held):,} held-out episodes of {data.episodes:,}"
     return Fresh(held, against, those + (", as far as is known" if any(unknown) else ""))
+
+
+def _of_training(each: Gathered, data: Dataset) -> bool:
+    """Whether a log is the training of the online run that snapshots of the package come from; see `collect_replay`."""
+    made = data.provenance
+    unknown = each.taught is None or not len(each.taught)
+    return each.file is None and unknown and made.recipe == f"{each.task}-medium-replay-v2" and made.seed == 0
 
 
 def _covers(episodes: np.ndarray | None, data: Dataset) -> bool:

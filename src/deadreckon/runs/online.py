@@ -14,10 +14,11 @@ from deadreckon.agents import agent_name, short_name
 from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 from deadreckon.names import file_part
-from deadreckon.online import Online
+from deadreckon.online import Online, replay_log
 from deadreckon.online.experience import experience_of
 from deadreckon.online.mixed import check_agent
 from deadreckon.runs.folder import Folder
@@ -44,7 +45,7 @@ def train_online(
     *,
     steps: int = 1_000_000,
     seeds: int | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     out: Path | str | None = None,
     **settings: Unpack[OnlineOptions],
 ) -> Run:
@@ -61,7 +62,7 @@ def train_online(
             (see `tasks.registry.task`); None: the one that `start` was judged in.
         steps: environment steps per seed, the random ones at the beginning included. A run may be resumed with more of them.
         seeds: number of independent runs, with the random seeds `seed` .. `seed + seeds - 1`; None: 1, or those of `start`.
-        seed: the first random seed.
+        seed: the first random seed; None: 0, or that of `start`.
         out: run folder; None is `runs/AGENT-TASK-online`, or `runs/AGENT-TASK-fine-tuned` with `start`.
         **settings: `start`, `data`, `log_share`, `settings` (an `Online`), `evaluate_every`, `episodes`, `chunk`, `resume`,
             `threads`, `demonstrations`, `callback`, `track` and `watch`; see `runs.settings.OnlineSettings`.
@@ -70,23 +71,26 @@ def train_online(
         UserError: input that does not fit, in one line; nothing is written then.
     """
     asked = OnlineSettings.of(settings)
-    asked.check(seed, seeds=1 if seeds is None else seeds)
+    asked.check(seed or 0, seeds=1 if seeds is None else seeds)
     start = None if asked.start is None else start_of(asked.start)
-    if start is not None and seeds is not None and list(range(seed, seed + seeds)) != start.run.seeds:
-        raise UserError(f"the run that goes on has the seeds {start.run.seeds}; leave seeds and seed out")
-    numbers = start.run.seeds if start is not None else list(range(seed, seed + (seeds or 1)))
+    if start is not None and (seed, seeds) != (None, None):
+        wanted = [(start.run.seeds[0] if seed is None else seed) + i for i in range(seeds or len(start.run.seeds))]
+        if wanted != start.run.seeds:
+            raise UserError(f"the run to continue has the seeds {start.run.seeds}; leave seeds and seed out")
+    first = seed or 0
+    numbers = start.run.seeds if start is not None else list(range(first, first + (seeds or 1)))
     if agent is None:
         if start is None:
-            raise UserError("train_online needs an agent, or a run on a log to go on from (start)")
+            raise UserError("train_online needs an agent, or an offline run to continue (start)")
         agent = [each.going_on() for each in start.agents]
     lanes = lanes_of(agent, len(numbers))
     if start is not None and agent_name(lanes[0]) != agent_name(start.agents[0]):
         learned, other = agent_name(start.agents[0]), agent_name(lanes[0])
-        raise UserError(f"{start.run.path} is a run of {learned}, {other} cannot go on from it")
+        raise UserError(f"{start.run.path} is a run of {learned}, {other} cannot continue it")
     if task is None and start is not None and start.run.config["task"] is not None:
         task = of_run(start.run.config["task"])
     if task is None:
-        raise UserError("train_online needs a task, the simulator to learn in")
+        raise UserError("train_online needs a task, the simulator to train in")
     task = find_task(task)
     kind = "online" if start is None else "fine-tuned"
     folder = Folder(Path(out) if out is not None else Path("runs") / file_part(f"{short_name(lanes[0])}-{task.name}-{kind}"))
@@ -100,8 +104,8 @@ def _train_online(
 ) -> Run:  # fmt: skip
     """The run in `folder`, of one agent a seed."""
     if len(task.observation_shape) != 1:
-        shown = "pictures" if task.observation_dtype == "uint8" else "observations"
-        raise UserError(f"{task.name} shows {shown} of shape {task.observation_shape}; learning online needs flat observations")
+        shown = "images" if task.observation_dtype == "uint8" else "observations"
+        raise UserError(f"{task.name} has {shown} of shape {task.observation_shape}; online training needs flat observations")
     turns = asked.settings or turns_of(type(lanes[0]), task.name, start is not None)
     trackers = trackers_of(asked.track, 1)
     updates = turns.updates(steps)
@@ -115,7 +119,7 @@ def _train_online(
     if log is not None:
         check_agent(lanes[0])
     if shown is not None and log is not None:
-        raise UserError("demonstrations are what DAPG learns from first, data is a log in the replay: give one of them")
+        raise UserError("demonstrations are for the imitation phase of DAPG, data is a log in the replay: give one of them")
     job = _job(lanes, task, numbers, updates, folder, dataclasses.replace(asked, settings=turns), every, shown, log)
     lanes = job.learners
     for text in () if log is None else about_sizes(log.log, lanes[0]):
@@ -143,17 +147,21 @@ def _train_online(
     for text in folder.check(config, resume=asked.resume):
         warnings.warn(text, stacklevel=3)
     folder.begin(config)
-    # What a simulator shows is in no log: demonstrations, or the log in the replay, alone have been seen.
-    none = np.zeros(0, np.uint64)
-    taught = log.taught if log is not None else none if shown is None else shown.episode_ids
-    held = none if log is None else log.held
-    folder.note_episodes(taught, held)
+    given = log.taught if log is not None else np.zeros(0, np.uint64) if shown is None else shown.episode_ids
+
+    def taught() -> np.ndarray:
+        """Ids of the episodes of the log in the replay, or of the demonstrations, and of those of the run's own steps."""
+        done, provenance = job.source.environment_steps, Provenance("replay")
+        files = [folder.replay(seed) for seed in numbers]
+        own = [replay_log(file, task, turns.copies, done, name=task.name, provenance=provenance).episode_ids for file in files]
+        return np.unique(np.concatenate([given, *own]))
+
     job.resume()
     folder.lengthen(config)
     folder.drop_after(job.step)
 
     learned = None if log is None else log.log
-    recorder = Recorder([folder], job, task, learned, job.stops, asked.episodes, taught, held if log is not None else None)
+    recorder = Recorder([folder], job, task, learned, job.stops, asked.episodes, taught, log.held if log is not None else None)
     try:
         with tracked([folder], trackers) as tracking:
             if job.step == 0 and not folder.part("evaluations", 0).exists():
@@ -210,9 +218,10 @@ def reopened(path: Path | str, data: Dataset | str | Path | None = None) -> Fit:
         log = beside(data, told, Read.of(config.get("log_read"), None, None), task, told["share"])
         settings = dataclasses.replace(settings, log_share=told["share"])
     job = _job(lanes, task, config["seeds"], config["steps"], folder, settings, every, None, log)
-    job.resume()
+    with folder.alone():  # where environments do not go on as they were, the rows in the file are marked as cut off
+        job.resume()
     if job.step == 0:
-        raise UserError(f"{path} has no checkpoint yet in which something was learned")
+        raise UserError(f"{path} has no checkpoint with an update yet")
     return job
 
 

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from deadreckon.data.provenance import Provenance
 from deadreckon.errors import UserError
 from deadreckon.files import read_json, write_json
@@ -76,7 +78,7 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
         raise UserError(f"{options.run}: a run of seed 0 alone is needed")
     online = config.get("online")
     if online is None and options.medium is not None:
-        raise UserError(f"{options.run} learned from a log: it has no medium-replay, leave medium out")
+        raise UserError(f"{options.run} was trained on a log: it has no medium-replay, leave medium out")
     total, task = options.updates or config["steps"], safe_name(str(config["task"]), f"{options.run}: task")
     # Runs on a log do not keep the policy that they begin with.
     parts = library.SNAPSHOTS - 1 if online else library.SNAPSHOTS
@@ -98,7 +100,7 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
         made["medium_replay"] = _replay(folder, task, online["copies"], steps(options.medium))
     # Medium and expert may be snapshots too, which are measured once.
     kept = {name: Kept(folder.policy(0, step), step, steps(step), agent, str(step)) for name, step in wanted.items()}
-    return _ship(task, made, kept, ("sampled", "greedy"), options, watch)
+    return _ship(task, made, kept, ("sampled", "greedy"), options, watch, folder.episodes("taught"))
 
 
 def publish_runs(
@@ -129,7 +131,7 @@ def publish_runs(
         _check_kept(folder, str(runs[name]), steps)
     for name, config in configs.items():
         if config.get("online"):
-            raise UserError(f"{runs[name]} learned online; runs on a log are needed")
+            raise UserError(f"{runs[name]} was trained online; runs on a log are needed")
     task = safe_name(str(called), f"{next(iter(runs.values()))}: task")
     facts = "agent", "seeds", "steps", "versions"
     run = {
@@ -142,7 +144,7 @@ def publish_runs(
             key = f"{name}-{seed}-{step}"
             kept[key] = Kept(folders[name].policy(seed, step), step, 0, config["agent"]["name"], key)
     if len({tuple(sorted(_taught(each.file))) for each in kept.values()}) > 1:
-        raise UserError("the runs have learned from different episodes of their log; train them with the same holdout")
+        raise UserError("the runs have different training episodes of their log; train them with the same holdout")
     return _ship(task, {"task": task, "run": run}, kept, ("sampled",), options, watch)
 
 
@@ -159,9 +161,10 @@ def _check_kept(folder: Folder, run: str, steps: Iterable[int]) -> None:
 
 def _ship(
     task: str, made: dict[str, Any], kept: Mapping[str, Kept], modes: Sequence[str], options: Shipping,
-    watch: Callable[[str], None],
+    watch: Callable[[str], None], taught: np.ndarray | None = None,
 ) -> Path:  # fmt: skip
-    """Writes policies by name, and what they are worth in each mode; `made` is what the JSON file says of their runs."""
+    """Writes policies by name, and what they are worth in each mode; `made` is what the JSON file says of their runs, and
+    `taught` the ids of the episodes that these learned from, for policies that do not know theirs."""
     # The library that is there stays whole until the new one is.
     out, work = Path(options.out), Path(options.out) / f".{task}.part"
     state, published = work / "about.json", out / f"{task}.json"
@@ -175,7 +178,8 @@ def _ship(
     for name, each in kept.items():
         # What is measured is what is shipped: the policy as it is read back from float16.
         meta = {"task": task, "name": name, "updates": each.updates, "agent": each.agent}
-        ids = {"taught": store.taught(each.file), "held": store.held(each.file)}
+        own = store.taught(each.file)
+        ids = {"taught": taught if own is None else own, "held": store.held(each.file)}
         store.save(work / f"{name}.npz", store.load(each.file), meta, half=True, **ids)
         wanted |= {(each.key, mode): work / f"{name}.npz" for mode in modes}
 

@@ -1,6 +1,6 @@
 """What a run writes while it goes: metrics, policies, evaluations and how far it has come."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -50,14 +50,15 @@ class Recorder:
         log: that is learned from; None online.
         every: updates between evaluations.
         episodes: an evaluation, a lane.
-        taught: (episodes,) uint64 `episode_ids` of the episodes that are learned from.
+        taught: (episodes,) uint64 `episode_ids` of the episodes that are learned from; online, what gives them once the run has
+            finished, because its own are among them: policies of before do not know theirs.
         held: (episodes,) uint64 of those of the log that are not; None: nobody knows of any.
         history: last observations that policies act on.
     """
 
     def __init__(
         self, folders: Sequence[Folder], job: Fit | Part, judge: Task | None, log: Dataset | None, every: int, episodes: int,
-        taught: np.ndarray, held: np.ndarray | None = None, history: int = 1,
+        taught: np.ndarray | Callable[[], np.ndarray], held: np.ndarray | None = None, history: int = 1,
     ):  # fmt: skip
         self.folders, self.job, self.judge = list(folders), job, judge
         self.seeds = len(job.seeds) // len(folders)  # of a run
@@ -170,7 +171,7 @@ class Recorder:
             meta: dict[str, Any] = {"agent": agent_name(self.job.learners[0]), "seed": seed, "step": step, **self.read}
             if values is not None:
                 meta["estimated_values"] = [float(v) for v in values[i]]
-            store.save(path, policy, meta, taught=self.taught, held=self.held)
+            store.save(path, policy, meta, taught=None if callable(self.taught) else self.taught, held=self.held)
 
     def _submit(self, step: int) -> None:
         self.pending.append(self.pool.submit(self._judge, step))
@@ -222,10 +223,15 @@ class Recorder:
         """Waits for the evaluations, then publishes the last policies; with them the run is finished."""
         for future in self.pending:
             future.result()
+        taught = self.taught
+        if callable(taught):
+            taught = taught()
+            for folder in self.folders:
+                folder.note_episodes(taught, np.zeros(0, np.uint64) if self.held is None else self.held)
         for path, seed, policy in zip(self._paths(), self.job.seeds, self.policies()):
             if not path.exists():
                 meta = {"agent": agent_name(self.job.learners[0]), "seed": seed, **self.read}
-                store.save(path, policy, meta, taught=self.taught, held=self.held)
+                store.save(path, policy, meta, taught=taught, held=self.held)
         self._status(self.job.step, finished=True)
 
     def end_at(self, step: int) -> None:

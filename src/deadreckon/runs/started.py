@@ -13,7 +13,7 @@ from deadreckon.online.mixed import check_bounds, check_sizes
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.holdout import divided
 from deadreckon.runs.lanes import agents_of
-from deadreckon.runs.reading import HORIZON, Read, read_like
+from deadreckon.runs.reading import ENCODED, HORIZON, Read, read_like
 from deadreckon.runs.train import Run, load
 from deadreckon.tasks.registry import of_run
 from deadreckon.tasks.task import Task
@@ -85,12 +85,12 @@ def start_of(given: object) -> Start:
     run = given if isinstance(given, Run) else load(given)
     config = run.config
     if "online" in config:
-        raise UserError(f"{run.path} is an online run already; --resume with more --steps goes on with it")
+        raise UserError(f"{run.path} is an online run already; --resume with more --steps continues it")
     if config.get("history", 1) > 1:
         raise UserError(f"{run.path} acts on the last {config['history']} observations, which online runs do not keep")
     for seed, failure in zip(run.seeds, run.failures):
         if failure is not None:
-            raise UserError(f"seed {seed} of {run.path} failed at update {failure.step}; train it again before it goes on")
+            raise UserError(f"seed {seed} of {run.path} failed at update {failure.step}; train it again before continuing it")
     together = config.get("together")
     folder = Folder(run.path.parent if together else run.path).checkpoints
     found = [path for step, path in checkpoints(folder) if step == config["steps"]]
@@ -145,7 +145,7 @@ def beside(
     if judge is not None:
         log = log.with_action_space(judge.action_space)
     if log.fingerprint != known.get("fingerprint", log.fingerprint):
-        learned = f"{known['name']} ({known['fingerprint']}), which was learned from"
+        learned = f"{known['name']} ({known['fingerprint']}), the log of the run"
         raise UserError(f"{log.name} is another log ({log.fingerprint}) than {learned}; give that one as data")
     part = divided(log, None, judge, {"data": known})
     check_bounds(part.learning, task)
@@ -153,5 +153,5 @@ def beside(
         "name": log.name, "fingerprint": log.fingerprint, "rows": len(part.learning), "episodes": part.learning.episodes,
         "path": log.provenance.path, "task": bounds, "holdout": part.told, "share": share,
     }  # fmt: skip
-    extra = {key: value for key, value in log.provenance.extra.items() if key in ("schema", HORIZON)}
+    extra = {key: value for key, value in log.provenance.extra.items() if key in ("schema", HORIZON, *ENCODED)}
     return Beside(part.learning, part.taught, part.held, told, {"extra": extra, "path": log.provenance.path})

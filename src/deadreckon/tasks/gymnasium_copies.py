@@ -132,7 +132,7 @@ class GymnasiumCopies:
         self._taken[:], self._seen[:] = state["taken"], state["last"]
         self._age[:], self._alive[:] = state["age"], state["alive"]
         self._starts.restore(state)
-        before = state.get("gained")  # not in checkpoints of before
+        before = state["gained"]
         lost = []
         for i in np.flatnonzero(self._alive).tolist():
             seen, over, self._gained[i] = self._begin(i), False, 0.0
@@ -142,8 +142,7 @@ class GymnasiumCopies:
                 seen, reward, terminated, truncated = self._advance(i, action)
                 self._gained[i] += reward
                 over = terminated or truncated
-            paid = before is None or self._gained[i] == before[i]
-            if over or not paid or not np.array_equal(seen, self._seen[i], equal_nan=True):
+            if over or self._gained[i] != before[i] or not np.array_equal(seen, self._seen[i], equal_nan=True):
                 lost.append(i)
         return np.array(lost) if lost else None
 
