@@ -152,6 +152,7 @@ def _train_online(
     def taught() -> np.ndarray:
         """Ids of the episodes of the log in the replay, or of the demonstrations, and of those of the run's own steps."""
         done, provenance = job.source.environment_steps, Provenance("replay")
+        assert done is not None
         files = [folder.replay(seed) for seed in numbers]
         own = [replay_log(file, task, turns.copies, done, name=task.name, provenance=provenance).episode_ids for file in files]
         return np.unique(np.concatenate([given, *own]))
