@@ -49,7 +49,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--tables", nargs="+", default=list(TABLES))
-    parser.add_argument("--apart", type=float, default=None, help="least distance between proposals, in usual distances")
+    parser.add_argument("--apart", type=float, default=None, help="least distance between proposals, in typical distances")
     asked = parser.parse_args()
     warnings.simplefilter("ignore")
     heads = (

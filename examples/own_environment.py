@@ -1,4 +1,4 @@
-"""An environment of your own, a heated room, in which SAC learns and policies are judged: `python examples/own_environment.py`.
+"""An environment of your own, a heated room, in which SAC learns and policies act: `python examples/own_environment.py`.
 
 A task makes a simulator: copies of the environment that are stepped together (`deadreckon.tasks.task` says what each must do).
 """

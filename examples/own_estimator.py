@@ -1,4 +1,4 @@
-"""An estimator of your own: the reward of the nearest logged steps, judged where the truth is known.
+"""An estimator of your own: the reward of the nearest logged steps, compared with the truth where it is known.
 
     python examples/own_estimator.py
 

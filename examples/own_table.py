@@ -2,7 +2,7 @@
 
     python examples/own_table.py
 
-It becomes a log, a policy learns from four fifths of its rows, and the rest of them says whether to deploy it.
+It becomes a log, a policy is trained on four fifths of its rows, and the other rows decide whether to deploy it.
 Page of the documentation: My own logs.
 """
 
@@ -28,8 +28,8 @@ def visits(rows: int, seed: int = 0) -> dict[str, np.ndarray]:
 
 
 def main(rows: int = 20_000, steps: int = 5_000, out: str = "runs/own-table") -> None:
-    """Learns and judges."""
-    # Columns that are not named are what decisions may depend on. Each row is an episode, as nothing says otherwise.
+    """Trains a policy and decides whether to deploy it."""
+    # Columns that are not named are what decisions may depend on. Each row is an episode, since no column states otherwise.
     log = dr.Dataset.from_frame(visits(rows), name="visits", action="offer", reward="paid", propensity="likelihood")
     run = dr.train(dr.agents.IQL(hidden=(64, 64)), log, steps=steps, out=out)
     print(judge([run.path], log, out=f"{out}-ope").choice)

@@ -29,6 +29,7 @@ NAMES = [
     "<script>alert(1)</script>", "\"><img src=x onerror=alert(1)>", "=cmd|' /C calc'!A0", "@SUM(1+1)", "'; DROP TABLE x; --",
 ]  # fmt: skip
 FEW = ["../../victim/important", ABSOLUTE, "x/../../../RUN", "\x1b[2J\x1b[31mDEPLOY", "x" * 300]  # for writers that take long
+PLAIN = "plain"  # which no writer may refuse: else the others are refused for what has nothing to do with names
 
 
 def told(name: str) -> str:
@@ -64,6 +65,11 @@ class Place:
             if not path.is_relative_to(self.work) or "victim" in path.relative_to(self.work).parts
         }
 
+    def written(self) -> list[str]:
+        """Files that have come."""
+        files = (path for path in self.work.rglob("*") if path.is_file())
+        return [str(path.relative_to(self.work)) for path in files if str(path) not in self.before]
+
     def check(self) -> None:
         """Nothing beside the folder has come, gone or changed, and what came in it has names that any system takes."""
         assert self._files() == self.before
@@ -73,14 +79,11 @@ class Place:
             assert len(os.fsencode(path.name)) <= 255
 
     @contextlib.contextmanager
-    def attacked(self) -> Iterator[None]:
-        """What is tried may be refused, in one line; it is checked either way."""
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                yield
-        except UserError:
-            pass
+    def attacked(self, refused: bool = True) -> Iterator[None]:
+        """What is tried may be refused, in one line, unless `refused` is False; it is checked either way."""
+        with contextlib.suppress(UserError) if refused else contextlib.nullcontext(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
         self.check()
 
 

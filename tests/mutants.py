@@ -2856,8 +2856,8 @@ MUTANTS = (
     ),
     Mutant(
         "rewards-of-another-scale", "tasks/gymnasium_copies.py",
-        "paid = before is None or self._gained[i] == before[i]",
-        "paid = True",
+        "self._gained[i] != before[i] or ",
+        "",
         "a run goes on with rewards on another scale",
         ("tasks/test_gymnasium.py::test_rewards_that_depend_on_earlier_episodes_are_told_when_copies_are_restored",),
     ),

@@ -36,6 +36,7 @@ def pages(monkeypatch):
     return __import__("notebook_pages")
 
 
+@pytest.mark.slow  # nbformat is of the group `slow`
 def test_pages_show_the_code_of_the_notebooks(pages):
     import nbformat
 

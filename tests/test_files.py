@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+import warnings
 from pathlib import Path
 
 import pytest
@@ -13,15 +14,21 @@ from deadreckon.errors import BusyError, UserError, cannot_write
 from deadreckon.files import alone, read_json, replacing, write_json
 
 
-def test_who_waits_for_another_process_says_so_once_and_goes_on_after_it(tmp_path):
-    path, began, order = tmp_path / "made" / "it", threading.Event(), []
+def test_who_waits_for_another_process_says_so_once_and_goes_on_after_it(tmp_path, monkeypatch):
+    path, began, said, order = tmp_path / "made" / "it", threading.Event(), threading.Event(), []
 
     def other():
         with alone(path):
             began.set()
-            time.sleep(0.5)
+            assert said.wait(60)
+            time.sleep(0.5)  # the lock is tried for again, twice or so
             order.append("other")
 
+    def warn(*text, warn=warnings.warn, **options):
+        warn(*text, **options)
+        said.set()
+
+    monkeypatch.setattr(warnings, "warn", warn)
     thread = threading.Thread(target=other)
     thread.start()
     began.wait()

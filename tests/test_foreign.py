@@ -3,7 +3,6 @@ import os
 import pickle
 import signal
 import socket
-import threading
 import time
 import zipfile
 
@@ -65,11 +64,11 @@ def test_archives_are_measured_before_they_are_unpacked(tmp_path, monkeypatch):
     path = tmp_path / "log.npz"
     np.savez_compressed(path, **COLUMNS | {"goal": np.zeros((4, 200_000), np.float32)})  # 3.2 MB in 4 kB
     assert read(path).extras["goal"].shape == (4, 200_000)
-    monkeypatch.setenv("DEADRECKON_MAX_UNPACKED", "1M")
-    refused(read, path, words=r"unpacks to 0\.0032 GB, more than the 0\.001 GB .* DEADRECKON_MAX_UNPACKED")
-    monkeypatch.setenv("DEADRECKON_MAX_UNPACKED", "lots")
-    refused(read, path, words="DEADRECKON_MAX_UNPACKED must be a number of bytes above 0")
-    monkeypatch.undo()
+    with monkeypatch.context() as limits:
+        limits.setenv("DEADRECKON_MAX_UNPACKED", "1M")
+        refused(read, path, words=r"unpacks to 0\.0032 GB, more than the 0\.001 GB .* DEADRECKON_MAX_UNPACKED")
+        limits.setenv("DEADRECKON_MAX_UNPACKED", "lots")
+        refused(read, path, words="DEADRECKON_MAX_UNPACKED must be a number of bytes above 0")
     monkeypatch.setenv("DEADRECKON_MAX_MEMBERS", "3")
     refused(read, path, words="holds 4 members, more than the 3 members")
 
@@ -205,9 +204,9 @@ def test_limits_hold_for_the_next_file_though_the_process_is_an_older_one(tmp_pa
     with h5py.File(path, "a") as file:
         file.create_dataset("infos/x", data=np.zeros((13, 1000)), compression="gzip")
     assert read(path).extras["x"].shape == (13, 1000)
-    monkeypatch.setenv("DEADRECKON_MAX_UNPACKED", "50k")
-    refused(read, path, words="unpacks to .* DEADRECKON_MAX_UNPACKED")
-    monkeypatch.undo()
+    with monkeypatch.context() as limits:
+        limits.setenv("DEADRECKON_MAX_UNPACKED", "50k")
+        refused(read, path, words="unpacks to .* DEADRECKON_MAX_UNPACKED")
     assert read(path).extras["x"].shape == (13, 1000)
 
 
@@ -215,10 +214,10 @@ def test_a_reader_that_is_silent_or_dies_is_told_and_the_next_file_is_read(tmp_p
     path = tmp_path / "x.pkl"
     path.write_bytes(pickle.dumps([1]))
     assert load_pickle(path) == [1]
-    monkeypatch.setenv("DEADRECKON_MAX_SECONDS", "0.3")
-    os.kill(child._child.process.pid, signal.SIGSTOP)
-    refused(load_pickle, path, words="has not ended after 0 s.*DEADRECKON_MAX_SECONDS")
-    monkeypatch.undo()
+    with monkeypatch.context() as limits:
+        limits.setenv("DEADRECKON_MAX_SECONDS", "0.3")
+        os.kill(child._child.process.pid, signal.SIGSTOP)
+        refused(load_pickle, path, words="has not ended after 0 s.*DEADRECKON_MAX_SECONDS")
     assert load_pickle(path) == [1]
     ends_at_work(signal.SIGSEGV)
     refused(load_pickle, path, words=r"the library that reads it crashed \(-11\)")
@@ -226,10 +225,16 @@ def test_a_reader_that_is_silent_or_dies_is_told_and_the_next_file_is_read(tmp_p
 
 
 def ends_at_work(number):
-    """Has the reading process end by a signal when it is asked next."""
-    stopped = child._child.process.pid
-    os.kill(stopped, signal.SIGSTOP)
-    threading.Timer(0.3, lambda: [os.kill(stopped, each) for each in (number, signal.SIGCONT)]).start()  # in this order
+    """Has the reading process end by a signal when it is asked next: once the request is sent, and before it can answer."""
+    reader, take = child._child, child._child._take
+    os.kill(reader.process.pid, signal.SIGSTOP)
+
+    def taken(count, silence):
+        for each in (number, signal.SIGCONT):  # in this order
+            os.kill(reader.process.pid, each)
+        return take(count, silence)
+
+    reader._take = taken
 
 
 def test_a_reader_that_somebody_killed_is_asked_again_and_told_when_it_happens_twice(tmp_path, monkeypatch):
@@ -247,9 +252,9 @@ def test_a_reader_that_somebody_killed_is_asked_again_and_told_when_it_happens_t
         return made
 
     child._drop()
-    monkeypatch.setattr(child, "_Child", begin)
-    refused(load_pickle, path, words=r"the process that reads it was killed twice \(SIGKILL\)")
-    monkeypatch.undo()
+    with monkeypatch.context() as killed:
+        killed.setattr(child, "_Child", begin)
+        refused(load_pickle, path, words=r"the process that reads it was killed twice \(SIGKILL\)")
     assert load_pickle(path) == [1]
 
 
@@ -261,9 +266,9 @@ def test_a_reader_that_ends_by_itself_or_a_lack_of_memory_here_is_no_kill(tmp_pa
     def lacking(*given, **options):
         raise OSError(12, "Cannot allocate memory")
 
-    monkeypatch.setattr(child.mmap, "mmap", lacking)
-    refused(load_pickle, path, words="cannot be read as .*: Cannot allocate memory")
-    monkeypatch.undo()
+    with monkeypatch.context() as short:
+        short.setattr(child.mmap, "mmap", lacking)
+        refused(load_pickle, path, words="cannot be read as .*: Cannot allocate memory")
     assert len(load_pickle(path)) == 1
     ends_at_work(signal.SIGTERM)
     refused(load_pickle, path, words=r"the library that reads it crashed \(-15\)")

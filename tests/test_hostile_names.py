@@ -3,10 +3,11 @@
 import contextlib
 import dataclasses
 import pickle
+import re
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pyarrow as pa
@@ -25,7 +26,7 @@ from deadreckon.data.formats.minari_ids import checked_id
 from deadreckon.data.schema import Column, Schema, toml_value
 from deadreckon.errors import UserError
 from deadreckon.files import write_json
-from tests.hostile import FEW, NAMES, Hub, HubClient, Wandb, place, told  # noqa: F401 - a fixture
+from tests.hostile import FEW, NAMES, PLAIN, Hub, HubClient, Wandb, place, told  # noqa: F401 - a fixture
 from tests.report.run_folders import write_run
 
 ROWS = 12
@@ -36,7 +37,16 @@ COLUMNS = {
 ENDINGS = ("", ".hdf5", ".npz", ".parquet", ".csv")  # of logs that are written
 
 
-refused = partial(contextlib.suppress, UserError)  # in one line is how a name may end; nothing else may be raised
+SAID: list[str] = []  # why names were refused, in the test that runs
+
+
+@contextlib.contextmanager
+def refused():
+    """In one line is how a name may end; nothing else may be raised."""
+    try:
+        yield
+    except UserError as error:
+        SAID.append(str(error))
 
 
 def log(name: str = "log", **extra: Any) -> dr.Dataset:
@@ -47,10 +57,9 @@ def log(name: str = "log", **extra: Any) -> dr.Dataset:
 
 
 def columns_of_a_log(name, work):
-    for ending in ENDINGS:
-        for target in (f"out/log{ending}", "minari:mine/log-v0"):
-            with refused():
-                _writer(target)(log(**{name: np.arange(float(ROWS))}), target, False)
+    for target in (*(f"out/log{ending}" for ending in ENDINGS), "minari:mine/log-v0"):
+        with refused():
+            _writer(target)(log(**{name: np.arange(float(ROWS))}), target, False)
 
 
 def columns_of_a_strangers_file(name, work):
@@ -105,8 +114,8 @@ def schemas(name, work):
         schema.save("out/schema.toml", about=name)
         assert [column.name for column in Schema.load("out/schema.toml").columns] == [name]
     with refused():
-        Schema((), {"path": name}).file_beside("out/schema.toml")
-        assert Path(name).name == name or "*" in name or not Path(name).is_absolute()
+        found = Schema((), {"path": name}).file_beside("out/schema.toml")
+        assert found.resolve().is_relative_to((work / "out").resolve())
 
 
 def designs(name, work):
@@ -135,7 +144,7 @@ def designers_and_problems(name, work):
 SUITE = """kind = "study"
 seeds = 1
 {ledger}
-cases = [{case}, "plain"]
+cases = [{case}, "other"]
 [methods]
 {method} = {{ agent = "tests.test_hostile_names:counted" }}
 [metrics]
@@ -164,7 +173,7 @@ def suites(name, work):
                     "steps": 0,
                     "seconds": 1.0,
                     "failure": "",
-                    "more": "{}",
+                    "more": '{"value": 1.0}',
                     "versions": "{}",
                 }
                 store.keep(job, JobResult([row], []), run=name.encode(errors="replace").decode())
@@ -208,8 +217,7 @@ def the_hubs_answers(name, work):
         ("policy", name, "policy.npz"),
         *((kind, "c0ffee", name) for kind in ("log", "run", "policy")),
     ):
-        Hub.kind, Hub.commit, Hub.listed = kind, commit, listed
-        with refused():
+        with mock.patch.multiple(Hub, kind=kind, commit=commit, listed=listed), refused():
             dr.from_hub("datasets/me/mine")
 
 
@@ -219,9 +227,18 @@ WRITERS = [
 ]  # fmt: skip
 
 
-CASES = [(write, name) for write in WRITERS for name in NAMES]
+# What writers that ask for a thing of that name say whatever the name: here is nothing that is called so.
+ANYHOW = {
+    names_of_data_sets: "no file |unknown (recipe|version) |is no Minari id|no Minari data set |not the name of a log",
+    names_of_tables_and_problems: "unknown (table|problem) |there are no policies of |there is no folder gone",
+    trackers: "id must be a text, got 3",
+    repositories: "cannot be read as a policy file",
+    the_hubs_answers: "cannot be read as a policy file|which a (log|run|policy) does not have",
+}
+
+CASES = [(write, name) for write in WRITERS for name in (*NAMES, PLAIN)]
 # All names and all writers are among the fast ones, with what is worst for each; the rest of the product is slow.
-QUICK = {case for i, case in enumerate(CASES) if case[1] in FEW or i % len(WRITERS) == 0}
+QUICK = {case for i, case in enumerate(CASES) if case[1] in (*FEW, PLAIN) or i % len(WRITERS) == 0}
 
 
 @pytest.mark.parametrize(
@@ -234,21 +251,28 @@ QUICK = {case for i, case in enumerate(CASES) if case[1] in FEW or i % len(WRITE
 def test_no_name_leads_out_of_the_folder(write, name, place, monkeypatch):  # noqa: F811
     monkeypatch.setitem(sys.modules, "huggingface_hub", HubClient("huggingface_hub"))
     monkeypatch.setitem(sys.modules, "wandb", Wandb("wandb"))
-    with place.attacked():
+    SAID.clear()
+    with place.attacked(refused=name != PLAIN):
         write(place.name(name), place.work)
+    if name == PLAIN:
+        assert [text for text in SAID if write not in ANYHOW or not re.search(ANYHOW[write], text)] == []
+        assert place.written() or write is names_of_tables_and_problems
 
 
 def test_every_name_and_at_least_a_hundred_attacks_are_tried_fast():
     assert len(QUICK) > 100
-    assert {name for _, name in QUICK} == set(NAMES)
+    assert {name for _, name in QUICK} == {*NAMES, PLAIN}
 
 
 def test_names_of_logs_are_files_of_their_folder(place):  # noqa: F811
-    for name in NAMES:
+    taken = []
+    for name in (*NAMES, PLAIN):
         with refused():
             found = catalogue.cached_path(place.name(name))
             assert found.parent == place.work / "home" / "data"
             assert found.name == f"{name}.hdf5"
+            taken.append(name)
+    assert taken == [".hidden", *(name for name in NAMES[NAMES.index("-rf") :] if "/" not in name), PLAIN]
     for name in ("con/log-v0", f"{'x' * 300}/log-v0", "mine//log-v0"):
         with pytest.raises(UserError, match="is no Minari id"):
             checked_id(name)

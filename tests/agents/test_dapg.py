@@ -232,7 +232,7 @@ def test_refusals():
         dr.train_online("ppo", MAZE, steps=5000, demonstrations=demonstrations(MAZE, 1), out="nowhere")
     with pytest.raises(UserError, match="maze2d-umaze-dense-planner has observations \\(4,\\) and 2 actions, hopper has"):
         dr.train_online("dapg", "hopper", steps=50_000, demonstrations=demonstrations(MAZE, 1), out="nowhere")
-    with pytest.raises(UserError, match="learns by acting in a simulator"):
+    with pytest.raises(UserError, match="trains by acting in a simulator"):
         DAPG().resolve(demonstrations(MAZE, 1).spec, 10)
 
 

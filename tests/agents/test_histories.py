@@ -13,12 +13,11 @@ from tests import golden
 from tests.agents import test_discrete
 from tests.agents.tiny import LOG, small
 
-FAST = ("bc", "mopo")  # the others differ in what they compute, not in what they see
 OPTIONS = {"steps": 4, "chunk": 4, "history": 2, "task": False}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n in FAST else pytest.mark.slow) for n in golden.OFFLINE])
+# The others differ in what they compute, not in what they see.
+@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n == "bc" else pytest.mark.slow) for n in golden.OFFLINE])
 def test_learns_and_acts_on_two_steps_or_says_why_not(name, tmp_path):
     agent = small(name)
     if not agent.supports_history:

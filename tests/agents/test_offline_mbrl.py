@@ -90,7 +90,7 @@ def test_ends_are_known_of_known_logs_and_where_a_task_is_said():
     assert agent("hopper-medium-v2", termination="learned").over is None
     with pytest.raises(UserError, match=r"termination='hopper': its observations are \(11,\), walk has \(2,\)"):
         agent("walk", shape=(2,), termination="hopper")
-    with pytest.raises(UserError, match="maze2d-umaze: its observations do not tell when an episode ends"):
+    with pytest.raises(UserError, match="maze2d-umaze: its observations do not show when an episode ends"):
         agent("walk", termination="maze2d-umaze")
 
 

@@ -75,7 +75,7 @@ def test_all_are_looked_at():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n == "td3_bc" else pytest.mark.slow) for n in FINE_TUNED])
+@pytest.mark.parametrize("name", FINE_TUNED)
 def test_beside_a_log_a_run_that_was_stopped_goes_on_to_the_same_bits(name, tmp_path):
     whole, experience = done(name, [3, 4], log=LOG)
     assert whole.failures == (None, None)

@@ -36,9 +36,9 @@ TD3 = { agent = "td3", fields = { hidden = [8], batch_size = 16 } }
 
 def test_what_no_cluster_can_do_is_refused(tmp_path, capsys, monkeypatch):
     assert main(["bench", "quick", "--cpus", "2"]) == 2
-    assert "--cpus is of --executor ray" in capsys.readouterr().err
+    assert "--cpus needs --executor ray" in capsys.readouterr().err
     assert main(["bench", "quick", "--executor", "ray", "--workers", "2"]) == 2
-    assert "--workers is of --executor local" in capsys.readouterr().err
+    assert "--workers needs --executor local" in capsys.readouterr().err
     with pytest.raises(UserError, match="1 or more cpus"):
         Cluster(tmp_path, cpus=0)
     monkeypatch.setitem(sys.modules, "ray", None)

@@ -366,7 +366,7 @@ def test_while_the_device_is_required_processes_are_told_so(monkeypatch):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--gpu"], "say how long by --for"),
+        (["--gpu"], "set it with --for"),
         (["--gpu", "--for", "40m", "--full"], "--full does not go with --gpu"),
         (["--gpu", "--for", "40m", "--idle"], "--idle does not go with --gpu"),
         (["--gpu", "--for", "40m", "--executor", "ray"], "--executor does not go with --gpu"),
@@ -381,9 +381,9 @@ def test_what_does_not_go_together_is_refused(suite, options, words):
 def test_a_dry_run_prints_the_plan_without_a_device(suite, tmp_path, capsys):
     bench([str(suite), "--out", str(tmp_path / "out"), "--gpu", "--for", "10m", "--dry-run"])
     told = capsys.readouterr().out
-    assert "some: 10 min of one H100, which is not here, and 16 cores, 8 processes" in told
+    assert "some: 10 min of one H100, which this machine does not have, and 16 cores, 8 processes" in told
     assert "plain and 1 other setting of td3_bc on 2 logs, seeds 0 to 1, CPU size, 8 lanes: trains" in told
-    assert "12 cells would be done; 0 that learn from logs would be left" in told
+    assert "12 cells would be done; 0 that train on logs would be left" in told
     assert not (tmp_path / "out").exists()
 
 

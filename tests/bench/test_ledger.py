@@ -138,7 +138,7 @@ def test_a_log_without_a_simulator_has_no_score(folder):
     assert json.loads(file.read_text(), parse_constant=pytest.fail)["score"] is None
     assert math.isnan(store.results().to_pylist()[0]["score"])
     [table] = tables(suite, plan(suite), store)
-    assert "no simulator to judge in, so no scores: hopper-medium-v2" in table.notes
+    assert "no simulator to evaluate in, so no scores: hopper-medium-v2" in table.notes
 
 
 def test_a_study_without_a_score_is_read_from_a_folder_of_results(folder):
@@ -347,6 +347,6 @@ def test_a_table_says_of_how_many_copies_of_a_log_it_is_and_who_scored_designs()
     found = [row("a", "1", "{}"), row("a", "2", ""), row("b", "3", judged), row("b", "3", judged)]
     notes = _notes(jobs, [], None, found)
     assert [note for note in notes if "copies" in note] == [
-        "collected on machines that round differently, so methods have learned from copies that differ: a (2 logs)"
+        "collected on machines that round differently, so methods were trained on copies that differ: a (2 logs)"
     ]
     assert [note for note in notes if "oracle" in note] == ["oracle of b: a forest"]

@@ -236,7 +236,7 @@ def test_a_setting_that_is_refused_fails_alone(planned, tmp_path, capsys):
     run(jobs, store, Lines(1), Here(store.path))
     assert [job.method for job in store.undone(jobs)] == ["wrong"]
     assert "leave out target_entropy" in store.failure(jobs[1], 0)["error"]
-    assert "its settings go on one by one\n1 of 2: right on maze2d-umaze-v1, seed 0" in capsys.readouterr().out
+    assert "its settings continue one by one\n1 of 2: right on maze2d-umaze-v1, seed 0" in capsys.readouterr().out
 
 
 def test_what_runs_and_how_many_wait_is_told_as_programs_begin(planned, capsys):

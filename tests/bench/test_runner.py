@@ -267,7 +267,7 @@ def test_a_log_without_a_simulator_has_no_scores_and_says_so(suite, tmp_path):
     jobs, store = plan(suite), Store(tmp_path)
     for job in jobs:
         store.keep(job, made(job, (np.nan, np.nan)))
-    assert "no simulator to judge in, so no scores: maze2d-umaze-v1" in rendered(tables(suite, jobs, store))
+    assert "no simulator to evaluate in, so no scores: maze2d-umaze-v1" in rendered(tables(suite, jobs, store))
     assert "nan" not in rendered(tables(suite, jobs, store))
 
 
@@ -403,7 +403,7 @@ def test_the_command_lists_plans_and_refuses(suite, tmp_path, capsys):
     assert main(["bench", str(tmp_path / "small.toml"), "--out", str(tmp_path / "out"), "--dry-run"]) == 0
     out = capsys.readouterr().out
     assert "4 cells, 0 of them done" in out
-    assert "TD3 on maze2d-umaze-v1, seed 1: no job like it yet" in out
+    assert "TD3 on maze2d-umaze-v1, seed 1: time not known, no similar job is finished" in out
     assert not (tmp_path / "out").exists()
     assert main(["bench", "quik"]) == 2
     assert "did you mean quick" in capsys.readouterr().err
@@ -413,7 +413,7 @@ def test_the_command_lists_plans_and_refuses(suite, tmp_path, capsys):
     parts = '[methods]\nA = { agent = "tests.bench.test_runner:made" }\n[metrics]\nx = { words = "x" }\n'
     (tmp_path / "study.toml").write_text(f'kind = "study"\nseeds = 1\ncases = ["a"]\n{parts}')
     assert main(["bench", str(tmp_path / "study.toml"), "--track", "tests.bench.test_runner:Noted"]) == 2
-    assert "suites of the kinds learn, online), and these are of: study" in capsys.readouterr().err
+    assert "suites of the kinds learn, online), and these are of the kinds study" in capsys.readouterr().err
     assert main(["bench", "quick", "--gpu", "--for", "1m", "--track", "mlflow"]) == 2
     assert "--track does not go with --gpu" in capsys.readouterr().err
     assert main(["bench", "show", "quick", "--out", str(tmp_path / "out"), "--format", "markdown"]) == 0

@@ -156,7 +156,7 @@ def test_what_a_choice_by_estimates_loses_is_told():
     known = [(10.0, [1.0, 2.0]), (40.0, [5.0, 7.0]), (50.0, [4.0, 4.0])]
     trials = tuple(Trial({"alpha": float(i)}, np.full((1, 2), s), np.array(values)) for i, (s, values) in enumerate(known))
     text = str(Tuned("td3_bc", "ope", trials, trials[1], None, 10.0))
-    assert "the choice loses 10.0 points of score, 25 % of the range of all; a choice by chance would lose 16.7" in text
+    assert "the choice loses 10.0 points of score, 25 % of the range of all; a random choice would lose 16.7" in text
     assert text.startswith("* alpha = 1.0")
 
 

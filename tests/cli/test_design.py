@@ -65,7 +65,7 @@ def test_from_a_table_to_proposals(table, capsys):
     assert written[0] == list(rows[0])
     np.testing.assert_allclose([row[3] for row in written[1:]], [float(row["predicted"]) for row in rows], rtol=1e-12)
     assert "order of unseen designs cannot be distinguished from chance" in page
-    for said in ("5 designs for cost", "usual distances", "colour"):
+    for said in ("5 designs for cost", "typical distances", "colour"):
         assert said in page
 
 
@@ -111,8 +111,8 @@ def test_with_a_judge(table, capsys):
          "--bounds takes names and values in turn, with blanks between them: STR FLOAT FLOAT"),
         (["--data", "alloys.csv", "--target", "cost", "--weights", "heat=-0.1"],
          "--weights takes names and values in turn, with blanks between them: STR FLOAT"),
-        (["--method", "best", "--data", "few.csv", "--target", "y"], "few: 9 rows are too few to learn from"),
-        (["--method", "best", "--data", "same.csv", "--target", "y"], "same: y is 1 in all rows, so nothing"),
+        (["--method", "best", "--data", "few.csv", "--target", "y"], "few: 9 rows are too few"),
+        (["--method", "best", "--data", "same.csv", "--target", "y"], "same: y is 1 in all rows, so no design"),
         (["--method", "best", "--data", "hole.csv", "--target", "y"], "hole: column a is empty in row 3, counted from 0; fill"),
         (["bench", "--seeds", "0"], "--seeds must be 1 or more, got 0"),
         (["bench", "--problems", "nk", "--paths", "gfp", "x"], "--paths names gfp, which is not among --problems"),

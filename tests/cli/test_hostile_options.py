@@ -118,4 +118,4 @@ def test_ids_that_were_rounded_do_not_become_one_episode(table, capsys):
     rows = [f"{89490200001000000000 + i // 5},{i},{'ab'[i % 2]},{i % 3}" for i in range(20)]
     (table / "ids.csv").write_text("\n".join(["ep,x,act,reward", *rows]) + "\n")
     assert main(["data", "info", "ids.csv", "--action", "act", "--reward", "reward", "--episode", "ep"]) == 2
-    assert "column ep tells episodes apart, and it was read as numbers up to 8.949" in capsys.readouterr().err
+    assert "column ep identifies episodes, and it was read as numbers up to 8.949" in capsys.readouterr().err

@@ -88,7 +88,13 @@ def test_a_service_answers_and_ends(run, tmp_path):
         (["RUN", "--host", "256.0.0.1"], "cannot listen on 256.0.0.1, port 8000"),
     ],
 )
-def test_what_cannot_be_served(run, capsys, words, said):
+def test_what_cannot_be_served(run, capsys, monkeypatch, words, said):
+    def found(host, *asked, find=socket.getaddrinfo, **options):
+        if host == "256.0.0.1":  # nobody is asked for it
+            raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+        return find(host, *asked, **options)
+
+    monkeypatch.setattr(socket, "getaddrinfo", found)
     assert main(["serve", *(str(run.path) if word == "RUN" else word for word in words)]) == 2
     assert said in capsys.readouterr().err
 

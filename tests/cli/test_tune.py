@@ -15,7 +15,7 @@ def test_episodes_that_chose_settings_are_not_to_judge_them(capsys, by):
     _told(Tuned("iql", by, (best,), best, None, None), {})
     told = capsys.readouterr().out
     assert "chosen: --agent.beta 3.0\n" in told
-    advice = "train with the default hold-out of the same log, without --holdout, --holdout-by and --cross-fit, or keep new"
+    advice = "train with the default hold-out of the same log, without --holdout, --holdout-by, --cross-fit, --horizon"
     assert (advice in told) == (by == "ope")
 
 

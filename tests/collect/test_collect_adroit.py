@@ -87,7 +87,7 @@ def test_a_downloaded_copy_serves_where_the_authors_file_is_not(home, real_data,
     log = dr.read(real_data / "adroit" / "door-v0_demos.pickle").select([4, 5])
     (home / "data").mkdir(parents=True)
     write_hdf5(log, home / "data" / "door-human-v1@minari.hdf5")
-    with pytest.raises(UserError, match="door-v0_demos.pickle: .*may be put by hand"):  # its rewards may be other ones
+    with pytest.raises(UserError, match="door-v0_demos.pickle: .*can be put manually"):  # its rewards may be other ones
         adroit.human(DOOR, RetryPolicy(tries=1, timeout=5.0, sleep=lambda seconds: None))
     write_hdf5(log, home / "data" / "door-human-v1@d4rl.hdf5")
     found = adroit.human(DOOR)
@@ -182,10 +182,10 @@ def test_files_come_from_the_authors_once(mirror, home):
 
 def test_what_does_not_come_or_is_something_else_is_told_in_one_line(mirror, home):
     retry = RetryPolicy(tries=1, timeout=5.0, sleep=lambda seconds: None)
-    with pytest.raises(UserError, match=r"pen-v0_demos.pickle: .*404.*may be put by hand at .*adroit/pen-v0_demos.pickle$"):
+    with pytest.raises(UserError, match=r"pen-v0_demos.pickle: .*404.*can be put manually at .*adroit/pen-v0_demos.pickle$"):
         adroit.human(task("pen"), retry)
     shutil.copy(mirror / "demonstrations" / "door-v0_demos.pickle", mirror / "policies" / "door-v0.pickle")
-    with pytest.raises(UserError, match=r"door-v0.pickle: no policy of DAPG in it.*the file was removed; .*by hand"):
+    with pytest.raises(UserError, match=r"door-v0.pickle: no policy of DAPG in it.*the file was removed; .*manually"):
         adroit.policy_file(DOOR, retry)
     assert not list((home / "data" / "adroit").glob("*.p*"))
 

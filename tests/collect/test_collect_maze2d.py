@@ -155,7 +155,7 @@ def test_files(tmp_path, home):
     written = part.stat().st_mtime_ns
     assert collect.collect("maze2d-umaze-v1", steps=2_000, seed=3) == part
     assert part.stat().st_mtime_ns == written
-    with pytest.raises(UserError, match=r"log.hdf5 is there already; --force \(force=True\) replaces it"):
+    with pytest.raises(UserError, match=r"log.hdf5 exists already; --force \(force=True\) replaces it"):
         collect.collect("maze2d-umaze-v1", steps=10, out=tmp_path / "log.hdf5")
     assert len(read_hdf5(tmp_path / "log.hdf5")) == 3_000
     assert len(read_hdf5(collect.collect("maze2d-umaze-v1", steps=10, out=tmp_path / "log.hdf5", force=True))) == 10

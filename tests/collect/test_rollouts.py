@@ -306,7 +306,7 @@ def test_another_policy_does_not_go_on_with_a_killed_log(tmp_path):
     for first in (POLICY, Coded()):
         with pytest.raises(Killed):
             collect_in_task(HOPPER, first, **asked, progress=lambda done, total: _kill_at(done, 100))
-        with pytest.raises(UserError, match="holds the beginning of a(nother)? collection.*delete it to begin anew"):
+        with pytest.raises(UserError, match="holds the beginning of a(nother)? collection.*delete it to start again"):
             collect_in_task(HOPPER, policy(HOPPER, seed=1), **asked)
         with pytest.raises(UserError, match="holds the beginning of a collection, maybe by another policy; delete it"):
             collect_in_task(HOPPER, Coded(), **asked)
@@ -391,7 +391,7 @@ def test_a_killed_log_of_an_environment_that_is_an_object_is_not_gone_on_with(tm
     with pytest.raises(Killed):
         collect_in_task(tasks.task(Pull(5.0), 20), **asked, progress=lambda done, total: _kill_at(done, 100))
     for again in (tasks.task(Pull(8.0), 20), tasks.task(Pull(5.0), 20)):
-        with pytest.raises(UserError, match="maybe by another environment; delete it to begin anew"):
+        with pytest.raises(UserError, match="maybe by another environment; delete it to start again"):
             collect_in_task(again, **asked)
 
 

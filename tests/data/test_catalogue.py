@@ -46,7 +46,7 @@ def test_the_originals_are_those_of_d4rl(real_data):
 def test_wrong_names_are_told_the_nearest():
     with pytest.raises(UserError, match="did you mean maze2d-umaze-v1"):
         load("maze2d-umaze-v2")
-    with pytest.raises(UserError, match=r"^no file qqq, and no data set is called so \(`deadreckon data list` lists them\)$"):
+    with pytest.raises(UserError, match=r"^no file qqq, and no data set of that name \(`deadreckon data list` lists them\)$"):
         load("qqq")
     with pytest.raises(UserError, match=r"unknown version 'dr9' of maze2d-umaze-v1: .* maze2d-umaze-v1@dr1"):
         load("maze2d-umaze-v1@dr9")
@@ -62,7 +62,7 @@ def test_wrong_names_are_told_the_nearest():
     ("@minari", "get hopper-medium-v2 --source minari` downloads a twin, or .* makes hopper-medium-v2@dr1 here$"),
 ])  # fmt: skip
 def test_how_a_log_can_be_had(version, how):
-    with pytest.raises(UserError, match=f"^hopper-medium-v2{version} is not here yet: `deadreckon data {how}"):
+    with pytest.raises(UserError, match=f"^hopper-medium-v2{version} is not in the cache yet: `deadreckon data {how}"):
         load(f"hopper-medium-v2{version}")
 
 
@@ -118,7 +118,7 @@ def test_a_minari_id_is_the_twin_of_that_id(home, tmp_path, monkeypatch):
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
     known = "mujoco/hopper/medium-v0"
     assert entry(known) == entry("hopper-medium-v2")
-    with pytest.raises(UserError, match="^hopper-medium-v2@minari is not here yet: `.* get hopper-medium-v2 --source minari`"):
+    with pytest.raises(UserError, match="^hopper-medium-v2@minari is not in the cache yet: `.* get hopper-medium-v2 --source"):
         load(known)
     log = make_log(name="hopper-medium-v2@minari")
     write_hdf5(log, cached_path("hopper-medium-v2@minari"))

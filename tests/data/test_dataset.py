@@ -148,7 +148,7 @@ def _with(column, place, value):
         (_with("terminals", 1, 2), "log: column terminals has 2.0 in row 1, 0 or 1 is needed"),
         (_with("timeouts", 1, 0.5), "log: column timeouts has 0.5 in row 1, 0 or 1 is needed"),
         ({"rewards": np.zeros(3)}, "log: column rewards has 3 rows, actions have 4"),
-        ({"rewards": np.zeros((4, 2))}, r"log: column rewards has shape \(4, 2\), one value a row is needed"),
+        ({"rewards": np.zeros((4, 2))}, r"log: column rewards has shape \(4, 2\), one value per row is needed"),
         ({"goal": np.zeros(5)}, "log: column goal has 5 rows, actions have 4"),
         ({"goal": np.array(list("abcd"))}, "log: column goal holds <U1, numbers are needed"),
         ({"actions": np.zeros((0, 1))}, "log: the log has no rows"),

@@ -63,8 +63,8 @@ class Handler(BaseHTTPRequestHandler):
         if length != "none":
             self.send_header("Content-Length", str(len(body) if length is None else length))
         self.end_headers()
+        self.server.sent.append(len(body))  # before the client has it all, and looks
         self.wfile.write(body)
-        self.server.sent.append(len(body))
 
 
 def serve(handler, part=None, ranges=True):
@@ -267,7 +267,7 @@ def test_a_twin_with_other_numbers_is_refused(server, home, tmp_path, monkeypatc
     folder = write_minari(make_log(), "D4RL/kitchen/mixed-v2") / "data"
     for name in ("metadata.json", "main_data.hdf5"):
         server.files[f"/hub/D4RL/resolve/main/kitchen/mixed-v2/data/{name}"] = ((folder / name).read_bytes(), {})
-    with pytest.raises(UserError, match=r"main_data.hdf5: it has \d+ numbers .*, not the 59 .*; the file was removed"):
+    with pytest.raises(UserError, match=r"main_data.hdf5: it has \d+ numbers .*, but it should have 59; the file was removed"):
         get("kitchen-mixed-v0", "minari")
     assert cache(home) == []
 
@@ -294,7 +294,7 @@ def test_both_have_the_columns_that_a_collected_log_has(server, original, twin, 
 
 
 def test_which_copy_a_plain_name_means(server, original, twin, home):
-    with pytest.raises(UserError, match=f"is not here yet: {MAKES}, or .*data get {NAME} --source d4rl` downloads"):
+    with pytest.raises(UserError, match=f"is not in the cache yet: {MAKES}, or .*data get {NAME} --source d4rl` downloads"):
         load(NAME)
     assert at_hand(entry(NAME)) == []
     for source, kinds in (("minari", ["minari"]), ("d4rl", ["d4rl", "minari"])):
@@ -432,7 +432,7 @@ def test_a_log_of_ours_alone_has_no_original(server, home, retry, monkeypatch):
     ours = replace(entry(NAME), original=None, minari=None)
     monkeypatch.setitem(ENTRIES, NAME, ours)
     left_alone(home, server, retry, [f"{NAME} has no original at D4RL's: {MAKES}"])
-    with pytest.raises(UserError, match=f"not here yet: {MAKES}$"):
+    with pytest.raises(UserError, match=f"not in the cache yet: {MAKES}$"):
         load(NAME)
     with pytest.raises(UserError, match=f"unknown version 'd4rl' of {NAME}: known are {NAME}@dr1 \\(collected\\)$"):
         load(f"{NAME}@d4rl")
@@ -569,7 +569,7 @@ def test_a_part_of_unknown_origin_is_not_gone_on_with(server, original, home, sp
     part = home / "data" / f".{NAME}@d4rl.hdf5.part"
     part.parent.mkdir(parents=True)
     server.next += [drops(3000)]
-    with pytest.raises(UserError):
+    with pytest.raises(UserError, match="broke after 3,000 of"):
         fetch(server.root + ORIGINAL, part, retry=RetryPolicy(tries=1))
     spoil(part)
     assert get(NAME).path.read_bytes() == original.body
@@ -578,7 +578,7 @@ def test_a_part_of_unknown_origin_is_not_gone_on_with(server, original, home, sp
 
 def test_a_part_from_another_address_is_not_gone_on_with(server, original, home, monkeypatch):
     server.next += [drops(3000)]
-    with pytest.raises(UserError):
+    with pytest.raises(UserError, match="broke after 3,000 of"):
         get(NAME, retry=RetryPolicy(tries=1))
     server.files[ORIGINAL.replace("d4rl", "mirror")] = server.files[ORIGINAL]
     monkeypatch.setenv("DEADRECKON_D4RL_URL", f"{server.root}/mirror")
@@ -613,7 +613,7 @@ def test_a_body_that_is_always_too_short(server, original, home, retry):
     with pytest.raises(UserError) as caught:
         get(NAME, retry=retry)
     text = str(caught.value)
-    assert f"broke after 3,000 of {size:,} bytes, 3 times in a row (3,000 bytes are kept, the same command goes on" in text
+    assert f"broke after 3,000 of {size:,} bytes, 3 times in a row (3,000 bytes are kept; the same command continues" in text
     assert MAKES in text
     assert cache(home) == [f".{NAME}@d4rl.hdf5.part", f".{NAME}@d4rl.hdf5.part.json"]
     assert len(server.requests) == 3
@@ -762,7 +762,7 @@ def test_a_file_that_does_not_fit_is_not_begun(server, original, home, retry):
 
 def test_a_disk_that_fills_up_meanwhile(server, original, home, retry):
     server.next += [lambda handler: handler.send(200, original.body, length="none", ETag='"one"')]
-    with files_up_to(2000), pytest.raises(UserError, match=r"^cannot write .*@d4rl.hdf5: .*\(what has come is kept\)$"):
+    with files_up_to(2000), pytest.raises(UserError, match=r"^cannot write .*@d4rl.hdf5: .*\(the part that has arrived is"):
         get(NAME, retry=retry)
     assert cache(home) == [f".{NAME}@d4rl.hdf5.part", f".{NAME}@d4rl.hdf5.part.json"]
     assert get(NAME).path.read_bytes() == original.body

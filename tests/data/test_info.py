@@ -55,7 +55,7 @@ def test_quantiles_of_a_column(rows):
     [
         ({"terminals": np.arange(40) == 39}, "one single episode"),
         ({"terminals": np.arange(40) % 10 == 9}, "all 4 terminal episodes have 10 steps: if that is a time limit"),
-        ({"terminals": np.isin(np.arange(40), (6, 17)), "timeouts": np.arange(40) % 4 == 0}, "no known successor"),
+        ({"terminals": np.isin(np.arange(40), (6, 17)), "timeouts": np.arange(40) % 4 == 0}, "of the rows have neither"),
         (
             {"rewards": np.full(40, 2.0), "terminals": np.zeros(40), "timeouts": np.isin(np.arange(40), (6, 17, 39))},
             "all rewards are 2",
@@ -85,7 +85,7 @@ def test_a_table_that_was_stored_twice_is_told_and_equal_people_are_not():
     once = {"x": rng.normal(size=200), "act": rng.integers(0, 2, 200), "reward": rng.normal(size=200)}
     twice = {name: np.tile(values, 2) for name, values in once.items()}
     told = [line for line in warnings_for(Dataset.from_frame(twice, action="act", reward="reward")) if "repeat" in line]
-    words = "if a part of the table was stored twice, leave the copies out, or held-out rows are learned from"
+    words = "if a part of the table was stored twice, leave the copies out, else held-out rows are used for training"
     assert told == [f"200 of 400 rows repeat an earlier one, in the same order: {words}"]
     order = rng.permutation(400)
     mixed = {name: values[order] for name, values in twice.items()}

@@ -236,7 +236,7 @@ CASES = {
     "propensity": ({"pscore": np.full(N, 0.5)}, {}, ["x"], None, "column pscore looks like a probability of the logged action"),
     "cost": ({"cost": np.abs(X)}, {}, ["x"], None, "column cost looks like a cost"),
     "empty": ({"y": [None] * N}, {}, ["x"], None, "column y is empty and is left out"),
-    "identity": ({"user_id": EPISODE}, {}, ["x", "user_id"], None, "column user_id looks like a name of someone"),
+    "identity": ({"user_id": EPISODE}, {}, ["x", "user_id"], None, "column user_id looks like a name"),
     "row numbers": ({"Unnamed: 0": np.arange(N)}, {}, ["x"], None, "column 'Unnamed: 0' looks like a row number"),
     "several actions of whole numbers": (
         {"b": np.arange(N) % 2}, {"action": ["action", "b"]}, ["x"], Box((0.0, 0.0), (2.0, 1.0)),
@@ -267,7 +267,7 @@ CASES = {
         {"is_first": STEP == 0}, {}, ["x"], None, "column is_first marks starts of episodes and is left out: --episode",
     ),
     "numbers of customers": (
-        {"customer_no": EPISODE + 7}, {}, ["x", "customer_no"], None, "column customer_no looks like a name of someone",
+        {"customer_no": EPISODE + 7}, {}, ["x", "customer_no"], None, "column customer_no looks like a name",
     ),
     "an empty text as a level": (
         {"zone": ["a", "", "b"] * (N // 3)}, {}, ["x", "zone=", "zone=a", "zone=b"], None,
@@ -414,7 +414,7 @@ def test_an_open_order_of_dates_in_frames_and_parquet_is_told_and_can_be_chosen(
     for source in (lambda **more: Dataset.from_frame(table, **more), lambda **more: read(path, **more)):
         open_one = source(time="day")
         np.testing.assert_array_equal(open_one.observations[:, 0], by_month)
-        assert told(open_one, r"month/day/year, and no cell tells whether that is right \(--dates day-first\): column day")
+        assert told(open_one, r"month/day/year, and no cell shows whether that is right \(--dates day-first\): column day")
         np.testing.assert_array_equal(source(time="day", dates="day-first").observations[:, 0], np.arange(N))
         with pytest.raises(UserError, match="column day orders rows, and holds neither numbers nor dates"):
             source(time="day", dates="iso")
@@ -442,7 +442,7 @@ def test_integers_beyond_all_integers_are_told_where_they_stand_behind_the_head(
         assert log.episodes == 3_001
     else:
         assert told(read(path), words)
-        with pytest.raises(UserError, match="column code tells episodes apart, .* rounded"):
+        with pytest.raises(UserError, match="column code identifies episodes, .* rounded"):
             read(path, episode="code")
 
 

@@ -173,7 +173,7 @@ def test_options_of_the_file_in_the_schema_hold_however_it_is_given(tmp_path):
 def test_names_with_line_breaks_stay_within_their_comments(tmp_path):
     name = 'role = "reward"\nmy_user_id'
     schema, told = describe_table({name: [1, 2, 3], "a": [0, 1, 0], "r": [0.0, 1.0, 0.5]})
-    assert any("looks like a name of someone" in line for line in told)
+    assert any("looks like a name" in line for line in told)
     schema.save(tmp_path / "x.toml")
     assert Schema.load(tmp_path / "x.toml") == schema
     assert schema.named("observation") == [name]

@@ -37,7 +37,7 @@ def test_every_column_with_what_becomes_of_it(table):
     assert found["temp"].becomes == "observation 2-3 (missing cells: 3, marked in the last)"
     assert found["act"].becomes == "actions 0, 1, 2 = high, low, mid"
     assert found["note"].becomes.startswith("left out: empty")
-    assert found["day"].becomes == "tells episodes apart"
+    assert found["day"].becomes == "identifies episodes"
     for name in ("site", "temp", "dose", "level"):
         assert all(observation_names(table)[i].startswith(name) for i in found[name].dimensions)
 

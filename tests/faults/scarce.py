@@ -144,7 +144,7 @@ def version(place: Place, command: Command, rng: random.Random) -> Outcome | Non
     config["revisions"] = {name: -1 for name in config["revisions"]}
     (place.out / "run.json").write_text(json.dumps(config))
     again = run(words, place.folder, LONG)
-    return Outcome("other revisions were refused in one line", refused(again, "code that learns otherwise"))
+    return Outcome("other revisions were refused in one line", refused(again, "code that trains differently"))
 
 
 def homeless(place: Place, command: Command, rng: random.Random) -> Outcome | None:

@@ -36,7 +36,7 @@ def test_the_best_order_is_taken_unless_the_process_is_as_good():
     nearly = dataclasses.replace(quality("other", 1.0), rank_correlation=gp.rank_correlation + 1e-3)
     at, reason = chosen([gp, nearly])
     assert at == 0
-    assert reason.endswith("so that GP is taken")
+    assert reason.endswith("so GP is taken")
 
 
 @pytest.mark.slow
@@ -56,7 +56,7 @@ def test_of_noise_no_method_is_praised():
     at, reason = chosen([among, dataclasses.replace(among, method="net", rank_correlation=0.11)])
     assert at == 0
     assert reason == f"of net, which ranks unseen designs best of 2 methods, {among.doubt}; GP is taken"
-    assert among.doubt == "the model's order of rows that it has not seen cannot be distinguished from chance"
+    assert among.doubt == "the model's order of unseen rows cannot be distinguished from chance"
 
 
 def test_with_a_kappa_the_process_is_taken(monkeypatch):
@@ -73,7 +73,7 @@ def test_a_network_that_is_taken_says_that_it_does_not_see_standard_errors(monke
     noise = {"GP": 3.0, "Ensemble, mean": 0.3, "RaM": 3.0}
     monkeypatch.setattr(auto, "on_held_out", lambda method, setting, scored: quality(method.label, noise[method.label]))
     monkeypatch.setattr(Forward, "solve", lambda method, setting: [])
-    with pytest.warns(UserWarning, match="designs: Ensemble, mean takes all rows for equally exact in its fit"):
+    with pytest.warns(UserWarning, match="designs: Ensemble, mean treats all rows as equally exact in its fit"):
         assert designer("auto", networks_from=50).propose_many(data, 4, seeds=[0]) == []
 
 

@@ -107,7 +107,7 @@ def test_methods_that_take_all_rows_for_equally_exact_say_so(monkeypatch, recwar
         designer(name).propose_many(given, 2, seeds=[0])
         lines[name] = [str(each.message) for each in recwarn]
     assert lines.pop("forward") == [
-        "frame: Forward takes all rows for equally exact in its fit, whatever their standard errors and replicates; the "
+        "frame: Forward treats all rows as equally exact in its fit, regardless of their standard errors and replicates; the "
         "Gaussian process does not (--method gp)"
     ]
     assert not any(lines.values())
@@ -158,9 +158,9 @@ def test_a_least_distance_between_proposals_is_kept(method):
     z = data.coordinates.encode(designer(method).propose(data, 8).x).astype(float)
     nearest = [np.linalg.norm(z[i + 1 :] - z[i], axis=1).min() for i in range(7)]
     assert min(nearest) >= 0.7 * usual_distance(data)
-    with pytest.raises(UserError, match=r"8 proposals that differ, are not in the data \(.*\) and lie 9 usual distances apart"):
+    with pytest.raises(UserError, match=r"8 proposals that differ, are not in the data \(.*\) and lie 9 typical distances"):
         designer(method).propose(Designs.from_frame(columns, "y", apart=9.0), 8)
-    with pytest.raises(UserError, match=r"two proposals lie less than 0\.7 usual distances apart"):
+    with pytest.raises(UserError, match=r"two proposals lie less than 0\.7 typical distances apart"):
         check_batch(data, data.x[:1] + [[0.0] * (data.x.shape[1] - 1) + [i * 1e-3] for i in range(2)], repeat=True)
 
 

@@ -197,9 +197,9 @@ def test_a_slipped_digit_is_told():
     data, lines = told(Designs.from_frame, columns, "y")
     assert data.variables[0].high == 900
     assert lines[0] == (
-        f"frame: temp: 900 (row 3, counted from 0) is far from all others ({least:g} to {most:g}); the models learn from it: "
-        f"mend it, or leave the row out, if it is a slip; --constraints '`temp` <= {most:g}' would keep proposals within "
-        "the others' range"
+        f"frame: temp: 900 (row 3, counted from 0) is far from all others ({least:g} to {most:g}); the models are fitted to "
+        f"it: correct it, or leave the row out, if it is an error; --constraints '`temp` <= {most:g}' would keep proposals "
+        "within the others' range"
     )
     assert lines[1].startswith("frame: y: 431 (row 5, counted from 0) is far from all others (")
     assert data.noticed == tuple(line.removeprefix("frame: ") for line in lines)
@@ -231,7 +231,7 @@ def test_rows_that_break_a_sum_which_others_hold_are_told():
     assert told(Designs.from_frame, columns, "y", **mixture)[1] == []
     columns["c"][7] += 0.3
     (line,) = told(Designs.from_frame, columns, "y", **mixture)[1]
-    assert line.startswith("frame: a + b + c = 1 does not hold in row 7, counted from 0; the models learn from these")
+    assert line.startswith("frame: a + b + c = 1 does not hold in row 7, counted from 0; the models are fitted to these")
     percent = {name: 100 * columns[name] for name in "abc"} | {"y": columns["y"]}
     with pytest.raises(UserError, match=r"in the data they sum to 100, so say --constraints 'a \+ b \+ c = 100' instead"):
         Designs.from_frame(percent, "y", **mixture)
@@ -399,7 +399,7 @@ def test_rows_without_any_input_are_left_out_and_nothing_else_is_said():
 
 def test_few_rows_are_too_few_and_nothing_else_is_wrong():
     for rows in (1, 2, 4):
-        with pytest.raises(UserError, match=f"{rows} rows? (is|are) too few to learn from, 10 or more are needed"):
+        with pytest.raises(UserError, match=f"{rows} rows? (is|are) too few, 10 or more are needed"):
             Designs.from_frame({"a": list(range(rows)), "y": list(range(rows))}, "y")
 
 

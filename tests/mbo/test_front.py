@@ -135,7 +135,7 @@ def test_rows_that_break_a_rule_are_no_measure_of_what_is_gained(monkeypatch):
     assert made.before > 0
     assert made.gain > 0
     far = propose_front(two, 4, reference=[1e3, 1e3])
-    assert [line[:24] for line in far.notes] == ["no row that counts lies ", "no proposal is expected "]
+    assert [line[:24] for line in far.notes] == ["no eligible row lies abo", "no proposal is expected "]
     assert far.made[0].x[:, 0].min() > 1.0  # and not those of the least a
     none = targets_of(read, ["gain", "pure"], [], forbidden=["a < 1.5"])
     assert dataclasses.replace(made, data=tuple(none)).notes[0].startswith("no row of the data satisfies the rules")

@@ -11,7 +11,7 @@ from deadreckon.mbo.variables import Variable
 
 
 def test_on_a_line_by_hand():
-    """Evenly spaced designs: one step is the usual distance."""
+    """Evenly spaced designs: one step is the typical distance."""
     data = Designs.from_arrays(np.arange(20.0)[:, None], np.arange(20.0))
     np.testing.assert_allclose(nn_distance(data, np.array([[3.0], [3.5], [29.0]])), [0.0, 0.5, 10.0], atol=1e-5)
 

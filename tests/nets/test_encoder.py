@@ -55,7 +55,7 @@ def test_numpy_makes_the_same_features(kind, shape):
     assert found.shape == (4, encoder.features) == (4, 12)
     np.testing.assert_allclose(portable_pictures.features(node, arrays, pictures), found, atol=2e-6)
     assert np.abs(found).max() < 1.0
-    with pytest.raises(ValueError, match="sees pictures of shape"):
+    with pytest.raises(ValueError, match="takes images of shape"):
         portable_pictures.features(node, arrays, pictures[:, 1:])
 
 

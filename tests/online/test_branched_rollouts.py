@@ -185,5 +185,5 @@ def test_it_does_not_learn_from_a_log():
         observations=rng.standard_normal((30, 2)), actions=rng.uniform(-1, 1, (30, 1)), rewards=np.ones(30),
         terminals=np.arange(30) % 10 == 9, name="log",
     )  # fmt: skip
-    with pytest.raises(UserError, match="MBPO learns by acting in a simulator, not from a log; say --online --task TASK"):
+    with pytest.raises(UserError, match="MBPO trains by acting in a simulator, not on a log; use --online --task TASK"):
         dr.train(MBPO(), log, steps=10)

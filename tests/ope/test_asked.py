@@ -87,11 +87,11 @@ def test_numbers_of_numpy_are_numbers(case):
     ({"model": 3}, "model takes BehaviorModel, got 3"),
     ({"guarantee": True, "return_range": (0, 1, 2)}, r"return_range takes 2 numbers or None, got \(0, 1, 2\)"),
     ({"guarantee": True, "return_range": ("a", "b")}, "return_range takes 2 numbers or None"),
-    ({"return_range": (0.0, 1.0)}, "return_range bounds nothing unless a guarantee is asked for"),
+    ({"return_range": (0.0, 1.0)}, "return_range is used only with a guarantee"),
     ({"alpha": 0}, "alpha, .*, must lie between 0 and 1, got 0"), ({"alpha": 2.0}, "must lie between 0 and 1, got 2.0"),
     ({"alpha": "x"}, "alpha takes a number"),
     ({"groups": Groups("site", ("a",), np.zeros(61, int))}, r"groups by site must be .* each of 60 episodes .*\(61,\)"),
-    ({"estimators": []}, "no estimator to judge by"), ({"estimators": 3}, "estimators are names, .* got int"),
+    ({"estimators": []}, "no estimator; give names"), ({"estimators": 3}, "estimators are names, .* got int"),
     ({"estimators": ["is", "nope"]}, "unknown estimator 'nope'"),
 ])  # fmt: skip
 def test_what_a_decision_cannot_be_asked_is_refused_before_anything_is_fitted(case, options, told, monkeypatch):

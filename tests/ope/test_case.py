@@ -244,7 +244,7 @@ def test_best_guesses_of_functions_are_their_likeliest_actions():
     np.testing.assert_array_equal(found[:, 0], likeliest)
     assert (found[:, 1] == likeliest).all(1).mean() > 0.9  # counted from draws, among which near ties are chance
     noisy = BlackBoxPolicy(lambda seen, rng: seen + rng.standard_normal(seen.shape), log_prob=lambda seen, a: a[:, 0])
-    with pytest.raises(UserError, match="policy 0 samples its actions and does not tell a deterministic"):
+    with pytest.raises(UserError, match="policy 0 samples its actions and has no deterministic"):
         OPEInput(lqr(-0.5, 0.5, 3, 5), noisy, greedy=True)
 
 
@@ -334,15 +334,15 @@ def test_a_killed_fit_goes_on(tmp_path):
 def test_refusals():
     log = lqr(-0.5, 0.5, 3, 5)
     silent = BlackBoxPolicy(lambda seen, rng: seen)
-    with pytest.raises(UserError, match="discount=1 needs episodes that end by a terminal, or a horizon: lqr has time-outs"):
+    with pytest.raises(UserError, match="discount=1 needs episodes that end by a terminal, or a horizon: lqr has timeouts"):
         OPEInput(log, silent, discount=1.0)
-    with pytest.raises(UserError, match="no policy to judge"):
+    with pytest.raises(UserError, match="no policy to evaluate"):
         OPEInput(log, [])
     with pytest.raises(UserError, match="policies must be policies, policy files or runs, got int"):
         OPEInput(log, 3)
     with pytest.raises(UserError, match="2 policies need as many names, got 1"):
         OPEInput(log, [silent, silent], names=["a"])
-    with pytest.raises(UserError, match="policy 0 draws its actions and does not tell how likely they are"):
+    with pytest.raises(UserError, match="policy 0 samples its actions without giving their probabilities"):
         ImportanceSampling(behavior="auto", model=BehaviorModel(steps=1)).estimate(log, silent)
     with pytest.raises(UserError, match=r"policy 0 gives actions of shape \(2,\), lqr has shape \(1,\)"):
         TINY.estimate(log, BlackBoxPolicy(lambda seen, rng: np.tile(seen, 2)))

@@ -61,12 +61,8 @@ def test_values_are_true_within_their_intervals(world, name):
     assert found.diagnostics.get("pareto k", np.zeros(3))[2] <= 0.0
 
 
-# Switching has a file of its own, and shrinking is the same code with another weight.
-SLOW = ("switch", "dros")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in SLOW else ()) for n in NEW])
+# Those with critics fit them in each of the logs.
+@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n == "smis" else pytest.mark.slow) for n in NEW])
 def test_the_truth_lies_within_as_often_as_promised(name):
     true = garnet(states=4, actions=2, ending=0.3, noise=0.3)
     behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0]
@@ -137,7 +133,7 @@ def test_what_cannot_be_done_is_said_in_a_line():
     case = OPEInput(log, [linear(-0.5, 0.5)], discount=0.9)
     with pytest.raises(UserError, match="smis needs discrete actions and few different observations"):
         estimator("smis").on(case)
-    with pytest.raises(UserError, match="mrdr learns from returns, and 30 episodes are cut off"):
+    with pytest.raises(UserError, match="mrdr is fitted to returns, and 30 episodes are cut off"):
         estimator("mrdr").on(case)
     short = OPEInput(log, [linear(-0.6, 0.5)], discount=0.9, horizon=3)
     assert np.isfinite(with_fields(estimator("mrdr"), {"ridge": 10.0}).on(short).value).all()

@@ -141,7 +141,7 @@ def test_a_cost_that_never_occurred_has_no_upper_end(judge):
     (cost,) = costs_of(case, judge, _support(case), {"cost": 0.001}, 0.025, SMALL)
     assert cost.ends[0].tolist() == [0.0, -np.inf, np.inf]
     assert cost.objection(0, 0.975) == (
-        "it is not known whether its cost stays within 0.001: in every evaluated episode that counts for it the total is 0; "
+        "it is not known whether its cost stays within 0.001: in every evaluated episode with a weight for it the total is 0; "
         "how rare other totals are is not known"
     )
 
@@ -235,7 +235,7 @@ def test_limits_need_costs_and_a_name_where_there_are_several():
         limits_of("3", several)
     assert limits_of("energy=0.3", several) == {"cost": None, "energy": 0.3}  # one text is one limit, not a sequence of letters
     assert limits_of(np.int64(3), case().given) == limits_of(np.float32(3), case().given) == {"cost": 3.0}
-    with pytest.raises(UserError, match="--cost-limit energy: a cost needs its limit beside it, such as energy=25"):
+    with pytest.raises(UserError, match="--cost-limit energy: a cost needs a limit, such as energy=25"):
         limits_of(["energy"], several)
     with pytest.raises(UserError, match="energy has the limit 1 already; give one"):
         limits_of(["energy=1", "energy=2"], several)

@@ -326,7 +326,7 @@ def test_what_is_still_to_come_is_told_of_what_is_asked_for():
     )  # fmt: skip
     case = OPEInput(log, [as_policy(both)], discount=1.0, horizon=40, logged=True)
     assert case.cut_ahead == pytest.approx(0.05)
-    assert any("where 5 % of the discounted time is still to come" in line for line in ImportanceSampling().on(case).warnings)
+    assert any("where 5 % of the discounted time remains" in line for line in ImportanceSampling().on(case).warnings)
 
 
 def blind(log):

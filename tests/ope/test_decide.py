@@ -76,7 +76,7 @@ def test_a_horizon_cuts_episodes_and_knows_what_the_task_ended():
 
 def test_estimands_in_words_and_what_has_no_value():
     assert str(Estimand(0.99, 1)) == "expected reward of one step; sampled actions"
-    assert "until it ends; rewards beyond a time-out count; deterministic (greedy)" in str(Estimand(0.9, None, True))
+    assert "until it ends; rewards after a timeout count; deterministic (greedy)" in str(Estimand(0.9, None, True))
     assert "expected return of the first 7 steps" in str(Estimand(1.0, 7))
     with pytest.raises(UserError, match=r"discount=1 needs episodes that end by a terminal, or a horizon: .* longest episode"):
         by_hand(discount=1.0)
@@ -199,10 +199,10 @@ def test_a_policy_that_memorised_noise_is_praised_on_its_own_rows_alone():
     case = OPEInput(part, policy, discount=0.0, logged=True, noise=None)
     own = decide(case, [DR], model=QUICK)
     assert own.choice.low > 0.2  # which is why it must be told
-    known = ["it has learned from these episodes"]
+    known = ["it was trained on these episodes"]
     told = decide(case, [DR], seen=known, model=QUICK)
     assert not told.choice.deploy
-    assert "it has learned from these episodes" in told.choice.reason
+    assert "it was trained on these episodes" in told.choice.reason
     fresh = np.isin(log.episode_ids, held.episode_ids)
     new = decide(OPEInput(log, policy, discount=0.0, logged=True, held=np.flatnonzero(fresh), noise=None), model=QUICK)
     assert not new.choice.deploy
@@ -289,9 +289,9 @@ def test_a_mixture_over_folds_is_judged_by_the_policy_that_has_not_seen_the_epis
     # What is fitted to all folds for a policy has the rewards that taught it, and is not corrected.
     assert [each.label for each in automatic(case)] == ["DR-linear", "WPDIS"]
     for name in ("fqe", "fqe-linear", "fqe-d", "drl", "smis", "dual-dice", "vpm", "mb-ff"):
-        with pytest.raises(UserError, match="cross-fitted ones are one for each fold"):
+        with pytest.raises(UserError, match="cross-fitted ones differ by fold"):
             estimator(name).on(case)
-    with pytest.raises(UserError, match="has no policy for some judged episodes"):
+    with pytest.raises(UserError, match="has no policy for some evaluated episodes"):
         OPEInput(log, [CrossFitted(policies, which - 1)], discount=0.0)
 
 
@@ -359,7 +359,7 @@ def test_clusters_are_redrawn_as_one():
     assert half["users"] == pytest.approx(stats.t.ppf(0.975, 39) * errors["users"])
     assert half["episodes"] == pytest.approx(stats.t.ppf(0.975, 999) * errors["episodes"])
     bound = ImportanceSampling(normalised=False, interval="hoeffding", return_range=(-9.0, 9.0), max_weight=4.0)
-    with pytest.raises(UserError, match="interval='hoeffding' needs independent episodes, and those of a cluster are not"):
+    with pytest.raises(UserError, match="interval='hoeffding' needs independent episodes, which those of a cluster are not"):
         bound.on(case)
 
 

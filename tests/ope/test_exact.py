@@ -49,20 +49,12 @@ WORLDS = {
 }
 
 
-def cases(names, everywhere=(), nowhere=(), also=()):
-    """Every method in every world. Fast: one world of fitted methods, all but the grid of `everywhere`, none of `nowhere`.
-
-    `also` holds further pairs of a world and a method that are fast.
-    """
-
-    def slow(world, name):
-        if (world, name) in also:
-            return False
-        return world == "grid" or (world != "ends" and name not in everywhere) or name in nowhere
-
+def cases(names, fast=()):
+    """Every method in every world; only those pairs of a world and a method that are `fast` are not slow."""
+    pairs = [(world, name) for world in WORLDS for name in names]
     return pytest.mark.parametrize(
         ("world", "name"), indirect=["world"],
-        argvalues=[pytest.param(w, n, marks=pytest.mark.slow if slow(w, n) else ()) for w in WORLDS for n in names],
+        argvalues=[pytest.param(*pair, marks=() if pair in fast else pytest.mark.slow) for pair in pairs],
     )  # fmt: skip
 
 
@@ -81,10 +73,8 @@ def world(request):
     return case_in(request.param)
 
 
-# Forms of the DICE family differ in their losses alone, which golden numbers know; distributions of returns have fast tests of
-# their own; VPM's members are looked at below.
-@pytest.mark.slow
-@cases(FITTED, everywhere=["fqe"], nowhere=["dual-dice", "gen-dice", "fqe-d", "vpm"])
+# Losses of the DICE family and of VPM are known to golden numbers; distributions of returns have fast tests of their own.
+@cases(FITTED, fast=[("ends", "fqe")])
 def test_fitted_values_are_those_of_the_world_in_the_log(world, name):
     case, _, policies = world
     seen = MDP.of(case.data)
@@ -106,8 +96,7 @@ def test_distributions_of_one_step_have_its_mean_reward():
     np.testing.assert_allclose(found.value, chances @ [-1.0, 3.0], atol=0.1)
 
 
-@pytest.mark.slow
-@cases([name for name in FITTED if "dice" in name or name == "vpm"], nowhere=["dual-dice", "gen-dice", "vpm"])
+@cases([name for name in FITTED if "dice" in name or name == "vpm"])
 def test_ratios_are_those_of_exact_occupancies(world, name):
     case, _, policies = world
     data, seen = case.data, MDP.of(case.data)
@@ -120,10 +109,8 @@ def test_ratios_are_those_of_exact_occupancies(world, name):
         assert np.abs(found - exact).mean() < 0.1 * exact.mean()
 
 
-# Critics are fast where episodes end and where they are cut off; in the chain the weights alone are. MAGIC's intervals have
-# tests of their own.
-@pytest.mark.slow
-@cases(WEIGHTED, everywhere=["is", "wis", "pdis", "wpdis"], nowhere=["magic"], also=[("goes on", "dr")])
+# What corrects critics has to fit them first, and has tests of its own.
+@cases(WEIGHTED, fast=[(world, name) for world in ("chain", "ends", "goes on") for name in ("is", "wis", "pdis", "wpdis")])
 def test_weighted_values_are_true_within_their_intervals(world, name):
     case, true, policies = world
     exact = np.array([true.value(p, DISCOUNT) for p in policies])
@@ -136,11 +123,10 @@ def test_weighted_values_are_true_within_their_intervals(world, name):
 
 
 # That corrections of critics are unbiased is looked at in test_decide.py too, with critics that are solved.
-CORRECTED = [pytest.param(name, marks=pytest.mark.slow) for name in ("dr", "wdr")]
+MORE = [pytest.param(name, marks=pytest.mark.slow) for name in ("pdis", "wis", "dr", "wdr")]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["is", "pdis", "wis", "wpdis", *CORRECTED])
+@pytest.mark.parametrize("name", ["is", "wpdis", *MORE])
 def test_mean_over_many_logs(name):
     """Plain weights are unbiased for the return within the log's horizon; self-normalised ones nearly so."""
     true = garnet(states=4, actions=2, ending=0.3, noise=0.3)
@@ -187,9 +173,8 @@ def test_on_a_grid_from_another_policy():
     assert found.best == 1
 
 
-# What redrawn episodes weigh is the same code for both.
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [pytest.param("best-dice", marks=pytest.mark.slow), "vpm"])
+@pytest.mark.parametrize("name", ["best-dice", "vpm"])
 def test_members_of_episodes_of_different_lengths(name):
     """A reward of one a step is worth 1 / (1 - discount), however the redrawn episodes' lengths fall."""
     true = garnet(states=3, actions=2)

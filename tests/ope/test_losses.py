@@ -83,7 +83,7 @@ def test_a_cost_that_the_rows_of_a_policy_lack_is_not_within_a_limit():
     found = decide(
         OPEInput(log, [policy], names=["first"], logged=True), ["dr-linear"], cost_limit=0.04, alpha=0.025, model=MODEL
     )
-    assert any("in every evaluated episode that counts for it the total is" in line for line in found.choice.objections[0])
+    assert any("in every evaluated episode with a weight for it the total is" in line for line in found.choice.objections[0])
     assert found.more["costs"][0]["ends"][0][2] == np.inf
 
 

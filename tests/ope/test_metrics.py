@@ -160,8 +160,8 @@ def test_tables_of_dm_control_are_those_of_the_thesis_for_it():
     ("options", "message"),
     [
         ({"half": "rlu"}, "unknown half of DOPE 'rlu'"),
-        ({"tasks": ()}, "no log is asked for: name a task"),
-        ({"kinds": ()}, "no log is asked for: name a task"),
+        ({"tasks": ()}, "no log is selected: name a task"),
+        ({"kinds": ()}, "no log is selected: name a task"),
         ({"half": "unplugged", "tasks": ["walker-run"]}, "unknown recipe 'walker-run-full-replay-v0'"),
         ({"half": "unplugged", "tasks": ["humanoid-run"]}, "there are no policies of 'humanoid-run' in the package"),
     ],

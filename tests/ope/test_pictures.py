@@ -100,8 +100,8 @@ def test_densities_are_those_of_the_policy():
 
 
 def test_what_is_refused():
-    with pytest.raises(UserError, match="policy 1 has no encoder: estimators judge policies on pictures by the features"):
+    with pytest.raises(UserError, match="policy 1 has no encoder: estimators evaluate policies with image observations"):
         OPEInput(LOG, [policy_of(1, 0.5), BlackBoxPolicy(lambda seen, rng: np.zeros((len(seen), 1)))])
     larger = policy_of(1, 0.5, encoder=Encoder.create("patches", (20, 16, 3), 8, jax.random.key(0)))
-    with pytest.raises(UserError, match=r"mine sees pictures of shape \(20, 16, 3\), steps has \(16, 16, 3\)"):
+    with pytest.raises(UserError, match=r"mine takes images of shape \(20, 16, 3\), steps has \(16, 16, 3\)"):
         OPEInput(LOG, [larger], names=["mine"])

@@ -129,7 +129,7 @@ def test_parameters_are_chosen_out_of_fold():
     for fold, episodes in enumerate(seen):
         assert sorted(episodes) == np.flatnonzero(folds != fold).tolist()
     assert (found == scores[folds, np.arange(30)]).all()
-    with pytest.raises(UserError, match="two folds"):
+    with pytest.raises(UserError, match="at least two"):
         cross_fitted(scores, np.zeros(30), choose)
 
 

@@ -71,5 +71,5 @@ def test_files_that_are_no_policies(tmp_path):
     with pytest.raises(UserError, match="holds no policy of DOPE"):
         load_dope(path)
     path.write_bytes(pickle.dumps({"last_fc/weight": print}))
-    with pytest.raises(UserError):
+    with pytest.raises(UserError, match="the pickle asks for builtins.print"):
         load_dope(path)

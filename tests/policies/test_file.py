@@ -65,7 +65,7 @@ def test_policies_that_obey_legal_actions_are_played(written):
         (history(action_size=2**31 - 1), r"policy\.inner\.action_size must be a whole number from 1 to "),
         (history(steps=3, action_size=3), "the size of its histories must be a whole number from 1 to "),
         (mixture(11), "is made of more than 1,000 policies"),
-        (seeing(60_000, 60_000, 3), "the numbers of a picture must be a whole number from 1 to 20,000,000"),
+        (seeing(60_000, 60_000, 3), "the numbers of an image must be a whole number from 1 to 20,000,000"),
         ({"kind": "Categorical", "net": NET | {"mask": 10**9}}, r"policy\.inner\.net\.mask must be a whole number"),
     ],
 )

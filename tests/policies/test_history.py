@@ -104,7 +104,7 @@ def test_one_observation_does_not_tell_the_history(tmp_path):
     play = portable.load(tmp_path / "p.npz")
     with pytest.raises(ValueError, match="say first=True where an episode begins"):
         play(np.zeros(SIZE))
-    with pytest.raises(ValueError, match="episodes go on that have not begun"):
+    with pytest.raises(ValueError, match="no episode is in progress"):
         play(np.zeros(SIZE), first=False)
     assert play(np.zeros(SIZE), first=True).shape == (2,)
 

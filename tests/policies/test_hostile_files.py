@@ -174,5 +174,5 @@ def test_pictures_are_taken_as_a_list_of_whole_numbers_too(tmp_path):
         for given in (pictures.astype(np.uint8), pictures.tolist()):
             np.testing.assert_allclose(found.predict(given), policy(pictures.astype(np.uint8)), atol=1e-6)
         for given in (pictures / 255, pictures * 2, pictures * np.nan, -pictures):
-            with pytest.raises(UserError, match="rows: pictures hold whole numbers from 0 to 255"):
+            with pytest.raises(UserError, match="rows: images hold whole numbers from 0 to 255"):
                 found.predict(given)

@@ -127,7 +127,7 @@ def test_histories_begin_anew_where_the_log_says_that_an_episode_ended(ends):
     with pytest.raises(RowsError, match="last 3 steps of an episode: give the column done, which says where one ends"):
         past_of(frame, alone, **ends)
     rows.loc[2, "done"] = None
-    with pytest.raises(RowsError, match="column done is empty in row 2; it tells whether an episode ends there"):
+    with pytest.raises(RowsError, match="column done is empty in row 2; it marks where episodes end"):
         past_of(frame, rows, **ends)
 
 

@@ -45,7 +45,7 @@ def write_run(
     failures = {first + lane: failure for lane, failure in (failures or {}).items()}
     known = None
     if task and behavior is not None:
-        known = {"mean": behavior, "low": behavior - 2, "high": behavior + 2, "how": "mean logged reward a step"}
+        known = {"mean": behavior, "low": behavior - 2, "high": behavior + 2, "how": "mean logged reward per step"}
     fields = {"discount": 0.99, "hidden": [64, 64]}
     if agent in AGENTS:
         default = agent_class(agent)()

@@ -40,7 +40,7 @@ def test_a_page_has_one_verdict_that_of_the_log_alone(runs, deploy):
     assert seen.count("DEPLOY") == 1
     for said in (
         "good seed 0", "133", "of 667", "sampled actions", "98.8 % for all policies at once",
-        "look 2 at these episodes or some of them, 7 policies so far in all looks", "4.0 % of its actions have no support",
+        "look 2 at these episodes or some of them, 7 policies so far", "4.0 % of its actions have no support",
         "agrees that it is best", "Objections to other policies (1 of 2)", OBJECTION, "Checked afterwards in the simulator",
         "Checked in the simulator", "Best in the simulator",
     ):  # fmt: skip
@@ -156,12 +156,12 @@ def test_a_policy_that_was_trained_further_is_not_deployed_by_what_was_judged(tm
     assert headline(runs, tmp_path / "ope").startswith("Deploy good seed 0: ")
     (runs[1] / "policy.npz").write_bytes(b"PK more updates")
     assert "DEPLOY good seed 0" in page()
-    assert "other seed 0 has changed since it was judged: its estimates are of what it was" in page()
+    assert "other seed 0 has changed since its evaluation: its estimates are of the earlier policy" in page()
     (runs[0] / "policy.npz").write_bytes(b"PK more updates")
     assert "DEPLOY" not in page()
     assert "From the log alone" not in page()
-    assert page().count("The policy good seed 0 has changed since it was judged, so the decision on it is not shown;") == 1
-    assert headline(runs, tmp_path / "ope").startswith("The policy good seed 0 has changed since it was judged")
+    assert page().count("The policy good seed 0 has changed since its evaluation, so the decision on it is not shown;") == 1
+    assert headline(runs, tmp_path / "ope").startswith("The policy good seed 0 has changed since its evaluation")
 
 
 def test_a_standard_error_is_called_one_where_intervals_are_near(runs):

@@ -115,7 +115,7 @@ def test_of_noise_nothing_is_praised(tmp_path):
     _, said = page(data, made, tmp_path)
     assert "The model's order of unseen designs cannot be distinguished from chance" in said
     assert "None of the proposals is preferred" in said
-    assert "What it shows of the effects of variables cannot be distinguished from zero either" in said
+    assert "the effects of variables cannot be distinguished from zero either" in said
     assert said.count("changes the average by") == said.count("; not distinguishable from no effect") == len(data.variables)
     assert "The best predicted score" not in said
     assert not re.search(r"Proposal \d|Around proposal|is the highest\b", said)
@@ -125,7 +125,7 @@ def test_without_a_model_there_is_no_choice_and_no_effect(tmp_path):
     data = table("noise")
     made = designer("random").propose(data, 4)
     _, said = page(data, made, tmp_path)
-    assert "Random has no model of cost, so nothing says which proposal to prefer" in said
+    assert "Random has no model of cost, so no proposal can be preferred" in said
     assert "was not measured" in said
     assert "What each variable does" not in said
 
@@ -153,7 +153,7 @@ def test_what_lies_at_an_end_far_away_or_together_is_told(tmp_path):
     x = np.array([[0.5, high, 9.0], [0.5, high, 0.5], [0.4, high, 0.5]], np.float32)
     made = Proposals("m", x, np.array([1.0, 2.0, 3.0]), np.ones(3), 0, fitted=Fitted(lambda x: (x[:, 1], None)))
     _, said = page(data, made, tmp_path)
-    assert "2 of 3 proposals (67%) lie more than 3 usual distances" in said
+    assert "2 of 3 proposals (67%) lie more than 3 typical distances" in said
     assert re.search(r"Of 3 proposals, in 3 b is at its upper end \([\d.]+\) of what is allowed", said)
     assert "1 of 3 proposals have a value beyond the data" in said
     assert "a and b (correlation 1.00)" in said
@@ -174,8 +174,8 @@ def test_the_page_says_what_was_asked_and_which_rules_bind(tmp_path):
     _, said = page(data, Proposals("m", x, np.ones(3), np.ones(3), 0, fitted=Fitted(lambda x: (x[:, 0], None))), tmp_path)
     for part in (
         "3 proposals: y is to be made large.", "Always: a + b <= 1.2.", "Never: kind = x & temp > 60.", "fixed: x",
-        "At least 0.5 usual distances from each other.", "40 to 70, in steps of 10",
-        "Learned from 24 rows, 22 different designs",
+        "At least 0.5 typical distances from each other.", "40 to 70, in steps of 10",
+        "Training data: 24 rows, 22 different designs",
         "3 rows are replicates of 1 design and are pooled; the standard deviation of y between replicates is 0.1.",
         "The best of the data, row 0 (mean of 3), breaks a rule that proposals satisfy: always a + b <= 1.2.",
         "row 0 (mean of 3), breaks a rule",
@@ -307,9 +307,9 @@ def test_where_a_model_has_no_skill_no_gain_is_stated(tmp_path):
     front = two_targets(False)
     text, said = front_page(front, tmp_path)
     lead = re.search(r'<p class="lead">(.*?)</p>', text)[1]
-    order = "the model's order of rows that it has not seen cannot be distinguished from chance".replace("'", "&#x27;")
-    assert lead.startswith(f"Of Cost / EUR, {order}. In Cost / EUR the proposals may rest on nothing")
-    assert "what they would gain is not known" in lead
+    order = "the model's order of unseen rows cannot be distinguished from chance".replace("'", "&#x27;")
+    assert lead.startswith(f"Of Cost / EUR, {order}. Proposals may be worthless for Cost / EUR")
+    assert "their expected gain is not known" in lead
     assert "14.2" not in said
     assert about_front(front)["value"][about_front(front)["what"].index("expected to be added")] == "not known"
     assert "what the 2 proposals add to it is not known" in told(front)[1]

@@ -105,7 +105,7 @@ def test_all_kinds_of_logs(kind, tmp_path):
         action_space=Discrete(20) if discrete else Box((-5, -5), (5, 5)),
     )  # fmt: skip
     text = page(log, tmp_path).read_text()
-    assert ("Pictures have too many numbers for that" in text) == (kind == "images")
+    assert ("Images have too many numbers for that" in text) == (kind == "images")
     assert ("no time within them" in text) == (kind == "bandit")
     assert ("20,000 of 30,000 rows" in text) == (kind == "long")
     assert ("Fewer than two dimensions" in text) == (kind == "one dimension")

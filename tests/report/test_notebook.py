@@ -122,7 +122,7 @@ def test_an_explanation_shows_its_tree_and_columns():
     tree = Node("age <= 50 years", 1.0, Node(EVIL, 0.25), Node("mail", 0.75))
     columns = (Matters("blood_pressure", 0.5, 0.4, 0.6),)
     told = words(Explained("bc seed 0", EVIL, True, 90, 1, 0.95, 0.9, 0.99, 0.6, True, tree, columns))
-    assert all(each in told for each in ("age <= 50 years?", EVIL, "75% of rows", "does what the policy does in 95.0%"))
+    assert all(each in told for each in ("age <= 50 years?", EVIL, "75% of rows", "takes the policy's action in 95.0%"))
 
 
 def test_what_monitoring_found_is_shown_with_missing_cells_and_new_levels():

@@ -32,11 +32,11 @@ def test_a_page_of_online_runs_speaks_of_no_log(tmp_path):
     text = render(page)
     assert re.findall(r'<section id="(\w+)"', text) == ["simulator", "scores", "learning", "values", "training", "provenance"]
     seen = shown(text)
-    assert "Policies learned online in halfcheetah" in seen
+    assert "Policies trained online in halfcheetah" in seen
     assert "In the simulator: SAC online, score" in seen
     for nonsense in ("MMD", "0 rows", "fingerprint", "Offline", "imitation", "trained on a log", "cloning", "None", "nan"):
         assert not re.search(rf"\b{nonsense}\b", seen)
-    assert "440 environment steps a seed, of them 40 of uniform actions at first" in seen
+    assert "440 environment steps per seed, the first 40 with uniform actions" in seen
     assert "environment_steps against" not in text  # it is no metric
 
 
@@ -54,7 +54,7 @@ def test_curves_are_drawn_against_environment_steps(tmp_path):
 def test_nothing_is_said_to_be_better_than_a_log_that_is_not_there(tmp_path):
     found = compare(read([online(tmp_path / "run")]))
     assert (found.compared, found.versus_log, found.beaten, found.best.label) == (0, None, [], "SAC online")
-    assert "simulator that it learned in" in found.caveats[0]
+    assert "evaluated in its training simulator" in found.caveats[0]
     assert "not finished" in compare(read([online(tmp_path / "now", finished=False)])).caveats[0]
     assert "1 of 2 seeds" in compare(read([online(tmp_path / "seed", failures={0: ("q", 100)})])).caveats[0]
     for part in (tmp_path / "now" / "evaluations").iterdir():
@@ -71,13 +71,13 @@ def test_beside_runs_on_a_log_it_is_shown_and_not_chosen(tmp_path):
     assert [e.label for e in page.entries] == ["BC", "SAC", "SAC online"]
     found = compare(page)
     assert found.best.label == "SAC"
-    assert "SAC online learned by acting" in " ".join(found.caveats)
+    assert "shown for comparison only: SAC online." in " ".join(found.caveats)
     assert "SAC online" not in " ".join(found.beaten)
     assert headline(runs).startswith("Best in the simulator: SAC,")
     text = render(page)
     assert 'data-across="updates"' in text
     assert 'data-across="environment steps"' not in text
-    assert "learned in the simulator" in text
+    assert "trained in the simulator" in text
 
 
 def test_the_table_has_the_columns_that_mean_something(tmp_path, runs):

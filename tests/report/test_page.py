@@ -83,7 +83,7 @@ def test_without_a_task(tmp_path):
     paths = [write_run(tmp_path / agent, agent, task=None) for agent in ("bc", "bear")]
     text = render(read(paths))
     assert re.findall(r'<section id="(\w+)"', text) == ["scores", "distance", "training", "provenance"]
-    assert "Not judged yet: no simulator was named" in text
+    assert "Not evaluated yet: no simulator was named" in text
     shown = table(paths)
     assert "BEAR" in shown
     heads = shown.splitlines()[0].split()

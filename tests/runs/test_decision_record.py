@@ -38,7 +38,7 @@ def test_a_decision_that_was_moved_means_its_own_policy(may):
     assert chosen(may / "may").file.read_bytes() == b"PK may"
     assert chosen(may / "recommend").file.read_bytes() == b"PK june"
     shutil.rmtree(may / "may" / "iql")
-    with pytest.raises(UserError, match="may: recommend/iql/policies/seed0.npz is not the policy that was judged as iql"):
+    with pytest.raises(UserError, match="may: recommend/iql/policies/seed0.npz is not the policy that was evaluated as iql"):
         chosen(may / "may")
     shutil.rmtree(may / "recommend")
     with pytest.raises(UserError, match="the policy to deploy, iql, is not at recommend/iql/policies/seed0.npz; name its run"):
@@ -47,7 +47,7 @@ def test_a_decision_that_was_moved_means_its_own_policy(may):
 
 def test_a_policy_that_was_trained_further_is_not_the_one_that_was_judged(may):
     (may / "recommend" / "iql" / "policies" / "seed0.npz").write_bytes(b"PK more updates")
-    with pytest.raises(UserError, match="is not the policy that was judged as iql: it was trained further, or exchanged"):
+    with pytest.raises(UserError, match="is not the policy that was evaluated as iql: it was trained further, or exchanged"):
         chosen(may / "recommend")
 
 
@@ -90,7 +90,7 @@ def test_a_runs_own_folder_stands_for_its_policy_where_a_decision_is_of_another(
     (run / "policies" / "seed0.npz").write_bytes(b"PK more")
     found, told = _own_decision(run)
     assert found is None
-    assert "is about was another, before it was trained further" in told
+    assert "evaluated another policy, from before it was trained further" in told
     write_json(run / "estimates.json", decision([policy], choice={"deploy": False}))
     assert _own_decision(run) == (None, f"; {run / 'estimates.json'} says: do not deploy")
     write_json(run / "estimates.json", {"policies": []})  # of another version

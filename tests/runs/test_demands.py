@@ -39,10 +39,10 @@ def test_all_of_it_on_one_card(made, capsys):
     assert [each["name"] for each in told["groups"]["values"]] == ["0", "1", "2"]
     assert told["tail"]["low"] < told["tail"]["gain"] < told["tail"]["high"]
     for words in (
-        "for any number of episodes, not only many, its gain is at least -", "no check can detect confounding",
+        "for any number of episodes, not only for many, its gain is at least -", "no check can detect confounding",
         "if the odds of logged actions are wrong by a factor of up to 1.2, its gain is [-",
         "its worst 90 % of episodes return 0.",
-        "by site (97.5 %, for all groups at once)",
+        "by site (97.5 %, for all subgroups at once)",
     ):  # fmt: skip
         assert words in out, words
 
@@ -51,7 +51,7 @@ def test_all_of_it_on_one_card(made, capsys):
 def test_what_is_refused_is_no_look(made, capsys):
     command = ["ope", "--data", str(made / "log.npz"), "--policies", str(made / "bc")]
     assert main([*command, "--guarantee"]) == 2
-    assert "deadreckon: a guarantee needs the least and the greatest return" in capsys.readouterr().err
+    assert "deadreckon: a guarantee needs the least and the greatest possible return" in capsys.readouterr().err
     assert main([*command, "--confounding", "0.5"]) == 2
     assert "Gamma, a ratio of odds, must be 1 or more, got 0.5" in capsys.readouterr().err
     assert main([*command, "--by-group", "sight"]) == 2

@@ -80,7 +80,7 @@ def test_noise_has_no_fidelity_and_no_tree(log, tmp_path, seed):
 
 def test_a_policy_that_does_one_thing_is_said_to(log, tmp_path):
     found = explain(saved(Categorical(MLP((jnp.zeros((3, 2)),), (jnp.asarray([0.0, 1.0]),))), tmp_path / "p.npz"), log)
-    assert "does the same in all of" in str(found)
+    assert "takes the same action in all of" in str(found)
     assert not found.explains
 
 
@@ -109,7 +109,7 @@ def test_what_it_needs_is_said(log, tmp_path):
     path = saved(linear((0, 0, 0), (0, 1, 0)), tmp_path / "p.npz")
     with pytest.raises(UserError, match="image observations"):
         explain(path, image)
-    with pytest.raises(UserError, match="does not say where its log lies; name it with a second argument"):
+    with pytest.raises(UserError, match="does not record where its log is; name it with a second argument"):
         explain(path)
 
 

@@ -64,7 +64,6 @@ def test_discrete_actions_are_learned_from_as_numbers(run):
     assert run.config["versions"]["gymnasium"] == gymnasium.__version__
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("task", [CART, *(pytest.param(name, marks=pytest.mark.slow) for name in OTHERS)])
 def test_a_run_that_was_stopped_goes_on_bit_for_bit(tmp_path, run, task):
     whole = run if task == CART else train(tmp_path / "whole", task)

@@ -122,7 +122,7 @@ def test_cross_fits_and_resumed_runs_keep_their_history(log, run, tmp_path):
 
 
 @pytest.mark.parametrize(("agent", "words"), [
-    ("decision_transformer", "DecisionTransformer takes no histories: it sees the last steps already, see context_length"),
+    ("decision_transformer", "DecisionTransformer takes no histories: it takes the last steps already, see context_length"),
     ("mopo", "MOPO takes no histories: its model predicts single observations"),
 ])  # fmt: skip
 def test_agents_with_a_past_or_a_model_of_their_own_refuse(agent, words, log, tmp_path):

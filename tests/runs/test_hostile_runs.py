@@ -1,6 +1,7 @@
 """Hostile names on the whole way: runs by default folders, and a table whose columns and levels are called so."""
 
 import csv
+import dataclasses
 import unicodedata
 import warnings
 from pathlib import Path
@@ -19,7 +20,7 @@ from deadreckon.runs import online
 from deadreckon.runs.crossfit import cross_fit
 from deadreckon.runs.train import train_together
 from deadreckon.tasks import task
-from tests.hostile import FEW, NAMES, place, told  # noqa: F401 - a fixture
+from tests.hostile import FEW, NAMES, PLAIN, place, told  # noqa: F401 - a fixture
 
 ROWS = 24
 TINY = {"steps": 2, "task": False, "seeds": 1}
@@ -46,46 +47,64 @@ def fitted(name):
 
 
 def together(name):
-    return train_together({name: agent(), "plain": agent()}, log(name), out="out", holdout=0, **TINY)
+    return train_together({name: agent(), "other": agent()}, log(name), out="out", holdout=0, **TINY)
 
 
 def crossed(name):
     return cross_fit(agent(), log(name), folds=2, **TINY)
 
 
+class Still:
+    has_log_prob = False
+
+    def start(self, n):
+        return ()
+
+    def act(self, step, carry, key, *, greedy):
+        return self(step.observation), carry
+
+    def __call__(self, observations):
+        return np.zeros((len(observations), 2))
+
+
 def collected(name):
-    return collect_in_task("maze2d-umaze", lambda observations: np.zeros((len(observations), 2)), steps=4, by=name)
+    return collect_in_task("maze2d-umaze", Still(), steps=4, by=name)
 
 
 DEFAULTS = [trained, fitted, together, crossed, collected]
-CASES = [(write, name) for write in DEFAULTS for name in NAMES]
+CASES = [(write, name) for write in DEFAULTS for name in (*NAMES, PLAIN)]
+QUICK = (*FEW[2:4], PLAIN)
 
 
 @pytest.mark.parametrize(
     ("write", "name"),
     [
-        pytest.param(*case, id=f"{case[0].__name__}-{told(case[1])}", marks=() if case[1] in FEW[2:4] else pytest.mark.slow)
+        pytest.param(*case, id=f"{case[0].__name__}-{told(case[1])}", marks=() if case[1] in QUICK else pytest.mark.slow)
         for case in CASES
     ],
 )
 def test_folders_by_default_lie_where_they_should(write, name, place):  # noqa: F811
-    with place.attacked():
+    with place.attacked(refused=name != PLAIN):
         write(place.name(name))
+    if name == PLAIN:
+        assert place.written()
 
 
-@pytest.mark.parametrize("name", NAMES, ids=told)
+@pytest.mark.parametrize("name", [*NAMES, PLAIN], ids=told)
 def test_online_runs_by_default_lie_where_they_should(name, place, monkeypatch):  # noqa: F811
     """Of a task that somebody else wrote; nothing is learned."""
 
     def made(lanes, task, steps, numbers, folder, asked, start):
+        assert task.name == place.name(name)
         folder.path.mkdir(parents=True)
         (folder.path / "run.json").write_text("{}")
 
     monkeypatch.setattr(online, "_train_online", made)
-    strange = task("maze2d-umaze")
-    monkeypatch.setattr(type(strange), "name", place.name(name), raising=False)
-    with place.attacked():
+    strange = dataclasses.replace(task("maze2d-umaze"), name=place.name(name))
+    with place.attacked(refused=name != PLAIN):
         online.train_online("sac", strange, steps=5)
+    if name == PLAIN:
+        assert [str(path) for path in Path("runs").rglob("run.json")] == ["runs/sac-plain-online/run.json"]
 
 
 OBSERVED = ["\x1b[2J\x1b]0;owned\x07", "=cmd|' /C calc'!A0", "<script>alert(1)</script>", "../victim/important", "[/b]\u202eg"]

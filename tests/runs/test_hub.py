@@ -153,6 +153,7 @@ def test_the_client_is_an_extra(log, monkeypatch):
         dr.push_to_hub(log, "me/mine")
 
 
+@pytest.mark.slow  # the client is of the group `slow`
 @pytest.mark.parametrize("method", ["create_repo", "upload_folder", "repo_info", "hf_hub_download"])
 def test_the_real_client_takes_what_it_is_given(method):
     """The fake above has the same keywords, of which this makes sure."""

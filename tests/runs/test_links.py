@@ -61,5 +61,5 @@ def test_a_folder_that_is_reached_by_a_link_is_its_users_own(tmp_path):
 def test_a_part_that_is_called_otherwise_is_one_line(tmp_path):
     (tmp_path / "metrics").mkdir()
     (tmp_path / "metrics" / "abc.parquet").write_text("")
-    with pytest.raises(UserError, match=r"abc\.parquet: parts of metrics are called after a number of updates"):
+    with pytest.raises(UserError, match=r"abc\.parquet: files of metrics are named after a number of updates"):
         Folder(tmp_path).drop_after(10)

@@ -30,7 +30,7 @@ from deadreckon.runs.subject import Subject, estimates_of, subject
 from tests.recorded import decision
 
 BC = dr.agents.BC(hidden=(4,), batch_size=8)
-FRESH = "actions with the policy's greedy ones in the episodes of the reference that it has not learned from"
+FRESH = "actions with the policy's greedy ones in the episodes of the reference on which it was not trained"
 
 
 def table(rows, seed, shift=0.0, worse=0.0):
@@ -285,7 +285,7 @@ def test_an_episode_that_may_go_on_is_left_out_and_returns_are_those_of_the_esti
     assert done.episodes == 2
     np.testing.assert_allclose(returns_of(done, Estimand(0.5, None)), [1.75, 3.5])
     np.testing.assert_allclose(returns_of(done, Estimand(0.5, 2)), [1.5, 3.0])
-    with pytest.raises(UserError, match="no episode is finished"):
+    with pytest.raises(UserError, match="may not be finished"):
         finished(log.select([2]), log)
 
 
@@ -303,7 +303,7 @@ def test_episodes_that_go_on_side_by_side_are_named():
                     estimand={"discount": 0.9, "horizon": None})  # fmt: skip
     whole, some = log([True] * 12), log([True] * 8 + [False] * 3, 4)
     said = realised(some, whole, (told, 0), None, 0.05)
-    assert "3 of 11 episodes of beds end without a terminal, after 4 steps or more: if they go on, give the episodes" in said
+    assert "3 of 11 episodes of beds end without a terminal, after 4 steps or more: if these are not finished" in said
     assert "horizon" not in said
     assert "estimate with a horizon" in realised(whole, log([False] * 12), (told, 0), None, 0.05)
 

@@ -189,7 +189,7 @@ def test_policies_of_several_runs_keep_what_they_have_learned_from(tmp_path):
     with pytest.raises(UserError, match="runs on one log are needed, these are on 2"):
         publish_runs({name: folders[name] for name in ("clone", "other")}, (2, 4), options)
     train(BC(hidden=(8,), batch_size=16), logs[0], out=tmp_path / "all", **small | {"holdout": 0.5})
-    with pytest.raises(UserError, match="the runs have learned from different episodes of their log"):
+    with pytest.raises(UserError, match="the runs have different training episodes of their log"):
         publish_runs({"clone": folders["clone"], "all": tmp_path / "all"}, (2, 4), options)
     with pytest.raises(UserError, match="no policy was kept after 3 updates; those kept are"):
         publish_runs({"clone": folders["clone"]}, (3,), options)

@@ -49,7 +49,7 @@ def cut(request, tmp_path_factory):
 def test_a_log_that_is_divided_otherwise_is_refused(cut, which):
     file, run = cut
     given = gather([run if which == "run" else run.path / "policies" / "seed0.npz"])
-    words = r"learned from a log read with a horizon of 25, .* read with no horizon: read it with --log-horizon 25, or, if"
+    words = r"was trained on a log read with a horizon of 25, .* read with no horizon: read it with --log-horizon 25, or, if"
     with pytest.raises(UserError, match=words):
         fresh(given, dr.read(file), False)
     same = dr.read(file, horizon=25)
@@ -96,7 +96,7 @@ def test_the_same_file_of_which_nothing_is_known_is_refused(part, tmp_path):
     columns = {"action": "dose", "reward": "gain", "time": "hour", "observations": "x"}
     run = train(BC, dr.read(tmp_path / "log.csv", episode="day", **columns), out=tmp_path / "run", **SHORT)
     whole = {**columns, "time": None, "timeout": None, "terminal": None}
-    with pytest.raises(UserError, match=r"no episode of log is known to run, although it learned from .*log\.csv too"):
+    with pytest.raises(UserError, match=r"no episode of log is known to run, although it was trained on .*log\.csv too"):
         fresh(gather([run]), dr.read(tmp_path / "log.csv", **whole), False)
     assert len(fresh(gather([run]), log, False).held) == 30  # another log
     days = dr.read(tmp_path / "log.csv", episode="day", **columns)
@@ -199,7 +199,7 @@ def test_a_log_without_the_legal_actions_that_a_function_said_is_refused_in_one_
     run = train(BC, log, out=tmp_path / "run", **SHORT)
     one = subject(run)
     assert one.log(log, option="--log") is log
-    words = r"takes observations of shape \(3,\), those of frame have \(1,\); its log had legal actions that a function said"
+    words = r"takes observations of shape \(3,\), those of frame have \(1,\); its log had legal actions from a function"
     for given in (frame, dr.Dataset.from_frame(frame)):
         with pytest.raises(UserError, match=words):
             one.log(given, option="--log")

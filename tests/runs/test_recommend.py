@@ -29,6 +29,7 @@ from deadreckon.runs import follow as module
 from deadreckon.runs.attempt import Attempt, Job, Pilot, Unfinished
 from deadreckon.runs.callback import StopTraining
 from deadreckon.runs.candidates import Candidate
+from deadreckon.runs.clock import Clock
 from deadreckon.runs.durations import in_words, seconds_of
 from deadreckon.runs.recommend import recommend
 from deadreckon.runs.settings import RecommendSettings
@@ -63,6 +64,14 @@ def test_times_are_told():
 
 
 @pytest.fixture
+def time_is_over(monkeypatch):
+    """What ends the time of an attempt at once: when all is said, however long the work took to begin."""
+    over, left = threading.Event(), Clock.left
+    monkeypatch.setattr(Clock, "left", lambda clock: 0.0 if over.is_set() else left(clock))
+    return over.set
+
+
+@pytest.fixture
 def doing(monkeypatch, tmp_path):
     """Lets a script do the work instead; it has `job` and `send`."""
 
@@ -90,7 +99,7 @@ STATES = textwrap.dedent("""
 """)
 
 
-# One of them has no mercy in the fast tests too, which wait for every second of it.
+# Mercy hides what takes twice as long as 1 s: one of 3 s is among the fast tests, too.
 HANG = [pytest.param(3.0, "ignores signals")] + [
     pytest.param(budget, what, marks=pytest.mark.slow if budget > 1.0 else ())
     for what in ("hangs", "ignores signals", "talks for ever", "has ended but lives on")
@@ -109,7 +118,7 @@ def test_there_is_a_card_in_time_whatever_the_work_does(doing, tmp_path, budget,
     lines, began = [], time.perf_counter()
     found = recommend(a_log(), budget, out=tmp_path / "out", tell=lines.append, page=recommended.write)
     took = time.perf_counter() - began
-    assert took < 1.1 * budget + (1.5 if budget == 1.0 else 0.0)  # mercy for a machine that is very busy; work here never ends
+    assert took < 1.1 * budget + 1.5  # mercy for a machine that is very busy; work here never ends
     assert not found.judged
     assert not found.choice.deploy
     told = read_json(tmp_path / "out" / "estimates.json")
@@ -122,17 +131,21 @@ def test_there_is_a_card_in_time_whatever_the_work_does(doing, tmp_path, budget,
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["estimates.json", "report.html"]
 
 
-def test_what_was_found_is_told(doing, tmp_path):
+def test_what_was_found_is_told(doing, time_is_over, tmp_path):
     doing(STATES + "time.sleep(600)")
     seen = []
-    watch = lambda *each: seen.append(each)  # noqa: E731
-    found = recommend("near.csv", 2.0, out=tmp_path / "out", watch=watch, page=recommended.write)
+
+    def watch(*each):
+        seen.append(each)
+        time_is_over()
+
+    found = recommend("near.csv", 90.0, out=tmp_path / "out", watch=watch, page=recommended.write)
     said = str(found)
-    assert said.startswith("DO NOT DEPLOY: not enough time: the budget of 2 s was used up during training; 1 of 2 candidates")
+    assert said.startswith("DO NOT DEPLOY: not enough time: the budget of 90 s was used up during training; 1 of 2 candidates")
     assert "bc: trained, 90 of 90 updates" in said
     assert "iql: was training, 30 of 90 updates" in said
     assert "to be done: training, evaluation" in said
-    assert "a budget of 4m would do" in said  # 1.2 times the 200 s that the work came to
+    assert "a budget of 4m should be sufficient" in said  # 1.2 times the 200 s that the work came to
     assert f"deadreckon ope --data near.csv --policies {tmp_path / 'out' / 'bc'} --select" in said
     assert seen == [("iql", 30, 90)]
     assert "was" not in found.results["recommend"]["candidates"][1]["state"]
@@ -176,7 +189,7 @@ def test_more_time_is_advised_where_it_would_have_helped_and_nowhere_else(doing,
     for name, told in (("diverged", need), ("short", short)):
         doing(told + "send('unfinished', 'nothing was judged')")
         found = recommend(a_log(), 60.0, out=tmp_path / name)
-        assert any("would do" in line for line in found.choice.evidence) == (name == "short")
+        assert any("should be sufficient" in line for line in found.choice.evidence) == (name == "short")
 
 
 def test_input_that_does_not_fit_is_an_error_and_leaves_nothing(doing, tmp_path):
@@ -186,7 +199,7 @@ def test_input_that_does_not_fit_is_an_error_and_leaves_nothing(doing, tmp_path)
     assert not (tmp_path / "out").exists()
 
 
-def test_estimates_that_are_there_are_the_card_even_if_the_check_hangs(doing, tmp_path):
+def test_estimates_that_are_there_are_the_card_even_if_the_check_hangs(doing, time_is_over, tmp_path):
     result = {"method": "DR", "title": "dr (DR)", "value": [2.0, 1.0], "low": [1.5, 0.9], "high": [2.5, 1.1],
               "gain": [[1.0, 0.4, 1.6]], "effective": None}  # fmt: skip
     choice = {"name": "bc seed 0", "deploy": True, "gain": [1.0, 0.4, 1.6], "level": 0.975, "reason": "it is better",
@@ -196,8 +209,12 @@ def test_estimates_that_are_there_are_the_card_even_if_the_check_hangs(doing, tm
             "judged": {"words": "8 held-out episodes of 40", "episodes": 8, "of": 40, "fresh": True, "cluster": None},
             "looks": {"number": 1, "policies": 1, "counted": True},
             "support": {"missing": [0.1], "ratio": [1.0]}}  # fmt: skip
-    doing(STATES + f"open(job['out'] + '/estimates.json', 'w').write({json.dumps(told)!r}); time.sleep(600)")
-    found = recommend(a_log(), 2.0, out=tmp_path / "out", page=recommended.write)
+    doing(
+        f"{STATES}with open(job['out'] + '/estimates.json', 'w') as file:\n    file.write({json.dumps(told)!r})\n"
+        "send('line', 'written'); time.sleep(600)"
+    )
+    tell = lambda line: time_is_over() if line == "written" else None  # noqa: E731
+    found = recommend(a_log(), 90.0, out=tmp_path / "out", tell=tell, page=recommended.write)
     assert found.judged
     assert found.choice.deploy
     assert "DEPLOY bc seed 0: it is better." in str(found)
@@ -384,6 +401,7 @@ def test_candidates_that_hardly_began_to_learn_are_not_judged(small, tmp_path, m
 @pytest.mark.parametrize(("reached", "kept"), [((60, 500), ["bold"]), ((60, 80), None)])
 def test_a_candidate_that_hardly_began_is_left_out_beside_others(small, tmp_path, monkeypatch, reached, kept):
     monkeypatch.setattr(work, "FEWEST", 200)
+    monkeypatch.setattr(work, "MOST", 5_000)
     monkeypatch.setattr(Attempt, "_steps", lambda self, seconds, rates: 5_000)
     trained = iter([SimpleNamespace(failures=[None], config={"steps": steps}) for steps in reached])
     monkeypatch.setattr(Attempt, "_learned", lambda self, *given: next(trained))

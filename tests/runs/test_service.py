@@ -80,7 +80,7 @@ GOOD = {"age": 30, "plan": "a", "member": True}
 WRONG = {
     "no JSON": (b"age=30", "", 400, "the body is not JSON: Expecting value"),
     "empty": (b"", "", 400, "the body is not JSON"),
-    "NaN": (b'{"age": NaN}', "", 400, "NaN is no number of JSON; null says that a value is missing"),
+    "NaN": (b'{"age": NaN}', "", 400, "NaN is not a number of JSON; use null for a missing value"),
     "no UTF-8": (b'{"age": "\xff"}', "", 400, "the body is not JSON"),
     "half": (b'[{"age": 30', "", 400, "the body is not JSON"),
     "deep": (b"[" * 15_000, "", 400, "nested too deeply"),
@@ -171,7 +171,7 @@ def test_pages(service, run):
     assert (status, json.loads(body)) == (405, {"error": "this method is not for this page"})
     status, _, body = get("/etc/passwd")
     assert status == 404
-    assert "no such page; there are /predict, /health, /schema, /openapi.json and /docs" in json.loads(body)["error"]
+    assert "no such page; the pages are /predict, /health, /schema, /openapi.json and /docs" in json.loads(body)["error"]
 
 
 def test_a_mistake_of_ours_is_told_without_a_trace(run, monkeypatch):

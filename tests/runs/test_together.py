@@ -45,7 +45,7 @@ def assert_alike(run, alone):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["near", pytest.param("plain", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["near", "plain"])
 def test_each_is_the_run_that_it_would_be_alone(runs, log, tmp_path, name):
     assert list(runs) == ["plain", "near", "bad"]
     alone = dr.train(AGENTS[name], log, out=tmp_path / name, **SETTINGS)

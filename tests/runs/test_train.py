@@ -142,7 +142,7 @@ def test_a_run_that_a_callback_ends_by_its_evaluations_keeps_trajectories_too(tm
 
 @pytest.mark.parametrize(("asked", "words"), [({"encoder": "drq"}, "encoder"), ({"shift": 2}, "shift")])
 def test_a_log_without_pictures_takes_nothing_that_sees(asked, words, log, tmp_path):
-    with pytest.raises(dr.UserError, match=f"has no pictures: leave {words} out"):
+    with pytest.raises(dr.UserError, match=f"has no images: leave {words} out"):
         dr.train(agent(), log, out=tmp_path / "r", **SETTINGS, **asked)
     assert not (tmp_path / "r").exists()
 
@@ -165,7 +165,7 @@ def test_a_run_of_code_that_learns_otherwise_is_not_gone_on_with(run, log, tmp_p
     config = read_json(tmp_path / "r" / "run.json")
     config["revisions"]["training"] -= 1
     write_json(tmp_path / "r" / "run.json", config)
-    with pytest.raises(dr.UserError, match=r"begun by code that learns otherwise: revisions.training was"):
+    with pytest.raises(dr.UserError, match=r"started by code that trains differently: revisions.training was"):
         dr.train(agent(), log, out=tmp_path / "r", resume=True, **SETTINGS)
 
 
@@ -177,7 +177,7 @@ def test_a_run_that_notes_no_revisions_is_not_gone_on_with(run, log, tmp_path):
     config = read_json(tmp_path / "r" / "run.json")
     del config["revisions"]
     write_json(tmp_path / "r" / "run.json", config)
-    with pytest.raises(dr.UserError, match="was begun by code of other revisions, which learns otherwise; begin anew"):
+    with pytest.raises(dr.UserError, match="was started by code of other revisions, which trains differently; start again"):
         dr.train(agent(), log, out=tmp_path / "r", resume=True, **SETTINGS)
     assert read_json(tmp_path / "r" / "run.json") == config
 
@@ -226,7 +226,7 @@ def test_what_does_not_fit_is_told_before_anything_is_written(log, tmp_path):
     narrow = replace(log, observations=log.observations[:, :3], final_observations=log.final_observations[:, :3])
     with pytest.raises(dr.UserError, match=r"shows observations of shape \(4,\)"):
         dr.train(agent(), narrow, out=tmp_path / "no", task="maze2d-umaze", **SETTINGS)
-    with pytest.raises(dr.UserError, match="one agent a seed"):
+    with pytest.raises(dr.UserError, match="one agent per seed"):
         dr.train([agent()], log, out=tmp_path / "no", **SETTINGS)
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").write_text("mine")

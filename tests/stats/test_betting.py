@@ -27,7 +27,6 @@ def heavy(rng, n):
 SAMPLES = {"bernoulli": bernoulli, "beta": beta, "heavy": heavy}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("n", [20, 100, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("samples", SAMPLES)
 def test_coverage(samples, n):

@@ -97,7 +97,6 @@ def test_a_demonstration_can_be_begun_where_it_began(real_data, theirs):
 
 @pytest.mark.parametrize("task", [pytest.param(task, marks=[] if task.name == "door" else pytest.mark.slow) for task in TASKS],
                          ids=lambda task: task.name)  # fmt: skip
-@pytest.mark.slow
 def test_dapgs_policies_succeed_here(task, real_data):
     """Order of observations, scale of actions and physics at once: the experts of the old simulator are experts in this one."""
     policy = load_dapg(real_data / "adroit" / f"{task.name}-v0_dapg_policy.pickle")

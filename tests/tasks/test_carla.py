@@ -144,9 +144,9 @@ def test_pictures_that_come_late_are_dropped(fake):
 
 
 @pytest.mark.parametrize(("change", "words"), [
-    ({"silent": True}, r"no picture of step \d+ came within 0.1 s"),
-    ({"ahead": 1}, r"a picture of step \d+ came at step \d+; another client makes steps there"),
-    ({"size": 32}, "a picture has 32 x 32 pixels, 48 x 48 were asked for"),
+    ({"silent": True}, r"no image of step \d+ came within 0.1 s"),
+    ({"ahead": 1}, r"an image of step \d+ came at step \d+; another client makes steps there"),
+    ({"size": 32}, "an image has 32 x 32 pixels, 48 x 48 were asked for"),
     ({"fail": {"tick": (0, RuntimeError("time-out of 20000ms while waiting\nfor the simulator"))}},
      "localhost:2000: cannot make a step: time-out of 20000ms while waiting for the simulator"),
     ({"fail": {"control": (0, RuntimeError("actor is dead"))}}, "cannot steer the car: actor is dead"),

@@ -203,7 +203,7 @@ def test_bad_input_is_told():
     after = simulator.state()
     assert all(np.array_equal(before[key], after[key]) for key in before)
     for seeds in ([], [0, -1]):
-        with pytest.raises(UserError, match="one seed a copy is needed, each 0 or more"):
+        with pytest.raises(UserError, match="one seed per copy is needed, each 0 or more"):
             HOPPER.simulate(seeds)
     with pytest.raises(UserError, match=r"got \[7\] for 2 copies"):
         simulator.reset(np.array([0, 2]), [7])

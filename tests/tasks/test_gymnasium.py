@@ -326,7 +326,7 @@ def test_the_shorter_horizon_counts():
         (lambda: Custom(BOX, spaces.Box(-np.inf, np.inf, (1,), np.float32)), "actions have infinite bounds"),
         (lambda: Custom(BOX, spaces.MultiDiscrete([99, 99, 99])), "970,299 combinations"),
         (lambda: Custom(BOX, spaces.Tuple([spaces.Discrete(2), BOX])), "actions are Discrete, Box"),
-        (lambda: Custom(spaces.Box(0, 255, (4, 84, 84), np.uint8), BOX), "no picture of .height, width, channels.; put its"),
+        (lambda: Custom(spaces.Box(0, 255, (4, 84, 84), np.uint8), BOX), "no image of .height, width, channels.; put its"),
         (lambda: wrappers.NormalizeReward(toys.short_cart()), "NormalizeReward keeps statistics over episodes"),
         (lambda: wrappers.FlattenObservation(wrappers.NormalizeObservation(toys.short_cart())),
          "NormalizeObservation keeps statistics over episodes"),
@@ -454,7 +454,7 @@ def test_flow_draws_its_cars():
 def test_a_task_that_nothing_draws_says_so():
     env = SimulatorEnv("battery", render_mode="rgb_array")
     env.reset(seed=0)
-    with pytest.raises(UserError, match="^nothing draws battery; leave render_mode out$"):
+    with pytest.raises(UserError, match="^battery cannot be rendered; leave render_mode out$"):
         env.render()
 
 

@@ -48,7 +48,7 @@ def test_unknown_task_has_a_hint_and_names_are_unique():
 def test_bad_input_is_told():
     with pytest.raises(UserError, match="closed by"):
         Maze2D("leaky", "maze2d", 1, (4,), UMAZE.action_space, "x", UMAZE.reference, layout="###/#GO/###")
-    with pytest.raises(UserError, match="one seed a copy"):
+    with pytest.raises(UserError, match="one seed per copy"):
         UMAZE.simulate([])
     with pytest.raises(UserError, match="threads"):
         UMAZE.simulate([0], threads=0)

@@ -171,9 +171,9 @@ def test_names():
     for name in ("stranger:pixels?size=3", "stranger:Env:pixels", "stranger:Env?size=3:pixels"):
         with pytest.raises(UserError, match="name it with --task, or import stranger first"):
             of_run(name)
-    with pytest.raises(UserError, match="carla-lane shows pictures already; leave :pixels out"):
+    with pytest.raises(UserError, match="carla-lane has image observations already; leave :pixels out"):
         find("carla-lane:pixels")
-    with pytest.raises(UserError, match="nothing draws battery"):
+    with pytest.raises(UserError, match="battery cannot be rendered"):
         find("battery:pixels").simulate([0])
     with pytest.raises(UserError, match="unknown task 'wolker2d'"):
         find("wolker2d:pixels")

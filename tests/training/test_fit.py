@@ -76,7 +76,7 @@ def test_what_the_log_did_next_is_known_inside_of_episodes():
     _, got = columns(asks, Dataset.from_arrays(**some))
     np.testing.assert_allclose(got["next_action"][:, 0], [0, 0.3, 0, 0.5, 0], atol=1e-6)
     np.testing.assert_array_equal(got["follows"], [1, 1, 0, 1, 0])
-    with pytest.raises(UserError, match="rows do not follow each other, so what the log did next is not known"):
+    with pytest.raises(UserError, match="rows do not follow each other, so the next logged actions are not known"):
         columns(asks, Dataset.from_arrays(**some, next_observations=np.arange(5.0) + 0.5))
 
 

@@ -65,7 +65,7 @@ def fitted(agents, seeds, steps, log=LOG, **options):
 
 def test_which_agents_see():
     assert set(SEEING) == {"bc", "td3", "td3_bc", "sac", "iql", "cql", "bear"}
-    said = "ReBRAC takes flat observations, or pictures .* where its class says supports_images = True; spots has shape"
+    said = "ReBRAC takes flat observations, or images .* where its class says supports_images = True; spots has shape"
     with pytest.raises(UserError, match=said):
         agent_class("rebrac")().resolve(LOG.spec, 10)
 
@@ -119,7 +119,7 @@ def test_a_mixture_sees_one_picture_or_several(tmp_path):
     play = portable.load(tmp_path / "mixture.npz")
     assert mixture(LOG.observations[0]).shape == play(LOG.observations[0], first=True).shape == (2,)
     assert mixture(LOG.observations[:3]).shape == play(LOG.observations[:3], first=True).shape == (3, 2)
-    with pytest.raises(UserError, match="sees pictures"):
+    with pytest.raises(UserError, match="takes images"):
         mixture(np.zeros((3, 16, 15, 3), np.uint8))
 
 
@@ -208,7 +208,7 @@ def test_the_spec_behind_an_encoder():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("encoder", ["patches", pytest.param("drq", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("encoder", ["patches", "drq"])
 def test_bc_is_seen_to_learn_where_the_spot_is(encoder, tmp_path):
     log = log_of_spots(2_000)
     agent = BC(hidden=(64,), batch_size=64, lr=1e-3)
@@ -227,7 +227,7 @@ def test_what_is_refused(tmp_path):
     agent = small("bc")
     job = fitted([agent], [0], 2)
     policy = deployed(agent, lane_of(job.states, 0), job.each[0].view)
-    with pytest.raises(UserError, match=r"sees pictures, uint8 of shape \(16, 16, 3\).*got float32"):
+    with pytest.raises(UserError, match=r"takes images, uint8 of shape \(16, 16, 3\).*got float32"):
         policy(np.zeros((16, 16, 3), np.float32))
     with pytest.raises(UserError, match=r"got uint8 of shape \(3, 16, 15, 3\)"):
         policy(np.zeros((3, 16, 15, 3), np.uint8))

@@ -58,7 +58,7 @@ class ABM(Agent):
     epsilon: Positive = 0.1  # mean KL divergence of the improved policy from the prior, in nats
     eta: Positive = 1.0  # first temperature that divides the values
     prior: Literal["advantage", "all"] = static("advantage")
-    """logged actions that the prior imitates: those that turned out better than the policy (ABM), or all (BM in the paper)"""
+    """logged actions that the prior imitates: those with better outcomes than the policy (ABM), or all (BM in the paper)"""
     window: Count = static(8)  # consecutive transitions after which the value stands for the rest of the return
     samples: Count = static(20)  # draws of the policy for a value, and of the prior for an improvement
     target_update_period: Count = static(100)  # updates between copies of the networks to their targets

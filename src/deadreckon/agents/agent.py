@@ -108,14 +108,14 @@ class Agent(eqx.Module):
         """
         check_fields(self)
         if spec.rows and not self.offline:
-            raise UserError(f"{type(self).__name__} learns by acting in a simulator, not from a log; say --online --task TASK")
+            raise UserError(f"{type(self).__name__} trains by acting in a simulator, not on a log; use --online --task TASK")
         if spec.discrete and not self.supports_discrete:
             raise UserError(f"{type(self).__name__} needs continuous actions, {spec.name} has {spec.action}")
         if len(spec.observation_shape) != 1 and not (vars(type(self)).get("supports_images") and of_pictures(spec)):
             seen = f"{spec.name} has shape {spec.observation_shape} of {spec.observation_dtype}"
             if self.supports_images:
                 may = "" if vars(type(self)).get("supports_images") else " where its class says supports_images = True"
-                kinds = f"flat observations, or pictures (height, width, channels) of uint8{may}"
+                kinds = f"flat observations, or images (height, width, channels) of uint8{may}"
                 raise UserError(f"{type(self).__name__} takes {kinds}; {seen}")
             raise UserError(f"{type(self).__name__} needs flat observations, {seen}")
         return self

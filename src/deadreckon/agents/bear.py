@@ -63,7 +63,7 @@ class BEAR(Agent):
     actor_value: Literal["min", "mean"] = static("min")  # minimum or mean over the critics; mean suits Walker2d (A.4)
     actor_samples: Count = static(1)  # actions per state that estimate the value in the actor loss (D4RL version: 1)
     behavior: models.Kind = static("gaussian")  # model of the log: "gaussian" (tanh-Gaussian, A.4) or "vae" (official code)
-    behavior_hidden: Sizes | None = static(None)  # width of its hidden layers; None: hidden, for a VAE 750,750
+    behavior_hidden: Sizes | None = static(None)  # width of each hidden layer of that model; None: hidden, for a VAE 750,750
     constraint: Literal["mmd", "kl", "cross_entropy"] = static("mmd")  # distance to the log; KL forms need the gaussian model
     threshold: float | None = None  # threshold epsilon; None: 0.05 (thesis), for cross_entropy -2, for a relative MMD 0
     mmd_actions: Literal["before_tanh", "after_tanh"] = static("before_tanh")  # actions compared; before works better (A.4)

@@ -61,7 +61,7 @@ class CQL(ScaledRewards, SAC):
     max_target_backup: bool = static(False)
     """whether targets take the best of as many actions of the policy as above (public code on AntMaze), and not one"""
     min_gap: Number = -1e9
-    """lower limit of log-sum-exp minus Q of each transition in the penalty, beyond which it has no slope (AntMaze: -200)"""
+    """lower limit of log-sum-exp minus Q of each transition in the penalty, below which its gradient is 0 (AntMaze: -200)"""
     lagrange: bool = static(False)  # whether the weight of the penalty is a Lagrange multiplier
     threshold: NonNegative = 10.0  # value that the penalty is held to, with lagrange
     cql_weight_lr: NonNegative = 3e-4  # learning rate of the multiplier, with lagrange
@@ -73,7 +73,7 @@ class CQL(ScaledRewards, SAC):
         """Refuses to draw actions for targets where the values of all are known."""
         agent = super().resolve(spec, steps)
         if spec.discrete and self.max_target_backup:
-            why = "draws actions to take the best of, and targets of discrete ones are means over all"
+            why = "takes the best of sampled actions, and targets of discrete ones are means over all actions"
             raise UserError(f"{type(self).__name__}.max_target_backup {why}; leave it out")
         return agent
 

@@ -38,7 +38,7 @@ class DecisionTransformer(Agent):
 
     revision: ClassVar[int] = 1
     supports_history: ClassVar[bool] = False
-    own_history: ClassVar[str] = "it sees the last steps already, see context_length"
+    own_history: ClassVar[str] = "it takes the last steps already, see context_length"
     one_log: ClassVar[bool] = True  # it embeds as many times as the longest episode has steps
     other_names: ClassVar[dict[str, str]] = {
         "decay": "weight_decay", "gradient_norm": "max_grad_norm", "ask": "target_return", "warm_up": "warmup_steps",

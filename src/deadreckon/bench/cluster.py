@@ -74,7 +74,7 @@ class Cluster:
         fits = [int(min(node.get(what, 0.0) / count for what, count in asked.items())) for node in nodes]
         if not any(fits):
             has = ", ".join(f"{node.get('CPU', 0):g} and {node.get('GPU', 0):g}" for node in nodes)
-            raise UserError(f"a job takes {cpus} cpus and {gpus:g} gpus, and no node of the cluster has them: they have {has}")
+            raise UserError(f"a job takes {cpus} cpus and {gpus:g} gpus, but no node of the cluster has them: they have {has}")
         return sum(fits)
 
     @property

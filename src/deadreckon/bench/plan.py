@@ -164,7 +164,7 @@ def _agent(suite: Suite, method: Method, on: str) -> tuple[dict[str, Any], str]:
     else:
         able = kind.online if suite.kind == "online" else kind.offline
     if not able:
-        raise UserError(f"{suite.name}, method {method.name!r}: {method.agent} does not learn {_WAYS[suite.kind]}")
+        raise UserError(f"{suite.name}, method {method.name!r}: {method.agent} cannot be trained {_WAYS[suite.kind]}")
     known = {f.name for f in dataclasses.fields(kind)}
     options = with_field_names(kind, method.fields)
     for name in options:
@@ -238,7 +238,7 @@ def _ope(suite: Suite, method: Method, on: str) -> Job:
 
     task = of_log(on)
     if task is None:
-        raise UserError(f"{on} is of no task, so nobody knows what policies are worth there")
+        raise UserError(f"{on} has no task, so the values of policies on it are not known")
     library(task.name)  # refuses a task without policies of known value
     options = {"budget": suite.budget, "fields": method.fields}
     job = Job("ope", method.name, method.agent, {}, "", on, log_identity(on, suite.rows), options, (0,), suite.rows)

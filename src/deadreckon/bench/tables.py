@@ -32,7 +32,7 @@ SOURCES = {
         "thesis": "Table 7.1, after 500,000 updates on D4RL's logs: not the same data, not the same simulator",
         "CORL": "last scores of its README (commit 2ed69e3) on D4RL's logs: not the same data, not the same simulator",
     },
-    "design": {"thesis": "Tables 6.1 and 6.2, 16 trials of 128 designs on Design-Bench's data and judges"},
+    "design": {"thesis": "Tables 6.1 and 6.2, 16 trials of 128 designs on Design-Bench's data and oracles"},
     "ope": {
         "thesis": "appendix E.2, on the original logs, means over redrawn policies of DOPE: "
         "neither data nor policies are the same"
@@ -71,7 +71,7 @@ METRICS: dict[str, tuple[Metric, ...]] = {
 
 
 FINE_TUNED = (
-    Metric("start", "score of the policy before it acts"), Metric("gain", "last score less that of the policy before it acts"),
+    Metric("start", "score of the policy before it acts"), Metric("gain", "last score minus that of the policy before it acts"),
     Metric("lowest", "lowest score of all evaluations"),
 )  # fmt: skip
 
@@ -181,7 +181,7 @@ def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_
     spread = f"{suite.seeds} seeds; means with Student's {PERCENT} intervals over seeds, wide where these are few"
     if suite.kind in ("learn", "online"):
         spread += "; all seeds are evaluated from the same starts, and intervals do not include how starts vary"
-    notes = [spread if suite.seeds > 1 else "1 seed, so that nothing says how far seeds differ; the best of a row is marked"]
+    notes = [spread if suite.seeds > 1 else "1 seed, so that the spread over seeds is not known; the best of a row is marked"]
     if means and len(suite.on) > 1:
         told = "over all logs or tasks intervals are a bootstrap's over runs"
         notes.append(f"{told} ({PERCENT}), too narrow where seeds are few")
@@ -255,13 +255,13 @@ def _notes(jobs: Sequence[Job], missing: Sequence[tuple[Job, int]], store: Store
     logs = {job.on: log_name(job) for job in jobs}
     copies = {log: len({row["log"] for row in found if logs.get(row["on"]) == log and row["log"]}) for log in again}
     if several := [f"{on} ({count} logs)" for on, count in copies.items() if count > 1]:
-        told = "collected on machines that round differently, so methods have learned from copies that differ"
+        told = "collected on machines that round differently, so methods were trained on copies that differ"
         notes.append(f"{told}: {', '.join(several)}")
     notes += dict.fromkeys(f"oracle of {row['on']}: {row['oracle']}" for row in map(_with_more, found) if "oracle" in row)
     notes += _tuned(jobs)
     blind = sorted({row["on"] for row in found if row["kind"] == "learn" and np.isnan(row["score"])})
     if blind:
-        notes.append(f"no simulator to judge in, so no scores: {', '.join(blind)}")
+        notes.append(f"no simulator to evaluate in, so no scores: {', '.join(blind)}")
     present = {cell for job in jobs for cell in job.cells}
     if others := sum(row["cell"] not in present for row in found):
         notes.append(f"{others:,} of {len(found):,} results are of other revisions of their method or of the protocol")

@@ -65,12 +65,12 @@ class Tuned:
             words += [f"FAILED, not chosen: {trial.failure}"] if trial.failure else []
             lines.append("  ".join(words))
         if any(len(trial.values) > 1 for trial in self.trials):
-            lines.append(f"intervals ({PERCENT}) are over seeds of training; how few episodes estimates rest on is not in them")
+            lines.append(f"intervals ({PERCENT}) are over seeds of training; uncertainty from few episodes is not included")
         if self.lost is not None:
             spread = np.ptp([trial.scores.mean() for trial in self.trials])
             share = f", {100 * self.lost / spread:.0f} % of the range of all" if spread > 0 else ""
             chance = np.mean([max(t.scores.mean() for t in self.trials) - trial.scores.mean() for trial in self.trials])
-            lines.append(f"the choice loses {self.lost:.1f} points of score{share}; a choice by chance would lose {chance:.1f}")
+            lines.append(f"the choice loses {self.lost:.1f} points of score{share}; a random choice would lose {chance:.1f}")
         if self.truth is not None:
             lines.append(f"rank correlation of estimates and scores: {self.truth.rank_correlation.value:.2f}")
         return "\n".join(lines)

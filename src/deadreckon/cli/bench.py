@@ -35,7 +35,7 @@ class Bench:
     time: Annotated[str | None, tyro.conf.arg(name="for")] = None
     """time after which to stop, such as 90s, 30m, 8h; the same command continues later; None: until all is done"""
     idle: bool = False  # use only idle processor time, and pause while a benchmark takes measurements
-    gpu: bool = False  # fill one GPU for the time of --for with cells that learn from logs, at full size where that fits
+    gpu: bool = False  # fill one GPU for the time of --for with cells that train on logs, at full size where that fits
     executor: Literal["local", "ray"] = "local"  # where jobs run: processes on this machine (local), or a Ray cluster
     workers: int | None = None  # number of processes (local); None: one per core, or one for a GPU (with --gpu, up to 8)
     address: str | None = None  # address of the Ray cluster; None: RAY_ADDRESS, one on this machine, or a new one
@@ -116,7 +116,7 @@ def _fill(options: Bench) -> None:
         if getattr(options, name) != default:
             raise UserError(f"--{name} does not go with --gpu, which runs local processes and chooses each cell's size itself")
     if options.time is None:
-        raise UserError("--gpu fills a limited time; say how long by --for, such as --for 40m")
+        raise UserError("--gpu fills a limited time; set it with --for, such as --for 40m")
     fill(options.suite, Path(options.out), seconds_of(options.time), options.workers, options.dry_run)
 
 
@@ -160,7 +160,7 @@ def _run(options: Bench) -> None:
     if left := store.undone(jobs):
         waits = sum(store.failure(job, seed) is None for job in left for seed in job.seeds)
         if seconds is not None and waits:
-            print(f"{waits:,} cell{'s are' if waits != 1 else ' is'} left; the same command goes on with them")
+            print(f"{waits:,} cell{'s are' if waits != 1 else ' is'} left; the same command continues with them")
         raise SystemExit(1)
 
 
@@ -177,18 +177,18 @@ def announce(name, jobs, store, executor, each: bool):
     for program in waiting if each else ():
         took = expected[program.name]
         if took is None:
-            print(f"  {program}: no job like it yet")
+            print(f"  {program}: time not known, no similar job is finished")
             continue
         how = "about" if took.close else "roughly" if took.whole else "updates alone roughly"
         print(f"  {program}: {how} {in_words(took.seconds)}")
     found = [took for took in expected.values() if took is not None]
     known = [took.seconds for took in found]
     if known:
-        more = f"; {len(waiting) - len(known)} more have no like" if len(known) < len(waiting) else ""
+        more = f"; the times of {len(waiting) - len(known)} more are not known" if len(known) < len(waiting) else ""
         workers = f"{executor.workers} worker{'s' * (executor.workers != 1)}"
         spread = f"{in_words(max(max(known), sum(known) / executor.workers))} with {workers}"
         least = "" if all(took.whole for took in found) else "at least "
-        print(f"{least}about {spread}, by the times of jobs that are done{more}")
+        print(f"{least}about {spread}, by the times of finished jobs{more}")
     return waiting
 
 
@@ -206,16 +206,17 @@ def _work(suites, track: tuple[str, ...]):
     trackers_of(track, 1)
     if not any(suite.kind in TRACKED for suite in suites):
         have = ", ".join(dict.fromkeys(suite.kind for suite in suites))
-        raise UserError(f"--track shows runs of agents (suites of the kinds {', '.join(TRACKED)}), and these are of: {have}")
+        kinds = ", ".join(TRACKED)
+        raise UserError(f"--track shows runs of agents (suites of the kinds {kinds}), and these are of the kinds {have}")
     return functools.partial(perform, track=track)
 
 
 def _executor(options: Bench, work: "Work"):
     if options.executor == "ray":
         if options.idle:
-            raise UserError("--idle is of --executor local")
+            raise UserError("--idle needs --executor local")
         if options.workers is not None:
-            raise UserError("--workers is of --executor local; a Ray cluster runs as many jobs as --cpus and --gpus let it")
+            raise UserError("--workers needs --executor local; a Ray cluster runs as many jobs as --cpus and --gpus allow")
         from deadreckon.bench.cluster import Cluster
 
         return Cluster(Path(options.out), options.address, options.cpus, options.gpus, work)
@@ -223,7 +224,7 @@ def _executor(options: Bench, work: "Work"):
 
     for name, default in (("address", None), ("cpus", 1), ("gpus", 0.0)):
         if getattr(options, name) != default:
-            raise UserError(f"--{name} is of --executor ray")
+            raise UserError(f"--{name} needs --executor ray")
     return Local(Path(options.out), options.workers, work, options.idle)
 
 

@@ -47,7 +47,7 @@ def collect(options: Collect) -> None:
         return _in_task(options)
     assert options.name is not None
     if options.policy != "random":
-        raise UserError(f"--policy {options.policy} is for --task TASK; {options.name} says who acts")
+        raise UserError(f"--policy {options.policy} is for --task TASK; {options.name} has its own behaviour policy")
     found = recipe(options.name)
     steps = options.steps if options.steps is not None else found.steps
     if options.out is None and not options.force and (path := default_path(found, options.steps, options.seed)).exists():

@@ -42,7 +42,8 @@ class Get:
 class Sample:
     """Download a sample table as CSV; without NAME, list the sample tables."""
 
-    name: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")] = None  # such as open-bandit-random-men
+    name: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")] = None
+    """name of the sample table, such as open-bandit-random-men"""
     out: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None  # file to write; None: NAME.csv
     force: bool = False  # whether to replace an existing file
 
@@ -94,8 +95,9 @@ class Mapping(Reading):
     cost: Annotated[tuple[str, ...] | None, _COLUMNS] = None  # columns of costs, which are neither observation nor reward
     legal: Annotated[tuple[str, ...] | None, _COLUMNS] = None
     """column that lists the legal actions (a|b), or one 0/1 column per action: `legal` stands for legal_a, legal_b and so on"""
-    next_legal: Annotated[tuple[str, ...] | None, _COLUMNS] = None  # likewise for the next observations
-    weight: Annotated[str | None, _COLUMN] = None  # column of weights, which are kept beside the log
+    next_legal: Annotated[tuple[str, ...] | None, _COLUMNS] = None
+    """columns of the legal actions of the next observations, in the same form as --legal"""
+    weight: Annotated[str | None, _COLUMN] = None  # column of weights, which are stored with the log and not used
     kinds: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="COLUMN=KIND [COLUMN=KIND ...]")] = None
     """kinds of columns whose values suggest another: number, integer, category or flag, such as dose=number"""
 
@@ -117,7 +119,7 @@ class Describe:
 
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TABLE")]
     """table to describe: a CSV or Parquet file, a spreadsheet or a database"""
-    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns of which something is known already
+    map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns whose roles are known already, and how the file is read
     save: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """file to write the schema to (.toml); None: print it"""
     force: bool = False  # whether to overwrite an existing file
@@ -203,7 +205,7 @@ def _sample(options: Sample) -> None:
     from deadreckon.data.samples import SAMPLES, get_sample
 
     if options.name is None:
-        print(table([["table", "rows", "what it is"], *([n, f"{s.rows:,}", s.about] for n, s in SAMPLES.items())], right=(1,)))
+        print(table([["table", "rows", "description"], *([n, f"{s.rows:,}", s.about] for n, s in SAMPLES.items())], right=(1,)))
         return
     with Bar(f"downloading {options.name}", None, "bytes") as bar:
         path = get_sample(options.name, options.out, force=options.force, progress=bar)

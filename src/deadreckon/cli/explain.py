@@ -20,7 +20,7 @@ class Explain:
     """run folder (its first seed that has not failed), folder of `ope` or `recommend` (the policy to deploy), cross-fit, or
     policy file (.npz)"""
     log: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")] = None
-    """log on whose rows the policy is explained; None: the one that it learned from"""
+    """log on whose rows the policy is explained; None: the one that it was trained on"""
     policy_seed: int | None = None  # seed of the run whose policy is explained; None: the first that has not failed
 
 

@@ -19,7 +19,7 @@ class Export:
     format: Literal["onnx", "stablehlo", "numpy", "mlflow"]
     """form of the export: an ONNX graph, a program of jax.export, files for numpy alone, or an MLflow model"""
     out: str  # folder to write, which must not exist yet
-    log: str | None = None  # log on whose rows the export is checked; None: the one that the policy learned from
+    log: str | None = None  # log on whose rows the export is checked; None: the one that the policy was trained on
     estimates: Annotated[str | None, tyro.conf.arg(metavar="FOLDER")] = None
     """folder of `deadreckon ope --out` or `recommend`, for the card; None: found in the run's folder or beside it"""
     policy_seed: int | None = None  # seed of the run whose policy is exported; None: the first that has not failed

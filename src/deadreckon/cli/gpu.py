@@ -39,7 +39,7 @@ def fill(suite: str, path: Path, seconds: float, workers: int | None, dry_run: b
     with shared() as how:
         kind = device_kind()
         if kind is None:
-            raise UserError("--gpu needs an accelerator, and JAX sees none; --dry-run prints a plan all the same")
+            raise UserError("--gpu needs an accelerator, and JAX sees none; --dry-run prints a plan nevertheless")
         print(how)
         with required():
             _run(suite, path, seconds, workers, kind)
@@ -66,24 +66,24 @@ def plan_told(suite: str, path: Path, seconds: float, workers: int | None = None
     """
     _, rates, loads, processes = _prepared(suite, path, seconds, workers, kind)
     planned = schedule(loads, seconds, processes)
-    which = rates.device if kind else f"{rates.device}, which is not here,"
+    which = rates.device if kind else f"{rates.device}, which this machine does not have,"
     made = use(planned, seconds)
     cells = sum(one.load.program.lanes for one in planned if one.end is not None)
     left = sum(load.program.lanes for load in loads) - cells
-    whole = f"{made.training:.0%} of it in training, {made.lanes:.0f} lanes in the mean"
+    whole = f"{made.training:.0%} of it in training, {made.lanes:.0f} lanes on average"
     return "\n".join(
         [
             f"{Path(suite).stem}: {in_words(seconds)} of one {which} and {rates.cores} cores, {processes} processes",
             *(f"  {_line(one)}" for one in planned),
-            f"{cells:,} cells would be done; {left:,} that learn from logs would be left, some of them begun",
-            f"{made.rate:,.0f} updates of a seed per second in the mean over the whole time, {whole}",
+            f"{cells:,} cells would be done; {left:,} that train on logs would be left, some of them started",
+            f"{made.rate:,.0f} updates per second, all seeds together, on average over the whole time, {whole}",
         ]
     )
 
 
 def _line(one: Planned) -> str:
     load = one.load
-    ends = "is begun and goes on another time" if one.end is None else f"done after {in_words(one.end)}"
+    ends = "is started and continues another time" if one.end is None else f"done after {in_words(one.end)}"
     size, known = "full" if load.full else "CPU", "measured" if load.measured else "estimated"
     took = in_words(one.trained - one.trains)
     rate = f"{load.rate:,.0f} updates/s ({known})"
@@ -104,11 +104,11 @@ def _run(suite: str, path: Path, seconds: float, workers: int | None, kind: str)
     took = time.monotonic() - began
     left = sum(len(job.seeds) for job in store.undone(jobs))
     print(
-        f"{filling.updates / took:,.0f} updates of a seed per second in the mean over {in_words(took)}, "
+        f"{filling.updates / took:,.0f} updates per second, all seeds together, on average over {in_words(took)}, "
         f"{filling.training / took:.0%} of it in training; results in {store.place}"
     )
     if left:
-        print(f"{left:,} cells that learn from logs are left; the same command goes on with them")
+        print(f"{left:,} cells that train on logs are left; the same command continues with them")
         raise SystemExit(1)
 
 

@@ -41,6 +41,6 @@ class Lines:
             parts = event.program.parts
             self.total += len(parts) - 1
             what = "settings" if len(event.program.jobs) > 1 else "seeds"
-            print(f"{event.program}: {event.payload}; its {what} go on one by one", flush=True)
+            print(f"{event.program}: {event.payload}; its {what} continue one by one", flush=True)
         elif event.what == "died":
-            print(f"{event.program}: its process ended ({event.payload}); it is begun again where it was", flush=True)
+            print(f"{event.program}: its process ended ({event.payload}); it is started again and continues", flush=True)

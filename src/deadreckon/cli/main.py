@@ -26,10 +26,10 @@ COMMANDS = {
     "tasks": ("show", "tasks", "list the simulators for evaluation, and the logs and policies made in them, with scores"),
     "agents": ("show", "agents", "list the learning algorithms and their sources"),
     "data": ("data", "data", "collect, inspect and convert logs (data list|collect|get|sample|info|describe|convert)"),
-    "train": ("train", "train", "learn a policy from a log, or online in a simulator, with several seeds in one program"),
+    "train": ("train", "train", "train a policy on a log, or online in a simulator, with several seeds in one program"),
     "ope": ("ope", "ope", "estimate the values of policies from a log alone, and choose one; ope bench compares estimators"),
     "tune": ("tune", "tune", "choose an agent's settings by estimates from a log alone, or on training tasks"),
-    "recommend": ("recommend", "recommend", "learn from a log within a time budget, and recommend a policy to deploy, if any"),
+    "recommend": ("recommend", "recommend", "train on a log within a time budget, and recommend a policy to deploy, if any"),
     "design": ("design", "design", "propose designs from a table of scored ones (design describe|problems|get|methods|bench)"),
     "predict": ("predict", "predict", "write a policy's actions for the rows of a new table, named as in its log"),
     "serve": ("serve", "serve", "serve a policy over HTTP: rows as JSON in, named actions out"),
@@ -50,7 +50,7 @@ _TOO_LARGE = "RESOURCE_EXHAUSTED|array is too big|Maximum allowed dimension exce
 
 HELP = """usage: deadreckon COMMAND [OPTIONS]
 
-From logged data to decisions: learn policies from a fixed log, estimate their values, and decide which one to deploy, if any.
+From logged data to decisions: train policies on a fixed log, estimate their values, and decide which one to deploy, if any.
 
 commands:
 {commands}

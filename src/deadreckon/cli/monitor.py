@@ -13,7 +13,7 @@ from deadreckon.errors import as_one_line
 
 @dataclass
 class Monitor:
-    """Compare a new log with the one a policy learned from, and its realised value with the estimate.
+    """Compare a new log with the one that a policy was trained on, and its realised value with the estimate.
 
     Exit code 0: no alarm; 1: drift, values outside the log, or a value below the estimate; 2: bad input; 70: it failed.
     """
@@ -24,7 +24,7 @@ class Monitor:
     log: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]  # new log, in the order of time
     html: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None  # HTML page to write; an old one is replaced
     reference: Annotated[str | None, tyro.conf.arg(metavar="LOG")] = None
-    """log to compare with, such as the policy's first weeks; None: the log that the policy learned from"""
+    """log to compare with, such as the policy's first weeks; None: the log that the policy was trained on"""
     made_by: Literal["policy", "reference"] | None = None
     """origin of the new log: the run's policy, or the same as the reference's; None: policy, or reference with --reference"""
     estimates: Annotated[str | None, tyro.conf.arg(metavar="FOLDER")] = None

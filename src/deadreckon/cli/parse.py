@@ -68,7 +68,7 @@ def chosen(what: str, args: Sequence[str]) -> tuple[str | None, list[str]]:
     """
     rest, name, flag = list(args), None, f"--{what}"
     if rest[-1:] == [flag]:
-        raise UserError(f"{flag} needs a name behind it")
+        raise UserError(f"{flag} needs a name after it")
     for i, a in enumerate(rest):
         if a == flag:
             name, rest = rest[i + 1], rest[:i] + rest[i + 2 :]

@@ -18,7 +18,7 @@ _ENDINGS = (".csv", ".parquet")
 
 @dataclass
 class Predict:
-    """Write the actions of a policy in the rows of a table, named as in the log that it learned from."""
+    """Write the actions of a policy in the rows of a table, named as in the log that it was trained on."""
 
     policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """run folder (its first seed that has not failed), folder of `ope` or `recommend` (the policy to deploy), cross-fit, or
@@ -28,7 +28,7 @@ class Predict:
     out: Annotated[str, tyro.conf.arg(metavar="FILE")]  # file to write, .csv or .parquet; an old one is replaced
     probabilities: bool = False  # whether to write the probability of every discrete action as well
     sampled: bool | None = None
-    """whether to sample actions instead of taking the deterministic (greedy) ones; None: as the decision judged them, else
+    """whether to sample actions instead of taking the deterministic (greedy) ones; None: as the decision evaluated them, else
     no"""
     seed: int | None = None
     """random seed of sampled actions and of the members of a mixture; None: another one each time, which is printed"""

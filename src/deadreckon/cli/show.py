@@ -41,14 +41,14 @@ def tasks(args: Sequence[str]) -> None:
         if options.domain not in domains:
             raise unknown("domain", options.domain, domains)
         found = [task for task in found if task.domain == options.domain]
-    rows = [["task", "steps", "random", "expert", "D4RL random", "D4RL expert", "split", "what"]]
+    rows = [["task", "steps", "random", "expert", "D4RL random", "D4RL expert", "split", "description"]]
     for t in found:
         known = [(f"{each.random:.1f}", f"{each.expert:.1f}") if each else ("-", "-") for each in (t.reference, t.published)]
         rows.append([t.name, str(t.horizon), *known[0], *known[1], t.split, t.summary])
     print(table(rows, right=(1, 2, 3, 4, 5), sparse=True))
     print("\nrandom and expert: mean returns that define the scores 0 and 100; D4RL's where it has them, except for Maze2D")
-    print("and Flow; AntMaze's 100 is to arrive every time. Any Gymnasium environment is a task too, such as --task")
-    print("gymnasium:Pendulum-v1; its scores are raw returns.")
+    print("and Flow; in AntMaze, 100 means that all episodes reach the goal. Any Gymnasium environment is a task too, such as")
+    print("--task gymnasium:Pendulum-v1; its scores are raw returns.")
     _logs([task for task in found if task.domain in ("antmaze", "adroit", "kitchen", "flow", "control")])
     hard = {task.domain: task for task in found if task.properties}
     rows = [[domain, ", ".join(task.properties), task.source] for domain, task in hard.items()]
@@ -64,7 +64,7 @@ def _logs(tasks: Sequence) -> None:
 
     if not tasks:
         return
-    rows = [["data set", "steps", "who acts"]]
+    rows = [["data set", "steps", "behaviour policy"]]
     for task in tasks:
         found = [recipe(name) for name in recipe_names() if recipe(name).task == task.name]
         rows += [[each.name, f"{each.steps:,}", each.summary] for each in found]
@@ -77,7 +77,7 @@ def _own_logs(tasks: Sequence) -> None:
     from deadreckon.collect.recipes import recipe, recipe_names
     from deadreckon.policies.library import library_tasks
 
-    logs = [["data set", "steps", "return", "score", "who acts"]]
+    logs = [["data set", "steps", "return", "score", "behaviour policy"]]
     for task in (task for task in tasks if task.name in library_tasks()):
         for name in (n for n in recipe_names() if recipe(n).task == task.name):
             mean = behavior_return(task.name, name.removeprefix(f"{task.name}-").removesuffix("-v2"))
@@ -109,8 +109,8 @@ def _policies(tasks: Sequence) -> None:
             policies.append([f"{task.name} {s.name}", *at, *drawn, *means])
     if len(policies) > 1:
         print("\n" + table(policies, right=range(1, 9), sparse=True))
-        print("\nreturn with its standard error, score and discounted return (0.995) with drawn actions; where there is such a")
-        print("column, return and score with mean ones.")
+        print("\nreturn with its standard error, score and discounted return (0.995) with sampled actions; where there is")
+        print("such a column, return and score of mean actions.")
         print("`dr.load_policies(TASK)` gives the policies.")
         for task in (task for task in known if task.name in SHARED):
             print(f"{task.name} has those of {SHARED[task.name]}")
@@ -128,6 +128,6 @@ def agents(args: Sequence[str]) -> None:
         for agent, known in presets().items()
         for name, fields in known.items()
     ]
-    print("\n" + table([["agent", "preset, for logs that begin so", "published settings"], *lines]))
-    print("\ndeadreckon train --agent NAME --help shows its hyperparameters; --preset NAME begins from a preset.")
+    print("\n" + table([["agent", "preset, for logs whose names begin with it", "published settings"], *lines]))
+    print("\ndeadreckon train --agent NAME --help shows its hyperparameters; --preset NAME starts from a preset.")
     print("--agent MODULE:CLASS takes an agent of your own; see the documentation, Your own agent.")

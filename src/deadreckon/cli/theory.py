@@ -30,7 +30,7 @@ def theory(args: Sequence[str]) -> None:
 
     if options.name is None:
         print(table([["name", "what"], *([name, line] for name, (_, line) in EXPERIMENTS.items())]))
-        print("\ndeadreckon theory NAME --out FOLDER writes the pictures and the numbers behind them.")
+        print("\ndeadreckon theory NAME --out FOLDER writes the figures and their numbers.")
         return
     if options.name not in EXPERIMENTS:
         raise unknown("theory", options.name, EXPERIMENTS)

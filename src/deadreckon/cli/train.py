@@ -67,9 +67,9 @@ def _begun(args: Sequence[str], name: str | None, online: bool) -> tuple[str, An
     start = start_of(given)
     first, *others = (agent.going_on() for agent in start.agents)
     if name is not None and name.lower().replace("-", "_") != agent_name(first):
-        raise UserError(f"{given} is a run of {agent_name(first)}, {name} cannot go on from it; leave --agent out")
+        raise UserError(f"{given} is a run of {agent_name(first)}, {name} cannot continue it; leave --agent out")
     if any(vars(other) != vars(first) for other in others):
-        raise UserError(f"the seeds of {given} have settings of their own; dr.train_online(start={given!r}) goes on with them")
+        raise UserError(f"the seeds of {given} have settings of their own; dr.train_online(start={given!r}) continues them")
     return agent_name(first), first, start.run.config["task"]
 
 
@@ -78,7 +78,7 @@ def _train_online(name, parsed, judged_in):
 
     options: TrainOnline = parsed.run
     if (task := options.task or judged_in) is None:
-        raise UserError("missing --task, the simulator to learn in (see `deadreckon tasks`)")
+        raise UserError("missing --task, the simulator to train in (see `deadreckon tasks`)")
     given = {name: getattr(options, name) for name in ("copies", "explore", "updates_per_step", "block")}
     given = {name: value for name, value in given.items() if value is not None}
     settings = turns_of(type(parsed.agent), task, options.settings.start is not None, **given)

@@ -61,7 +61,7 @@ for _task in gym_mujoco.TASKS:
     if f"{_task.name}-medium-replay-v2" in ENTRIES:
         # The replay buffer is as long as our own run took to get to medium, whatever the original's length.
         _rows = about(_task.name)["medium_replay"]["environment_steps"] if _task.name in library_tasks() else None
-        _summary = "all that SAC did until medium, by training again"
+        _summary = "all steps of SAC up to medium, by training again"
         _register(f"{_task.name}-medium-replay-v2", _task, partial(collect_replay, _task), _summary, _rows)
 
 
@@ -132,5 +132,5 @@ for _task in town.TASKS:
 # ---- dm_control ---------------------------------------------------------------------------------------------------------
 
 for _task in control.TASKS:
-    _summary = "episodes from the whole of a training of D4PG online"
+    _summary = "episodes from a whole online training run of D4PG"
     _register(f"{_task.name}-full-replay-v0", _task, partial(collect_control, _task), _summary)

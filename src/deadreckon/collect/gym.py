@@ -114,9 +114,9 @@ def collect_replay(
     settings, agent = Online(**run["online"]), SAC(**with_field_names(SAC, _fields(run["agent"])))
     now = versions()
     if seed == 0 and (different := differences(run["versions"], now, [*now])):
-        text = f"{name}: not to the bit the run that the policies come from, but the same in kind: {'; '.join(different)}"
+        text = f"{name}: not the run that the policies come from, but another of the same kind: {'; '.join(different)}"
         warnings.warn(text, stacklevel=2)
-    extra = {"task": task.name, "training": run["agent"], "online": run["online"], "actions": "drawn, uniform at first",
+    extra = {"task": task.name, "training": run["agent"], "online": run["online"], "actions": "sampled, uniform at first",
              "trained_with": now, "device": jax.default_backend()}  # fmt: skip
     provenance = acted_in("gymnasium", name, seed, extra)
     path = train_for_rows(

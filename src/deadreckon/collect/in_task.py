@@ -78,7 +78,7 @@ def collect_in_task(
     name = f"{task.name} {by}"
     path = Path(out) if out is not None else Path(f"{file_part(name.replace(' ', '-').replace(':', '-'))}.hdf5")
     if path.exists() and not force:
-        raise UserError(f"{path} is there already; --force (force=True) replaces it")
+        raise UserError(f"{path} exists already; --force (force=True) replaces it")
     versions = {each: metadata.version(each) for each in ("mujoco", "numpy", "jax")} | {"deadreckon": __version__}
     extra = {"task": task.name, "policy": by, "actions": "drawn", "device": acting_platform()}
     content = None if chance else _content(found[0])
@@ -91,7 +91,7 @@ def collect_in_task(
     with alone(path), resumable(*[scratch] if known else []):
         who = "policy" if alike else "environment"
         if scratch.exists() and not known:
-            raise UserError(f"{scratch} holds the beginning of a collection, maybe by another {who}; delete it to begin anew")
+            raise UserError(f"{scratch} holds the beginning of a collection, maybe by another {who}; delete it to start again")
         log = collect_rollouts(
             task, [Segment(found[0], steps)], name=name, seed=seed, provenance=provenance, threads=threads, scratch=scratch,
             progress=progress,

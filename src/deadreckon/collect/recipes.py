@@ -143,7 +143,7 @@ def collect(
     path = Path(out) if out is not None else default_path(found, steps, seed)
     if path.exists() and not force:
         if out is not None:
-            raise UserError(f"{path} is there already; --force (force=True) replaces it")
+            raise UserError(f"{path} exists already; --force (force=True) replaces it")
         return path
     scratch = path.parent / f".{path.name}.part"
     with alone(path, wait=f"collects {name} already" if wait else ""), resumable(scratch):

@@ -100,7 +100,7 @@ def collect_rollouts(
     kinds = column_kinds(task, segments[0].policy)
     for segment in segments:
         if isinstance(segment.policy, EnvPolicy) and jax.tree.leaves(segment.policy.start(1)):
-            raise UserError(f"{name}: a policy that remembers earlier steps cannot collect a log, one of single steps can")
+            raise UserError(f"{name}: a policy with a memory of earlier steps cannot collect a log")
     stage = Stage(scratch, task, kinds, asked_for(name, seed, [segment.rows for segment in segments], provenance))
     with on_processor():
         _collect(task, segments, stage, seed, threads, progress)

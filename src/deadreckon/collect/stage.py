@@ -45,7 +45,7 @@ def same_collection(scratch: Path, asked: dict[str, Any]) -> None:
     if not note.exists():
         write_json(note, asked)
     elif different := differences(read_json(note, dict), asked):
-        raise UserError(f"{scratch} holds the beginning of another collection ({different[0]}); delete it to begin anew")
+        raise UserError(f"{scratch} holds the beginning of another collection ({different[0]}); delete it to start again")
 
 
 class _State(TypedDict):

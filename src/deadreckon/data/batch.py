@@ -157,7 +157,7 @@ class TransitionSource:
         if log.successors is not None and (needs.n_step > 1 or needs.window):
             raise UserError(f"{log.name}: its rows do not follow each other, so n-step rows and windows cannot be cut from it")
         if log.successors is not None and {"next_action", "follows", "monte_carlo"} & set(needs.columns):
-            raise UserError(f"{log.name}: its rows do not follow each other, so what the log did next is not known")
+            raise UserError(f"{log.name}: its rows do not follow each other, so the next logged actions are not known")
         # Whoever looks at successors is not shown rows without one. Windows are runs of the log itself, so all rows stay.
         looks_ahead = "next_observation" in needs.columns
         usable = log.usable if looks_ahead else np.ones(len(log), bool)
@@ -170,7 +170,7 @@ class TransitionSource:
         self._blind = looks_ahead & ~log.usable[log.ends]  # (episodes,) whose last row has no known successor
         self.count = len(log) - len(self._hidden)
         if self.count == 0 or not usable.any():
-            raise UserError(f"{log.name}: no row has a known successor")
+            raise UserError(f"{log.name}: no row has a next observation or a terminal")
         self.initial: dict[str, np.ndarray] | None = None
         if needs.initial:
             first = self.view.observe(np.asarray(log.observations[log.starts]))

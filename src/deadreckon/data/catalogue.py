@@ -36,7 +36,7 @@ def entry(name: str) -> Entry:
     base, _, version = plain_name(name).partition("@")
     if base not in ENTRIES:
         if not difflib.get_close_matches(base, ENTRIES, 1, 0.5):
-            raise UserError(f"no file {name}, and no data set is called so (`deadreckon data list` lists them)")
+            raise UserError(f"no file {name}, and no data set of that name (`deadreckon data list` lists them)")
         raise unknown("data set", base, ENTRIES)
     found = ENTRIES[base]
     own = () if found.recipe is None else (found.version, *found.earlier)
@@ -122,18 +122,18 @@ def _how(found: Entry, version: str) -> str:
         if version in ("", source)
     ][:1]
     if found.recipe is None:
-        return f"{found.name} is not here yet: {gets[0]}; it cannot be collected here"
+        return f"{found.name} is not in the cache yet: {gets[0]}; it cannot be collected here"
     collect = f"`deadreckon data collect {found.recipe}` makes"
     if version == "" and (old := [each for each in found.earlier if cached_path(f"{found.name}@{each}").exists()]):
-        return f"{found.name} is here as {found.name}@{old[0]} alone, of an earlier recipe: {collect} {found.collected} here"
+        return f"{found.name} is cached only as {found.name}@{old[0]}, of an earlier recipe: {collect} {found.collected} here"
     if version in found.earlier:
-        return f"{found.name}@{version} is not here, and is of an earlier recipe: {collect} {found.collected} here"
+        return f"{found.name}@{version} is not in the cache, and is of an earlier recipe: {collect} {found.collected} here"
     if version in found.sources:
-        return f"{found.name}@{version} is not here yet: {gets[0]}, or {collect} {found.collected} here"
+        return f"{found.name}@{version} is not in the cache yet: {gets[0]}, or {collect} {found.collected} here"
     name = f"{found.name}@{version}" if version else found.name
     parts = sorted(each.stem for each in (home() / "data").glob(f"{found.collected}-*.hdf5"))  # of other lengths or seeds
     beside = f"; in the cache under other names: {', '.join(parts)}" if parts and version in ("", found.version) else ""
-    return f"{name} is not here yet: {', or '.join([f'{collect} it here', *gets])}{beside}"
+    return f"{name} is not in the cache yet: {', or '.join([f'{collect} it here', *gets])}{beside}"
 
 
 def _with_record(log: Dataset, path: Path) -> Dataset:

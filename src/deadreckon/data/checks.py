@@ -135,7 +135,7 @@ def _observation_column(log: str, key: str, column: np.ndarray) -> np.ndarray:
 def _flat(log: str, key: str, column: np.ndarray, dtype: Any) -> np.ndarray:
     column = np.asanyarray(column)
     if not column.ndim or column.size != len(column):
-        raise UserError(f"{log}: column {key} has shape {column.shape}, one value a row is needed")
+        raise UserError(f"{log}: column {key} has shape {column.shape}, one value per row is needed")
     column = column.reshape(len(column))
     if dtype == np.float32:
         return _float32(log, key, column)

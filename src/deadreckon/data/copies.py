@@ -9,7 +9,7 @@ from deadreckon.data.told import observation_names
 
 _SHARE = 0.01  # of the rows, above which copies are told
 _STRETCH, _TOGETHER = 20, 0.5  # so many copies, and such a share of them, follow each other where a part was stored twice
-_ADVICE = "leave the copies out, or held-out rows are learned from"
+_ADVICE = "leave the copies out, else held-out rows are used for training"
 _OWN = 0.9  # of the rows that are no copies: so many have a value of their own in a column that tells rows apart
 
 

@@ -98,7 +98,7 @@ def get(
     except TransferError as error:
         raise UserError(f"{error}; {_offline(found)}".removesuffix("; ")) from error
     except OSError as error:  # of the disk: those of the network were told apart before
-        raise UserError(f"cannot write {path}: {error.strerror or error} (what has come is kept)") from error
+        raise UserError(f"cannot write {path}: {error.strerror or error} (the part that has arrived is kept)") from error
     return Download(f"{found.name}@{source}", path, True, received.sha256, received.vouched)
 
 
@@ -166,7 +166,7 @@ def _laid_out(log: Dataset, width: int, kept: tuple[int, ...], constants: tuple[
         UserError: observations have not the `width` that the layout is for.
     """
     if log.spec.observation_size != width:
-        raise UserError(f"it has {log.spec.observation_size} numbers per observation, not the {width} that are known of it")
+        raise UserError(f"it has {log.spec.observation_size} numbers per observation, but it should have {width}")
 
     def change(seen: np.ndarray | None) -> np.ndarray | None:
         if seen is None:

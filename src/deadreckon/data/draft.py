@@ -144,7 +144,7 @@ class _Maker:
         for column in [column for column in self.names if column not in self.roles]:
             if roles.DONE.fullmatch(column.lower()):
                 self.give([column], "ignore", "says that an episode ended, not why")
-                self.doubt(column, "marks starts of episodes and is left out: --episode names a column that tells them apart"
+                self.doubt(column, "marks starts of episodes and is left out: --episode names a column that identifies them"
                            if "first" in column.lower() else f"marks ends of episodes and is left out: --terminal {column} "
                            f"where the task itself ended, --timeout {column} where only the recording did")  # fmt: skip
             elif roles.like("propensity", column) and "propensity" not in {role for role, _ in self.roles.values()}:

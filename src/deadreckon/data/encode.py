@@ -286,7 +286,7 @@ class Encoder:
         exact = 2 ** {16: 11, 32: 24, 64: 53}.get(values.type.bit_width, 53) if pa.types.is_floating(values.type) else np.inf
         if exact < np.inf and (large := float(np.abs(values.to_numpy()).max())) >= exact:
             raise UserError(
-                f"{self.name}: column {column} tells episodes apart, and it was read as numbers up to {large:g}, which are "
+                f"{self.name}: column {column} identifies episodes, and it was read as numbers up to {large:g}, which are "
                 f"rounded from {exact:g} on: put a letter before its codes, so that they are texts"
             )
         encoded = values.dictionary_encode()
@@ -321,5 +321,5 @@ class Encoder:
         if (gone := is_missing(values)).any():
             raise UserError(f"{self.name}: column {column} is empty in row {int(np.argmax(gone))}")
         if pa.types.is_nested(values.type):
-            raise UserError(f"{self.name}: column {column} holds {values.type}, one plain value a row is needed")
+            raise UserError(f"{self.name}: column {column} holds {values.type}, one plain value per row is needed")
         return values

@@ -103,7 +103,7 @@ def continued_returns(
 ) -> np.ndarray:
     """(rows, 2) float64: the discounted rewards from each row on, and the discounted number of steps that give them.
 
-    An episode that was cut (a time-out, or the end of the recording) goes on for ever with its last reward: from the last row
+    An episode that was cut (a timeout, or the end of the recording) goes on for ever with its last reward: from the last row
     on there are 1 / (1 - discount) discounted steps of that reward. Rewards r' = scale r + shift have the return
     scale * first + shift * second.
 

@@ -163,7 +163,7 @@ def _ends(log: Dataset, info: Info) -> list[str]:
     out = []
     shortest, longest = info.lengths[0], info.lengths[-1]
     if info.episodes == 1 and info.rows > 1:
-        out.append("the log is one single episode: if it was several, say where they end (timeouts or an episode column)")
+        out.append("the log is one single episode: if it was several, mark where they end (timeouts or an episode column)")
     terminal = np.asarray(log.terminals)[log.ends]
     lengths = log.lengths[terminal]
     if len(lengths) >= 3 and lengths[0] > 1 and (lengths == lengths[0]).all():
@@ -176,12 +176,12 @@ def _ends(log: Dataset, info: Info) -> list[str]:
         text = f"{info.own_successors:,} rows have a next observation that differs from the following row's observation"
         out.append(f"{text}: rows were shuffled, left out, or episode ends are not marked")
     if info.dropped > 0.05 * info.rows:
-        text = f"{info.dropped / info.rows:.0%} of the rows have no known successor"
-        out.append(f"{text}: log final observations, or mark terminals, to keep them")
+        text = f"{info.dropped / info.rows:.0%} of the rows have neither a next observation nor a terminal"
+        out.append(f"{text}: log the final observations, or mark terminals, to keep them")
     if shortest == 1 and longest > 1:
         count = int((log.lengths == 1).sum())
         some = "1 episode has one step" if count == 1 else f"{count:,} episodes have one step"
-        out.append(f"{some} only: are their ends marked rightly?")
+        out.append(f"{some} only: check that their ends are marked correctly")
     return out
 
 
@@ -192,7 +192,7 @@ def _rewards(log: Dataset, info: Info) -> list[str]:
     # A constant reward, where episodes can end sooner or later, says how long to go on.
     length_tells = largest > 0 and info.terminal_share > 0 and info.lengths[0] != info.lengths[-1]
     if info.rewards[0] == info.rewards[-1] and not length_tells:
-        out.append(f"all rewards are {info.rewards[0]:g}: nothing can be learned from them")
+        out.append(f"all rewards are {info.rewards[0]:g}: agents learn nothing from them")
     elif info.reward_zero_share > 0.98:
         share = 1 - info.reward_zero_share
         out.append(f"rewards are sparse: {share:.2%} of the rows have one; prefer methods that stay close to the data")
@@ -209,7 +209,7 @@ def _columns(log: Dataset, info: Info) -> list[str]:
     if info.constant_observations and not pictures:
         names = observation_names(log)
         shown = _shortened([names[i].removeprefix("observation ") for i in info.constant_observations])
-        out.append(f"observation dimensions that never change: {shown}; they carry nothing and may be left out")
+        out.append(f"observation dimensions that never change: {shown}; they carry no information and may be left out")
     if told := about_observations(log):
         out.append(f"{told}; networks learn best from numbers of about 1: standardise observations (--agent.standardise)")
     if info.saturated_share > 0.3:
@@ -220,7 +220,7 @@ def _columns(log: Dataset, info: Info) -> list[str]:
         unused = [name for i, name in enumerate(names) if i not in used]
         never = "never occurs" if len(unused) == 1 else "never occur"
         text = f"{len(unused)} of {len(names)} actions {never} in the log ({_shortened(unused)})"
-        out.append(f"{text}: nothing is known about what they lead to")
+        out.append(f"{text}: their effects are not known")
     repeated = Copies(info.duplicate_rows, info.duplicates_together)
     return [*out, *about_propensities(log), *about_copies(log, repeated, info.sampled)]
 

@@ -83,7 +83,7 @@ def kind_of(column: str, values: Any, role: Role, alone: bool, asked: Kind | Non
 
 def _action(column: str, values: Any, kind: Kind, alone: bool) -> tuple[Kind, str, str]:
     """Whether an action is discrete or continuous."""
-    constant = "is an action that never changes: nothing can be learned of other actions" if distinct(values) == 1 else ""
+    constant = "is an action that never changes, so nothing is known of other actions" if distinct(values) == 1 else ""
     if kind == "category":
         return kind, "texts", constant or _alike(values)
     levels = levels_of_whole_numbers(values)

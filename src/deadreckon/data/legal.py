@@ -35,7 +35,7 @@ def joined_masks(
     given = {key: value for key, value in columns.items() if key not in MASKS}
     if "legal" not in columns:
         if found := [key for key in MASKS if key in columns]:
-            raise UserError(f"{log}: {found[0]} needs legal beside it, which says what could be done in each row")
+            raise UserError(f"{log}: {found[0]} needs legal as well, the legal actions of each row")
         return given, space
     if isinstance(space, Box):
         raise UserError(f"{log}: legal says which discrete actions could be taken, but actions are continuous ({space})")
@@ -57,7 +57,7 @@ def joined_masks(
     for key in ("next_legal", "final_legal"):
         wanted = f"{key.partition('_')[0]}_observations"
         if key in masks and (wanted not in columns or masks[key].shape != (len(columns[wanted]), size)):
-            raise UserError(f"{log}: {key} needs {wanted} beside it, and {size} truth values for each of them")
+            raise UserError(f"{log}: {key} needs {wanted} as well, and {size} truth values for each of them")
     if (following := columns.get("next_observations")) is not None:
         following = _numbers(log, "next_observations", following)
         if following.shape != observations.shape:
@@ -94,7 +94,7 @@ def _following_masks(
     known = _flags(log, "final_known", columns.get("final_known", np.ones(episodes)), episodes)
     if (lost := ~continues & ~ends).any():
         row = int(np.argmax(lost))
-        text = f"the next observation of row {row} is not the following row's, so what is legal there is not known"
+        text = f"the next observation of row {row} is not the following row's, so its legal actions are not known"
         raise UserError(f"{log}: {text}; give next_legal")
     mask = np.ones_like(legal)
     mask[:-1][~ends[:-1]] = legal[1:][~ends[:-1]]
@@ -172,7 +172,7 @@ def check_masks(log: str, observations: np.ndarray, actions: np.ndarray, space: 
         count += int(illegal.sum())
     if count:
         text = f"{count:,} of {len(actions):,} rows take an action that is illegal there, first row {first}"
-        raise UserError(f"{log}: {text}: correct what is legal, or leave it out")
+        raise UserError(f"{log}: {text}: correct the legal actions, or leave them out")
 
 
 def legal_at(observations: np.ndarray, space: Box | Discrete) -> np.ndarray | None:

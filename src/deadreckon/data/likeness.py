@@ -111,5 +111,5 @@ def refuse_mistaken(name: str, column: str, values: Any) -> None:
     if found.mistaken:
         raise UserError(
             f"{name}: column {column} holds a text in row {found.row}, {found.odd[:40]!r}, among {found.alike} numbers such as "
-            f"{found.first!r}; mend that cell (an empty one is missing), or ignore the column (--ignore {column})"
+            f"{found.first!r}; correct that cell (an empty one is missing), or ignore the column (--ignore {column})"
         )

@@ -65,11 +65,11 @@ def rest(column: str, values: Any, kind: Kind | None) -> Rest:
         text = "looks like a time and is read as an observation"
         doubt = f"{text}: --time {column} orders rows by it, --ignore {column} leaves it out"
     elif roles.IDENTITY.search(column.lower()):
-        text = "looks like a name of someone or something, and is read as an observation"
-        doubt = f"{text}: --keep {column} keeps it beside the log, --ignore {column} leaves it out"
+        text = "looks like a name, and is read as an observation"
+        doubt = f"{text}: --keep {column} stores it with the log, --ignore {column} leaves it out"
     elif kind is None and _counts(values):
         text = "has whole numbers without gaps, each once, as numbers of rows or orders are, and is read as an observation"
-        doubt = f"{text}: --keep {column} keeps it beside the log, --ignore {column} leaves it out"
+        doubt = f"{text}: --keep {column} stores it with the log, --ignore {column} leaves it out"
     elif kind is None and _CODED.search(column) and 2 < len(levels_of_whole_numbers(values, True) or ()) <= FEW:
         doubt = f"holds whole numbers that may be codes, and is read as a number (--kinds {column}=category)"
     return Rest("observation", "no other role", doubt)

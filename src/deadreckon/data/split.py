@@ -134,7 +134,7 @@ def groups(log: "Dataset", by: str) -> tuple[np.ndarray, np.ndarray]:
             row, episode = int(rows[changed[0]]), int(episodes[changed[0]])
             told = f"{first[episode]} in row {log.starts[episode]} and {column[row]} in row {row}"
             text = f"column {by} changes within episode {episode} ({told})"
-            raise UserError(f"{log.name}: {text}; one value an episode is needed")
+            raise UserError(f"{log.name}: {text}; one value per episode is needed")
     values, codes = np.unique(first, return_inverse=True)
     return values, codes
 

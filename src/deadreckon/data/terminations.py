@@ -62,7 +62,7 @@ def termination(name: str) -> Termination:
     """
     if name not in _KNOWN:
         known = ", ".join(sorted(_KNOWN))
-        raise UserError(f"{name}: its observations do not tell when an episode ends, as those of these tasks do: {known}")
+        raise UserError(f"{name}: its observations do not show when an episode ends, unlike those of these tasks: {known}")
     return _KNOWN[name]
 
 

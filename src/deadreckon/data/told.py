@@ -134,7 +134,7 @@ def _dimensions(log: Dataset) -> tuple[Told, ...]:
     for name, values in sorted(log.extras.items()):
         shape = "x".join(map(str, values.shape[1:])) or "1"
         kind = "propensity" if name == LOG_PROBS else "keep"
-        out.append(Told(name, kind, str(values.dtype), "", None, f"kept beside the log ({shape} a row)"))
+        out.append(Told(name, kind, str(values.dtype), "", None, f"stored with the log ({shape} per row)"))
     return tuple(out)
 
 
@@ -173,13 +173,13 @@ def _becomes(log: Dataset, column: Column, seen: dict[str, Any], at: tuple[int, 
     if column.role == "ignore":
         return f"left out: {seen.get('reason') or 'by request'}"
     words = {
-        "reward": "the reward", "next_observation": f"the next {column.of}", "episode": "tells episodes apart",
+        "reward": "the reward", "next_observation": f"the next {column.of}", "episode": "identifies episodes",
         "time": "orders the steps", "terminal": "marks terminals", "timeout": "marks timeouts",
         "propensity": f"its logarithm is kept as {LOG_PROBS}", "group": "kept; its episodes are held out together",
         "cost": "a cost, kept", "legal": f"legal actions, the last {log.spec.mask_size} numbers of the observation",
         "next_legal": "legal actions of the next observation",
     }  # fmt: skip
-    return words.get(column.role, "kept beside the log") + (_kept(column) if column.role in words else "")
+    return words.get(column.role, "stored with the log") + (_kept(column) if column.role in words else "")
 
 
 def _kept(column: Column) -> str:

@@ -83,7 +83,7 @@ def fetch(
             have = file_size(part)
             best, failed = max(best, have), 1 if have > best else failed + 1
             if failed >= retry.tries:
-                kept = f" ({have:,} bytes are kept, the same command goes on from there)" if have else ""
+                kept = f" ({have:,} bytes are kept; the same command continues)" if have else ""
                 raise TransferError(f"{url}: {error}, {failed} times in a row{kept}") from error
             retry.sleep(min(2.0 ** (failed - 1), _LONGEST))
     vouched = None

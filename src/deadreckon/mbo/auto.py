@@ -77,7 +77,7 @@ def chosen(compared: list[Quality]) -> tuple[int, str]:
     told = f"{compared[best].method} ranks unseen designs best ({rank[best]:.3f}), {first.method} has {rank[0]:.3f}; "
     told += f"the standard error of the difference is {error:.3f}"
     if rank[best] - rank[0] <= error:
-        return 0, f"{told}, so that {first.method} is taken"
+        return 0, f"{told}, so {first.method} is taken"
     return best, told
 
 

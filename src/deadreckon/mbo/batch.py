@@ -15,7 +15,7 @@ from deadreckon.mbo.rules import written
 from deadreckon.randomness import generator
 
 Value = Callable[[np.ndarray], np.ndarray]  # (m, variables) designs -> (m,) what to make large
-APART = 0.1  # least distance between proposals, in usual distances between neighbours of the data, where none is asked for
+APART = 0.1  # least distance between proposals, in typical distances between neighbours of the data, where none is asked for
 ROUNDS = 12  # of filling; that distance is halved in each from the third on, and none in the last four
 TRIED = 4  # designs tried in a round for each that is missing
 NEAREST, FURTHEST = 0.05, 1.0  # deviations of the first and the last round's designs from those that they are made of
@@ -59,7 +59,7 @@ def batch(
         chosen.add(tried, n, apart if strict else eased)
     if len(chosen.x) < n:
         asked = ["differ", *([] if repeat else ["are not in the data (--repeat allows those)"])]
-        asked += [f"lie {data.rules.apart:g} usual distances apart"] if strict else []
+        asked += [f"lie {data.rules.apart:g} typical distances apart"] if strict else []
         said = " and ".join(filter(None, [", ".join(asked[:-1]), asked[-1]]))
         raise UserError(
             f"{data.name}: {n:,} proposals that {said} were asked for, and only {len(chosen.x):,} were found within the "
@@ -181,4 +181,4 @@ def check_batch(data: Designs, x: np.ndarray, repeat: bool) -> None:
         raise UserError(f"{data.name}: a proposal is there twice, or is in the data")
     apart = data.rules.apart
     if apart is not None and len(x) > 1 and distance_to_others(data, x).min() < apart * (1 - 1e-9):
-        raise UserError(f"{data.name}: two proposals lie less than {apart:g} usual distances apart")
+        raise UserError(f"{data.name}: two proposals lie less than {apart:g} typical distances apart")

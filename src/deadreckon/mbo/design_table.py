@@ -72,7 +72,7 @@ def scored(name: str, table: pa.Table, targets: Sequence[str]) -> tuple[np.ndarr
     if not absent.any():
         return np.arange(table.num_rows), ""
     if absent.all():
-        raise UserError(f"{name}: {' and '.join(targets)} is empty in all rows, so nothing tells good from bad")
+        raise UserError(f"{name}: {' and '.join(targets)} is empty in all rows, so no design is known to be better")
     gone = np.flatnonzero(absent)
     count = f"{len(gone):,} row{'s' * (len(gone) > 1)}"
     return np.flatnonzero(~absent), f"{count} left out, as planned and without {' or '.join(targets)} yet: {rows_told(gone)}"

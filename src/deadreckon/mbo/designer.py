@@ -99,7 +99,7 @@ class Proposals(Shown):
             return self.quality.warning
         if self.fitted is None and not np.isfinite(self.predicted_std).any():
             return None  # nothing is predicted
-        return "how well the method predicts designs that it has not seen was not tested; its predictions may rest on nothing"
+        return "how well the method predicts unseen designs was not tested; its predictions may be worthless"
 
     @property
     def by_chance(self) -> bool:
@@ -249,7 +249,7 @@ class Designer(eqx.Module):
     def warn_of_errors(self, data: Designs) -> None:
         """A warning where the standard errors of rows differ, be they given or of replicates, and the fit sees none of it."""
         if self.equal_rows and data.std_error is not None and np.ptp(data.std_error) > 0:
-            told = f"{data.name}: {self.label} takes all rows for equally exact in its fit, whatever their standard errors"
+            told = f"{data.name}: {self.label} treats all rows as equally exact in its fit, regardless of their standard errors"
             warnings.warn(f"{told} and replicates; the Gaussian process does not (--method gp)", stacklevel=3)
 
     @property

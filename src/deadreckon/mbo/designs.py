@@ -87,7 +87,7 @@ class Designs(Shown):
             object.__setattr__(self, "groups", np.asarray(self.groups, np.int64))
             self.groups.flags.writeable = False
         if self.x.ndim != 2 or self.x.shape != (len(self.y), len(self.variables)):
-            asked = f"({len(self.y)}, {len(self.variables)}), a row a score and a column per variable"
+            asked = f"({len(self.y)}, {len(self.variables)}), a row per score and a column per variable"
             raise UserError(f"{self.name}: x must have shape {asked}, got {self.x.shape}")
         self.check(self.x)
         if not np.isfinite(self.y).all():
@@ -98,12 +98,12 @@ class Designs(Shown):
             where = f"in row {int(self.numbered(np.array(most)))}, and may be {LARGEST:g} at most"
             raise UserError(f"{self.name}: {self.target} is {self.y[most]:g} {where}")
         if len(self.y) < FEWEST:
-            raise UserError(f"{self.name}: {len(self.y)} rows are too few to learn from, {FEWEST} or more are needed")
+            raise UserError(f"{self.name}: {len(self.y)} rows are too few, {FEWEST} or more are needed")
         if np.ptp(self.y) == 0:
             only = float(self.shown(self.y)[0])
-            raise UserError(f"{self.name}: {self.target} is {only:g} in all rows, so nothing tells good from bad")
+            raise UserError(f"{self.name}: {self.target} is {only:g} in all rows, so no design is known to be better")
         if not np.ptp(self.x, axis=0).any():
-            raise UserError(f"{self.name}: all designs are the same, so nothing tells what to change")
+            raise UserError(f"{self.name}: all designs are the same, so the effect of changes is not known")
         self.x.flags.writeable = self.y.flags.writeable = False
 
     def __len__(self) -> int:
@@ -211,7 +211,7 @@ class Designs(Shown):
             told.append(f"column {index[0]!r} looks like a row number and is left out")
             inputs = [column for column in inputs if column not in index]
         if not inputs:
-            raise UserError(f"{name}: there is no column beside the target {target!r}")
+            raise UserError(f"{name}: there is no column other than the target {target!r}")
         table = trimmed(table, [*inputs, *grouped])
         rows, planned = scored(name, table, targets or [target])
         if planned:

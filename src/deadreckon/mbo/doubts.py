@@ -58,8 +58,8 @@ def of_inputs(
         elif (row := far(x[:, column])) is not None and _not_meant((bounds or {}).get(v.name), x[:, column]):
             others = np.delete(x[:, column], row)
             end = f"<= {others.max():g}" if x[row, column] > others.max() else f">= {others.min():g}"
-            text = f"{_far(v.name, x[:, column], row, rows)}; the models learn from it: mend it, or leave the row out, "
-            text += "if it is a slip"
+            text = f"{_far(v.name, x[:, column], row, rows)}; the models are fitted to it: correct it, or leave the row out, "
+            text += "if it is an error"
             if not _excluded(rules, column, x[row, column]):
                 text += f"; --constraints {shlex.quote(f'`{v.name}` {end}')} would keep proposals within the others' range"
             lines.append(text)
@@ -96,7 +96,7 @@ def _of_levels(v: Variable, values: np.ndarray) -> list[str]:
         near = get_close_matches(level, usual, 1, _ALIKE) if n == 1 and level.isalpha() else []
         if near and level.casefold() != near[0].casefold():
             text = f"column {v.name} has {level} in one row, which is written nearly as {near[0]}"
-            lines.append(f"{text}; they are different levels, so write them alike if it is a slip")
+            lines.append(f"{text}; they are different levels, so write them alike if it is an error")
     return lines
 
 
@@ -194,7 +194,7 @@ def _of_sum(rule: Linear, x: np.ndarray, rows: np.ndarray) -> list[str]:
         return []
     if broken.sum() <= _FEW * len(rows):
         text = f"{rule.text} does not hold in {rows_told(rows[broken])}"
-        return [f"{text}; the models learn from these: mend them, or leave them out, if they are slips"]
+        return [f"{text}; the models are fitted to these: correct them, or leave them out, if they are errors"]
     span = f"{total[broken].min():.4g} to {total[broken].max():.4g}"
     text = f"{rule.text} does not hold in {broken.sum():,} of {len(rows):,} rows, where the sum is {span} instead of "
     return [f"{text}{float(rule.bound):g}; proposals satisfy it: check that it is right in the units of the table"]
@@ -211,7 +211,7 @@ def of_target(target: str, y: np.ndarray, rows: np.ndarray) -> list[str]:
     if set(np.unique(y)) == {0.0, 1.0}:
         return [f"{target} has only the values 0 and 1: predictions are of its mean (a rate), and may lie below 0 or above 1"]
     row = far(y)
-    return [] if row is None else [f"{_far(target, y, row, rows)}: mend it, or leave the row out, if it is a slip"]
+    return [] if row is None else [f"{_far(target, y, row, rows)}: correct it, or leave the row out, if it is an error"]
 
 
 def far(values: np.ndarray) -> int | None:

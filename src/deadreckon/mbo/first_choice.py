@@ -6,7 +6,7 @@ from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.stats.interval import NORMAL
 
-FAR = 3.0  # usual distances to the nearest scored design beyond which a design is called far
+FAR = 3.0  # typical distances to the nearest scored design beyond which a design is called far
 
 
 def interval(mean: np.ndarray, std: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -29,7 +29,7 @@ def first_choice(made: Proposals, far: np.ndarray) -> int | None:
 
     Args:
         made: the proposals.
-        far: (n,) distances to the data, in usual ones (`mbo.nn_distance`).
+        far: (n,) distances to the data, in typical ones (`mbo.nn_distance`).
 
     Returns:
         Its index; None where the method has no model of the score, or one whose order cannot be distinguished from chance.

@@ -87,7 +87,7 @@ class Front:
         if not keeping(self.data[0]).any():
             lines.append("no row of the data satisfies the rules of the proposals, so that the hypervolume is that of all rows")
         if self.before == 0:
-            lines.append("no row that counts lies above the reference point in all targets")
+            lines.append("no eligible row lies above the reference point in all targets")
         if self.gain == 0 and not self.unskilled:
             lines.append(
                 "no proposal is expected to add anything, above the reference point in all targets and beyond the front; "

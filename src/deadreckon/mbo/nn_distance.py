@@ -15,7 +15,7 @@ def nn_distance(data: Designs, x: np.ndarray) -> np.ndarray:
         x: (n, variables) designs.
 
     Returns:
-        (n,) distances over the usual one (`usual_distance`): 1 is as near as the data's own neighbours are, 10 is far out.
+        (n,) distances over the typical one (`usual_distance`): 1 is as near as the data's own neighbours are, 10 is far out.
     """
     return nearest_scored(data, x)[0] / usual_distance(data)
 
@@ -48,7 +48,7 @@ def neighbours(data: Designs, x: np.ndarray, count: int) -> tuple[np.ndarray, np
     """The scored designs that are nearest to each of (n, variables) designs, the nearest first.
 
     Returns:
-        (n, count) distances, in usual distances as `nn_distance` has them, and (n, count) rows of the data; fewer columns
+        (n, count) distances, in typical distances as `nn_distance` has them, and (n, count) rows of the data; fewer columns
         where the data has fewer designs.
     """
     z, points = (data.coordinates.place(each) for each in (data.x, x))

@@ -218,7 +218,7 @@ COLUMNS = {
     "exploitation": "Overestimation: predicted less true score, in ranges of all data (NEMO cannot predict more than the "
     "middle of its last bin, DDOM no more than the best of the data)",
     "uncertainty": "Median predicted standard deviation, in ranges of all data",
-    "distance": "Median distance to the nearest design shown, 1 being usual among these",
+    "distance": "Median distance to the nearest design shown, 1 being typical among these",
 }
 
 

@@ -19,14 +19,14 @@ from deadreckon.mbo.ram import RaM
 from deadreckon.training.field_names import with_field_names
 
 DESIGNERS: dict[str, tuple[Callable[[], Designer], str]] = {
-    "auto": (Auto, "gp, ensemble or ram: what ranks designs best that it has not seen, ties to gp; gp below 500 designs"),
+    "auto": (Auto, "gp, ensemble or ram: the one that ranks unseen designs best, ties to gp; gp below 500 designs"),
     "gp": (GP, "greatest prediction of a Gaussian process with a length for each variable (Rasmussen and Williams 2006)"),
     "nemo": (NEMO, "normalised maximum likelihood (thesis chapter 6)"),
     "nemo-adversarial": (
         lambda: NEMO(label_weight=1.0), "the same with claims as heavy as the data: an adversarial regulariser and no NML"
     ),
     "forward": (Forward, "a model of the score and gradient ascent on it (thesis 6.5)"),
-    "ensemble": (lambda: Forward(members=5), "the mean of five models on redrawn designs (thesis 6.5)"),
+    "ensemble": (lambda: Forward(members=5), "the mean of five models on bootstrap samples of the designs (thesis 6.5)"),
     "ensemble-min": (lambda: Forward(members=5, objective="min"), "the least of five models (public code's ensemble)"),
     "mins": (MINs, "model inversion networks (Kumar and Levine 2020)"),
     "cbas": (CbAS, "conditioning by adaptive sampling (Brookes et al. 2019)"),

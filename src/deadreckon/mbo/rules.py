@@ -27,8 +27,8 @@ class Rules:
         linear: constraints.
         forbidden: combinations.
         fixed: (column, value as a design holds it) of variables that are not searched.
-        max_distance: largest distance to the nearest scored design, in usual distances (`mbo.nn_distance`); None: no limit.
-        apart: least distance between proposals, in usual distances; None: `mbo.batch.APART`, or less where there are too few.
+        max_distance: largest distance to the nearest scored design, in typical distances (`mbo.nn_distance`); None: no limit.
+        apart: least distance between proposals, in typical distances; None: `mbo.batch.APART`, or less where there are too few.
     """
 
     linear: tuple[Linear, ...] = ()

@@ -119,8 +119,8 @@ class Quality:
     def doubt(self) -> str:
         """Why a model without skill is not believed, of its predictions of rows that it has not seen."""
         if self.rank_correlation > self.limit:
-            return "its predictions of rows that it has not seen do not go with their scores, of which one may be a slip"
-        return "the model's order of rows that it has not seen cannot be distinguished from chance"
+            return "its predictions of unseen rows do not go with their scores, of which one may be an error"
+        return "the model's order of unseen rows cannot be distinguished from chance"
 
     @property
     def warning(self) -> str | None:
@@ -128,11 +128,11 @@ class Quality:
         if self.skilled:
             return None
         if self.rank_correlation > self.limit:
-            return "predictions of unseen designs do not go with their scores, though their order does: is one score a slip?"
+            return "predictions of unseen designs do not go with their scores, but their order does: one may be an error"
         return (
             "the model's order of unseen designs cannot be distinguished from chance (rank correlation "
             f"{self.rank_correlation:.2f}; with {len(self.observed):,} designs chance alone gives up to {self.limit:.2f}); "
-            "its proposals may rest on nothing"
+            "its proposals may be worthless"
         )
 
     def __str__(self) -> str:

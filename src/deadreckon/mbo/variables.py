@@ -226,7 +226,7 @@ def name_of_rows(v: Variable, values: np.ndarray, designs: int) -> str | None:
     own = len(np.unique(values)) if v.kind == "categorical" else 0
     if own < FEWEST or own <= OWN * designs:
         return None
-    text = f"holds {own:,} different values in {designs:,} designs, as a name of rows does, from which nothing is learned"
+    text = f"holds {own:,} different values in {designs:,} designs, like an identifier of rows, which has no effect"
     return f"column {v.name} {text}; ignore it (--ignore {shlex.quote(v.name)}), or say kind categorical"
 
 
@@ -259,7 +259,7 @@ def _check_texts(name: str, column: str, values: Sequence[str], rows: np.ndarray
         row = bad[0]
         raise Mend(
             f"{name}: column {column} holds {values[row]!r} in row {rows[row]}, where most rows hold numbers; "
-            "mend it, or say kind categorical"
+            "correct it, or say kind categorical"
         )
 
 

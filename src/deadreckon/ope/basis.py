@@ -99,12 +99,12 @@ class Basis(NamedTuple):
         if told.get("mean weight high", 1.0) < 1.0 - ROUNDING:
             own.append(
                 f"its weights average {told['mean weight']:.2f} instead of 1 (at most {told['mean weight high']:.2f} with "
-                "99 % confidence): the log does not show the episodes that weigh most"
+                "99 % confidence): the log lacks the episodes with the largest weights"
             )
         if told.get("mass high", 1.0) < SHORT:
             own.append(
                 f"its occupancy ratios amount to {told['mass']:.2f} instead of 1 (at most {told['mass high']:.2f} with 99 % "
-                "confidence): what it does in the rest of its time is not in the log"
+                "confidence): the log does not cover the rest of its time"
             )
         return own
 

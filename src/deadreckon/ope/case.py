@@ -94,7 +94,7 @@ class OPEInput(Fits):
         super().__init__(self.settings.estimand(data), self.settings)
         self.policies = policies_of(policies, (CrossFitted,))
         if not self.policies:
-            raise UserError("no policy to judge")
+            raise UserError("no policy to evaluate")
         self.names = tuple(names) if names is not None else tuple(f"policy {i}" for i in range(len(self.policies)))
         if len(self.names) != len(self.policies):
             raise UserError(f"{len(self.policies)} policies need as many names, got {len(self.names)}")
@@ -126,7 +126,7 @@ class OPEInput(Fits):
             if isinstance(policy, CrossFitted):
                 which = np.asarray(policy.which)[self.held]
                 if which.min() < 0 or which.max() >= len(policy.policies):
-                    raise UserError(f"{self.names[i]} has no policy for some judged episodes; each needs that of a fold")
+                    raise UserError(f"{self.names[i]} has no policy for some evaluated episodes; each needs that of a fold")
                 self._parts[i] = len(acting) + which
                 acting += policy.policies
                 acting_names += [f"{self.names[i]} fold {k}" for k in range(len(policy.policies))]

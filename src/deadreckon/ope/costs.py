@@ -56,7 +56,7 @@ class Cost(NamedTuple):
     @property
     def told(self) -> str:
         """The column, and how it is summed up."""
-        return self.column if self.discount == 1 else f"{self.column}, discounted by {self.discount:g} a step,"
+        return self.column if self.discount == 1 else f"{self.column}, discounted by {self.discount:g} per step,"
 
     def words(self, which: int, level: float) -> str:
         """The total of a policy, beside that of the behaviour policy, in a line."""
@@ -109,7 +109,7 @@ def limits_of(given: float | Mapping[str, float] | Sequence[str] | None, log: Da
             text = "a cost limit needs a column of costs, which the log does not have; name it when it is read (--cost COLUMN)"
             raise UserError(f"{log.name}: {text}")
         if not column and limit in columns:
-            raise UserError(f"--cost-limit {limit}: a cost needs its limit beside it, such as {limit}=25")
+            raise UserError(f"--cost-limit {limit}: a cost needs a limit, such as {limit}=25")
         if not column and len(columns) > 1:
             raise UserError(f"--cost-limit {limit}: the log has several costs; say which, such as {columns[0]}={limit}")
         column = column or next(iter(columns))
@@ -170,7 +170,7 @@ def _unknown(found: Estimates, case: OPEInput, model: BehaviorModel, alpha: floa
     if found.ess is not None:  # without any weight that is the reason
         same &= found.ess > 0
     settled = found.diagnostics.get("settled", np.ones(len(found.names)))
-    alike = "in every evaluated episode that counts for it the total is {:.4g}; how rare other totals are is not known"
+    alike = "in every evaluated episode with a weight for it the total is {:.4g}; how rare other totals are is not known"
     return tuple(
         alike.format(value) if alone else "" if known >= 1 else "the fit of its estimate has not converged"
         for value, alone, known in zip(total, same, settled)
@@ -195,7 +195,7 @@ def _with_cost(case: OPEInput, column: str) -> OPEInput:
     """The case with a cost in place of the reward."""
     costs = np.asarray(case.given.extras[column], np.float64).reshape(len(case.given), -1)
     if costs.shape[1] != 1:
-        raise UserError(f"{case.given.name}: cost {column} has {costs.shape[1]} numbers a row, one is needed")
+        raise UserError(f"{case.given.name}: cost {column} has {costs.shape[1]} numbers per row, one is needed")
     return case.of_rewards(costs[:, 0].astype(np.float32), _SHARED)
 
 

@@ -102,11 +102,11 @@ def decide(
         )
     if settings.guarantee:
         more["guarantee"] = bound = guaranteed(case, which, settings.return_range, alpha)
-        choice = _demanded(choice, bound, f"for any number of episodes, not only many, its gain is at least {bound:+.4g}")
+        choice = _demanded(choice, bound, f"for any number of episodes, not only for many, its gain is at least {bound:+.4g}")
     products = groups is not None or settings.tail is not None or settings.confounding is not None or one_step(case)
     wider = _wider(case, estimates[0], checked, model, choice) if products else choice.wider
     more["confounding"], choice = _confounded(case, choice, model, alpha, settings.confounding, wider)
-    endless = None if np.isfinite(choice.low) else f"the card's own interval is endless: {'; '.join(choice.objections[which])}"
+    endless = None if np.isfinite(choice.low) else f"the card's own interval is infinite: {'; '.join(choice.objections[which])}"
     if groups is not None:
         try:
             if endless is not None:
@@ -131,13 +131,13 @@ def check(case: OPEInput, settings: DecisionSettings, groups: Groups | None) -> 
     if settings.guarantee:
         refuse(case, settings.return_range)
     elif settings.return_range is not None:
-        raise UserError("return_range bounds nothing unless a guarantee is asked for (guarantee=True, --guarantee)")
+        raise UserError("return_range is used only with a guarantee (guarantee=True, --guarantee)")
     if settings.confounding is not None:
         possible(case)
     if groups is not None:
         groups.check(case.log)
         if len(groups.names) > GROUPS:
-            raise UserError(f"column {groups.column} has {len(groups.names):,} values, more than {GROUPS} groups; merge some")
+            raise UserError(f"column {groups.column} has {len(groups.names):,} values; at most {GROUPS} subgroups; merge some")
 
 
 def _demanded(choice: Choice, bound: float, words: str) -> Choice:
@@ -174,7 +174,7 @@ def _confounded(
             raise
         return values, alone
     if lost := "; ".join(bounds.lost[which]):
-        words = f"what its gain is if odds of logged actions are off is not known: by whole episodes {lost}"
+        words = f"its gain with wrong odds of logged actions is not known: by whole episodes {lost}"
         return values, alone if gamma is None else _demanded(alone, -np.inf, words)
     tipping = bounds.tipping(which) if np.isfinite(choice.low) else np.nan
     values["tipping"] = None if np.isnan(tipping) else min(tipping, MOST)

@@ -165,7 +165,7 @@ def _kept(path: Path) -> Result:
     try:
         return from_json(read_json(path, dict)["result"])
     except (KeyError, TypeError, ValueError) as error:
-        raise UserError(f"{path} is not a whole result ({error}); delete it, and it is computed again") from error
+        raise UserError(f"{path} is not a complete result ({error}); delete it to compute it again") from error
 
 
 def _no_estimates(estimator: Estimator, names: tuple[str, ...], discount: float, why: str) -> Estimates:

@@ -186,7 +186,7 @@ class DoublyRobust(Estimator):
         tail is too heavy, or they rest on few episodes, nobody knows how much the limit hides.
         """
         if self.folds < 2:
-            raise UserError(f"kind={self.kind!r} needs folds of 2 or more: others choose how far weights are trusted")
+            raise UserError(f"kind={self.kind!r} needs folds of 2 or more: other folds choose the limit of the weights")
         episodes, fold, data = case.episodes, case.folds(self.folds), case.data
         ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
         nuisances, _ = self.nuisances(case)
@@ -220,7 +220,7 @@ class DoublyRobust(Estimator):
             more["normalising"] = np.array(shifts)
         warnings = [
             *self._warnings(case, ess, nuisances, share),
-            f"the interval of {self.label} knows the variance and not the bias of weights that are not trusted",
+            f"the interval of {self.label} includes the variance, but not the bias of limited weights",
         ]  # fmt: skip
         return Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), ess=ess, corrected=case.beyond <= TAIL,
@@ -278,7 +278,7 @@ class DoublyRobust(Estimator):
         if not isinstance(self.fqe, LinearFQE):
             raise UserError("kind='marginal' needs fqe=LinearFQE(), whose features also give the ratios of occupancies")
         if self.folds < 2:
-            raise UserError("kind='marginal' needs folds of 2 or more: its ratios must not have seen the rows they weigh")
+            raise UserError("kind='marginal' needs folds of 2 or more: its ratios must not be fitted to the rows they weight")
         nuisances, _ = self.nuisances(case)
         assert nuisances.weighted is not None
         assert nuisances.weights is not None
@@ -353,7 +353,7 @@ class DoublyRobust(Estimator):
         if left[worst] > TAIL:
             found.append(
                 f"{100 * left[worst]:.0f} % of any error of the critics of {case.names[worst]} remains in its estimate by "
-                f"{self.label}, whose interval knows the critics' variance and not their bias"
+                f"{self.label}, whose interval includes the critics' variance, but not their bias"
             )
         if np.isnan(nuisance).any():
             found.append(f"{self.label} with one critic per policy has no interval; folds, or more members, give one")

@@ -10,7 +10,7 @@ from deadreckon.errors import UserError
 from deadreckon.ope.sequences import times
 from deadreckon.settings import check_kind
 
-TAIL = 0.02  # share of the discounted time beyond a time-out that may be left to a critic without a word
+TAIL = 0.02  # share of the discounted time after a timeout that may be left to a critic without a word
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Estimand:
     Attributes:
         discount: of the rewards, per step.
         horizon: only the first `horizon` steps of an episode count; None: all steps until the episode ends by a terminal. What
-            would follow a time-out then counts too, although the log does not show it.
+            would follow a timeout then counts too, although the log does not show it.
         greedy: the policy takes its deterministic (most likely) action; otherwise its actions are sampled.
     """
 
@@ -45,7 +45,7 @@ class Estimand:
         Args:
             log: whose episodes are meant.
             discount: per step.
-            horizon: steps, None, or "auto": 1 where all episodes have one step; the length at which all of the log's time-outs
+            horizon: steps, None, or "auto": 1 where all episodes have one step; the length at which all of the log's timeouts
                 fall, if they fall at one length and more than 2 % of the discounted time lies beyond it; else None.
             greedy: deterministic actions instead of sampled ones.
 
@@ -70,7 +70,7 @@ class Estimand:
         """
         if self.discount == 1.0 and self.horizon is None and not np.asarray(log.terminals)[log.ends].all():
             raise UserError(
-                f"discount=1 needs episodes that end by a terminal, or a horizon: {log.name} has time-outs; give horizon "
+                f"discount=1 needs episodes that end by a terminal, or a horizon: {log.name} has timeouts; give horizon "
                 f"(for instance {int(log.lengths.max())}, the longest episode) or a discount below 1"
             )
 
@@ -98,7 +98,7 @@ class Estimand:
         elif self.horizon is not None:
             until = f"of the first {self.horizon:,} steps of an episode"
         else:
-            until = "of an episode until it ends; rewards beyond a time-out count"
+            until = "of an episode until it ends; rewards after a timeout count"
         return f"{return_} {until}; {'deterministic (greedy)' if self.greedy else 'sampled'} actions"
 
 

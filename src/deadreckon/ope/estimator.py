@@ -13,7 +13,7 @@ from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimates import Estimates
 from deadreckon.training.hyperparameters import check_fields
 
-APART = "judges each policy by all episodes, and cross-fitted ones are one for each fold, taught by the others; use dr-linear"
+APART = "evaluates each policy on all episodes, and cross-fitted ones differ by fold, trained on the other folds; use dr-linear"
 
 
 class Estimator(eqx.Module):

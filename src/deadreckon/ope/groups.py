@@ -57,7 +57,7 @@ class Groups(NamedTuple):
         """
         if np.shape(self.codes) != (data.episodes,):
             raise UserError(
-                f"groups by {self.column} must be a number for each of {data.episodes:,} episodes of {data.name}, got shape "
+                f"subgroups by {self.column} must be a number for each of {data.episodes:,} episodes of {data.name}, got shape "
                 f"{np.shape(self.codes)}"
             )
 
@@ -84,7 +84,7 @@ def by_group(
     """
     groups.check(case.log)
     if case.degenerate[which]:
-        raise UserError(f"gains by group {WEIGHTLESS}")
+        raise UserError(f"gains by subgroup {WEIGHTLESS}")
     code, unit, units = groups.codes[case.held], case.episodes.group, case.episodes.groups
     size = np.bincount(code, minlength=len(groups.names))
     found, _ = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model).nuisances(case)

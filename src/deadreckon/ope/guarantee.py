@@ -33,19 +33,21 @@ def refuse(case: OPEInput, return_range: tuple[float, float] | None) -> None:
     check_kind("return_range", return_range, tuple[float, float] | None)
     episodes, lacks = case.episodes, []
     if return_range is None:
-        lacks.append("the least and the greatest return that an episode can have (--return-range LOW HIGH)")
+        lacks.append("the least and the greatest possible return of an episode (--return-range LOW HIGH)")
     elif not (np.isfinite(return_range).all() and return_range[0] < return_range[1]):
         lacks.append(f"a finite range of returns, least before greatest, instead of {return_range[0]:g} .. {return_range[1]:g}")
     if "behavior_log_probs" not in case.data.extras:
-        lacks.append("propensities that were logged (column behavior_log_probs): learned ones may be off")
+        lacks.append("logged propensities (column behavior_log_probs): learned ones may be wrong")
     if case.degenerate.any():
-        lacks.append("policies that draw their actions and tell how likely these are")
+        lacks.append("policies with probabilities of their actions")
     if not episodes.ended.all():
         lacks.append(f"whole episodes: {(~episodes.ended).sum():,} are cut off; give a horizon that all of them reach")
     if case.clustered:
-        lacks.append("independent episodes: those of a cluster are not")
+        lacks.append("independent episodes: episodes of one cluster are not independent")
     if case.crossed:
-        lacks.append("policies that learned from none of the judged episodes: those of a cross-fit learned from each other's")
+        lacks.append(
+            "policies that were trained on none of the evaluated episodes: those of a cross-fit were trained on each other's"
+        )
     if lacks:
         raise UserError(f"a guarantee needs {'; and '.join(lacks)}")
     assert return_range is not None

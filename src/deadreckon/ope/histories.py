@@ -36,7 +36,7 @@ def with_histories(log: Dataset, policies: Sequence[Any]) -> tuple[Dataset, list
                 f"{log.name} has {spec.observation_size} and {spec.action_size}"
             )
         if _bounds(inner) != _bounds(own[0]):
-            raise UserError("policies with histories learned under different bounds of actions; judge them one by one")
+            raise UserError("policies with histories have different bounds of actions; evaluate them one by one")
     steps = [history_of(p) if inner is not None else 1 for p, inner in zip(policies, found)]
     sizes = [history_size(spec.observation_size, spec.action_size, k) for k in steps]
     return stacked(log, max(steps), own[0].member.view), [slice(max(sizes) - size, max(sizes)) for size in sizes]

@@ -112,10 +112,10 @@ class ImportanceSampling(Estimator):
         if self.return_range is None or self.max_weight is None or self.normalised:
             raise UserError(
                 f"interval={self.interval!r} needs normalised=False, return_range=(least, greatest) and max_weight: "
-                "it holds for every number of episodes because it knows what an episode can contribute"
+                "it holds for every number of episodes because these limit what an episode can contribute"
             )
         if case.clustered:
-            raise UserError(f"interval={self.interval!r} needs independent episodes, and those of a cluster are not; use 't'")
+            raise UserError(f"interval={self.interval!r} needs independent episodes, which those of a cluster are not; use 't'")
         if not case.episodes.even or (self.kind == "per_decision" and rewards.min() < 0 < rewards.max()):
             raise UserError(
                 f"interval={self.interval!r} needs episodes that end or are cut off at the same step and, per decision, "

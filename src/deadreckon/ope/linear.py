@@ -84,7 +84,7 @@ class LinearFQE(Estimator):
         return Estimates(
             self.label, case.names, values, low, high, case.estimand, bootstrap=bootstrap, units=groups,
             diagnostics={"settled": settled},
-            warnings=(*warnings, "its interval knows the variance of the log and not the bias of the features"),
+            warnings=(*warnings, "its interval includes the variance of the log, but not the bias of the features"),
         )  # fmt: skip
 
 

@@ -102,7 +102,7 @@ def out_of_fold(
         if each.cut_ahead > TAIL:
             cut = (~each.episodes.ended).sum()
             raise UserError(
-                f"{case.data.name}: mrdr learns from returns, and {cut:,} episodes are cut off before theirs is known; "
+                f"{case.data.name}: mrdr is fitted to returns, and {cut:,} episodes are cut off before theirs is known; "
                 "give a horizon, or use dr-linear or drl"
             )
     join = lambda of: np.concatenate([np.asarray(of(each)) for each in sources])  # noqa: E731

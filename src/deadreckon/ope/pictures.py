@@ -39,15 +39,15 @@ def with_features(log: Dataset, policies: Sequence[Any], names: Sequence[str]) -
     parts = []
     for policy, name in zip(policies, names):
         if isinstance(policy, EnvPolicy) and isinstance(policy.inner, Mixture):
-            raise UserError(f"{name} is a mixture of policies that see: give the folder of its cross-fit, or its members")
+            raise UserError(f"{name} is a mixture of policies of images: give the folder of its cross-fit, or its members")
         if not (isinstance(policy, EnvPolicy) and isinstance(policy.inner, Seeing)):
             raise UserError(
-                f"{name} has no encoder: estimators judge policies on pictures by the features that the encoders of the "
-                "package's agents make of them"
+                f"{name} has no encoder: estimators evaluate policies with image observations on the features that the "
+                "encoders of the package's agents make of them"
             )
         encoder = policy.inner.encoder
         if encoder.shape != log.spec.observation_shape:
-            raise UserError(f"{name} sees pictures of shape {encoder.shape}, {log.name} has {log.spec.observation_shape}")
+            raise UserError(f"{name} takes images of shape {encoder.shape}, {log.name} has {log.spec.observation_shape}")
         same = [i for i, other in enumerate(encoders) if _equal(encoder, other)]
         if not same:
             encoders.append(encoder)

@@ -86,7 +86,7 @@ def _checked(logits: np.ndarray, taken: np.ndarray) -> np.ndarray:
     if np.isnan(logits).any() or np.isposinf(logits).any():
         raise UserError("logits must be numbers, or minus infinity for actions that are excluded")
     if np.isneginf(logits[np.arange(len(taken)), taken]).any():
-        raise UserError("the model excludes actions that were taken; no scale of logits can mend that")
+        raise UserError("the model excludes actions that were taken; no scale of the logits can correct that")
     return logits
 
 

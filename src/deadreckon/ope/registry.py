@@ -55,15 +55,15 @@ ESTIMATORS: dict[str, tuple[Callable[[], Estimator], str]] = {
     ),
     "mrdr": (
         lambda: DoublyRobust(kind="mrdr", fqe=LinearFQE(), model=PROPENSITIES),
-        "MRDR: doubly robust with critics that make its variance least, for short episodes (Farajtabar et al. 2018)",
+        "MRDR: doubly robust with critics of minimum variance, for short episodes (Farajtabar et al. 2018)",
     ),
     "smis": (StateMarginal, "SMIS: importance sampling by the states of each step, where these are few (Xie et al. 2019)"),
     "dice": (DICE, "BestDICE: occupancy ratios by a regularised Lagrangian (Yang et al. 2020)"),
     "dual-dice": (lambda: DICE.preset("dual"), "DualDICE (Nachum et al. 2019)"),
     "gen-dice": (lambda: DICE.preset("gen"), "GenDICE (Zhang et al. 2020)"),
     "vpm": (VPM, "variational power method (Wen et al. 2020)"),
-    "mb-ff": (ModelBased, "episodes made up by a feed-forward model (Paduraru 2007)"),
-    "mb-ar": (lambda: ModelBased(kind="autoregressive"), "episodes made up by an auto-regressive model (Zhang et al. 2021)"),
+    "mb-ff": (ModelBased, "episodes simulated by a feed-forward model (Paduraru 2007)"),
+    "mb-ar": (lambda: ModelBased(kind="autoregressive"), "episodes simulated by an auto-regressive model (Zhang et al. 2021)"),
 }
 # Weights as in the code that the thesis used (8.5).
 PUBLIC = {"behavior": "learned", "log_ratio_range": PUBLIC_RANGE, "alive_only": True, "folds": 1}
@@ -166,7 +166,7 @@ def as_estimators(given: Any) -> list[Estimator]:
     several = isinstance(given, Iterable) and not isinstance(given, str) and not callable(given)
     found = [as_estimator(each) for each in given] if several else [as_estimator(given)]
     if not found:
-        raise UserError("no estimator to judge by; give names, Estimator objects or functions")
+        raise UserError("no estimator; give names, Estimator objects or functions")
     return found
 
 

@@ -78,7 +78,7 @@ def gains(found: Estimates, alpha: float = ALPHA, known: np.ndarray | None = Non
         UserError: the behaviour policy was not judged.
     """
     if LOGGED not in found.names or (found.bootstrap is None and found.influence is None):
-        raise UserError(f"{found.method} was not asked about the behaviour policy; use OPEInput(..., logged=True)")
+        raise UserError(f"{found.method} has no estimate of the behaviour policy; use OPEInput(..., logged=True)")
     logged = found.names.index(LOGGED)
     known = np.ones(len(found.names), bool) if known is None else np.array(known)
     if found.ess is not None:
@@ -135,7 +135,7 @@ def select(
         UserError: no estimates, of different policies, or without the behaviour policy.
     """
     if not estimates:
-        raise UserError("no estimates to choose by")
+        raise UserError("no estimates to select by")
     first = estimates[0]
     if any(each.names != first.names for each in estimates):
         raise UserError("the estimates are of different policies")
@@ -163,7 +163,7 @@ def select(
     if objections[best]:
         deploy, reason = False, f"{name} has {unit}, but {'; '.join(objections[best])}"
     elif not np.isfinite(low):
-        deploy, reason = False, f"{name} has {unit}: the log says nothing certain about it"
+        deploy, reason = False, f"{name} has {unit}: the log is not conclusive about it"
     elif low > 0:
         deploy, reason = True, f"{unit}; the lower end is above zero"
     else:
@@ -251,7 +251,7 @@ def _model_based(found: Estimates, which: int, accepted: bool, support: Support 
     if found.corrected and (left := found.left(which)) > TAIL:
         why = f"{100 * left:.0f} % of an error of its critics remains, or of those of the behaviour policy"
     if beyond > TAIL and not degenerate:
-        why = f"{100 * beyond:.0f} % of its discounted time lies beyond the ends of the recording; a shorter horizon asks less"
+        why = f"{100 * beyond:.0f} % of its discounted time lies beyond the ends of the recording; a shorter horizon needs less"
     return [f"its estimate is model-based only: {why}"]
 
 

@@ -77,7 +77,7 @@ def bounds(
     """
     top = np.max(log_high, initial=-np.inf)
     if not np.isfinite(top):
-        raise UserError("no episode has a weight: the policy does nothing that is in the log")
+        raise UserError("no episode has a weight: the policy takes no logged action")
     order = np.argsort(np.asarray(outcomes, float), kind="stable")
     y, low, high = np.asarray(outcomes, float)[order], np.exp(log_low - top)[order], np.exp(log_high - top)[order]
     begin = float(np.mean(baseline))

@@ -38,7 +38,8 @@ class EstimateSettings(FitSettings):
 
     discount: float = 0.995  # discount factor per step; 1 where episodes end or there is a horizon
     horizon: int | Literal["auto"] | None = None
-    """number of first steps of an episode that count; None: all; auto: all, or the length at which all were cut"""
+    """number of first steps of an episode that count; None: all; auto: the length at which all timeouts fall if it is one,
+    else all"""
     greedy: bool = False  # whether to evaluate deterministic (greedy) instead of sampled actions
 
     def estimand(self, log: Dataset) -> Estimand:
@@ -56,7 +57,7 @@ class EvidenceSettings(Settings):
 
     accept_model_based: bool = False  # whether to deploy also by estimates that no logged reward corrects
     cost_limit: float | Mapping[str, float] | Sequence[str] | None = None
-    """largest cost of an episode, discounted as the value is; a number or COLUMN=NUMBER; the interval must be within"""
+    """largest total cost of an episode, discounted like the value; a number or COLUMN=NUMBER; the interval must be within"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +69,7 @@ class DecisionSettings(EvidenceSettings):
     """whether to deploy only by a bound of the gain that holds for any number of episodes; needs a return range"""
     return_range: tuple[float, float] | None = None  # smallest and largest return that an episode can have
     confounding: float | None = None
-    """factor by which the odds of logged actions may be off; deploy only if the gain stays positive"""
+    """factor by which the odds of logged actions may be wrong; deploy only if the gain stays positive"""
     tail: float | None = None  # share of the worst episodes, such as 0.1, whose mean return is shown separately
 
     def check_values(self) -> None:

@@ -98,7 +98,7 @@ class StateMarginal(Estimator):
         warnings = [
             *episodes.warnings(case.names, ess, ahead=case.cut_ahead),
             "SMIS assumes that states are Markov (they hold all that matters), which its interval does not include",
-            *(f"{100 * part:.0f} % of what {name} does leads to states in which nothing is known of what it does there"
+            *(f"{100 * part:.0f} % of the probability of {name} reaches states in which all logged episodes were cut off"
               for name, part in zip(case.names, lost) if part > TAIL),
         ]  # fmt: skip
         return Estimates.of_influence(

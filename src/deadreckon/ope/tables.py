@@ -61,11 +61,10 @@ class Actor:
         for policy, name, part in zip(self.policies, self.names, parts):
             size = part.stop - part.start
             if jax.tree.leaves(policy.start(1)):
-                raise UserError(f"{name} remembers what it saw; estimators judge policies that act on the observation alone")
+                raise UserError(f"{name} has a memory; estimators evaluate policies that act on the observation alone")
             if self.greedy and not self.spec.discrete and not isinstance(policy, EnvPolicy) and policy.has_log_prob:
                 raise UserError(
-                    f"{name} samples its actions and does not tell a deterministic (greedy) one; judge sampled actions "
-                    "(greedy=False)"
+                    f"{name} samples its actions and has no deterministic (greedy) one; evaluate sampled actions (greedy=False)"
                 )
             wanted = _observation_size(policy)
             if wanted not in (None, size):
@@ -168,7 +167,7 @@ class Actor:
                         raise UserError(f"{name}: log_prob must give one number per row, ({len(taken)},), got {shape}")
                 else:
                     raise UserError(
-                        f"{name} draws its actions and does not tell how likely they are; use BlackBoxPolicy(fn, log_prob=...) "
+                        f"{name} samples its actions without giving their probabilities; use BlackBoxPolicy(fn, log_prob=...) "
                         "or an estimator that needs no probabilities, such as FQE"
                     )
                 out[i, start : start + len(taken)] = found if np.isscalar(found) else np.asarray(found)
@@ -214,7 +213,7 @@ class Actor:
         for _ in range(DRAWS):
             chosen = np.asarray(policy.act(step, (), rng, greedy=self.greedy)[0])
             if chosen.shape != rows.shape or chosen.min(initial=0) < 0 or chosen.max(initial=0) >= self.spec.action_size:
-                raise UserError(f"a policy of this log gives one of 0 .. {self.spec.action_size - 1} a row")
+                raise UserError(f"a policy of this log gives one of 0 .. {self.spec.action_size - 1} per row")
             counts[rows, chosen.astype(int)] += 1.0 / DRAWS
         return counts
 

@@ -67,7 +67,7 @@ def lower_tail(log_weights: np.ndarray, returns: np.ndarray, share: float, least
     logs, returns = np.asarray(log_weights, float), np.asarray(returns, float)
     top = logs.max(initial=-np.inf)
     if not np.isfinite(top):
-        raise UserError("no episode has a weight: the policy does nothing that is in the log")
+        raise UserError("no episode has a weight: the policy takes no logged action")
     weights = np.exp(logs - top)
     weights /= weights.mean()
     order = np.argsort(returns, kind="stable")
@@ -80,7 +80,7 @@ def lower_tail(log_weights: np.ndarray, returns: np.ndarray, share: float, least
     if ess < least:
         raise UserError(
             f"the worst {100 * share:g} % of episodes rest on {ess:.1f} of {len(returns):,} in the log, fewer than the "
-            f"{least:g} that an estimate needs; ask for a larger share or bring more episodes"
+            f"{least:g} that an estimate needs; use a larger share or more episodes"
         )
     each = quantile - np.maximum(quantile - returns, 0.0) / share
     value = float((weights * each).mean())

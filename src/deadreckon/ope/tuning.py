@@ -65,6 +65,6 @@ def cross_fitted(
     """
     names = np.unique(folds)
     if len(names) < 2:
-        raise UserError("a parameter is chosen outside each fold, so there must be at least two folds")
+        raise UserError("a parameter is chosen on the other folds, so there must be at least two")
     chosen = np.array([choose(np.flatnonzero(folds != name)) for name in names])
     return scores[chosen[np.searchsorted(names, folds)], np.arange(scores.shape[1])], chosen

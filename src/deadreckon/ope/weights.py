@@ -265,6 +265,6 @@ class Episodes:
         if ahead > TAIL:
             found.append(
                 f"{cut.sum():,} of {self.count:,} episodes are cut off, after {self.lengths[cut].mean():,.0f} steps on "
-                f"average, where {100 * ahead:.0f} % of the discounted time is still to come and is not counted"
+                f"average, where {100 * ahead:.0f} % of the discounted time remains and is not counted"
             )
         return found

@@ -119,7 +119,7 @@ class EnvPolicy(eqx.Module):
             )
         if (shape := picture_shape(self)) is not None:
             if legal is not None:
-                raise UserError("legal actions are the end of flat observations; this policy sees pictures, so leave legal out")
+                raise UserError("legal actions are the end of flat observations; this policy takes images, so leave legal out")
             x = checked_pictures(observations, shape)
             actions = first_actions(self, jnp.asarray(x if x.ndim == 4 else x[None]), jax.random.key(0), True)
             return np.asarray(actions if x.ndim == 4 else actions[0])
@@ -269,7 +269,7 @@ def checked_pictures(given: Any, shape: tuple[int, ...]) -> np.ndarray:
     pictures = np.asarray(given)
     if pictures.dtype != np.uint8 or pictures.shape[-3:] != shape or pictures.ndim > 4:
         seen = f"{pictures.dtype} of shape {pictures.shape}"
-        raise UserError(f"this policy sees pictures, uint8 of shape {shape} or (n, {str(shape)[1:]}, got {seen}")
+        raise UserError(f"this policy takes images, uint8 of shape {shape} or (n, {str(shape)[1:]}, got {seen}")
     return pictures
 
 

@@ -79,7 +79,7 @@ def _check_numbers(path: Path | str, tree: dict[str, Any], arrays: Iterable[np.n
             if node.get("kind") == "Encoder" and isinstance(shape := node.get("shape"), list):
                 for size in shape:
                     _whole(path, f"{name}.shape", size, _NUMBER)
-                _whole(path, f"{name}.shape: the numbers of a picture", math.prod(shape), _PICTURE)
+                _whole(path, f"{name}.shape: the numbers of an image", math.prod(shape), _PICTURE)
             nodes += [(f"{name}.{key}", part) for key, part in node.items()]
 
 

@@ -30,7 +30,7 @@ class JaxPlayer:
         self.member = JaxPlayer(inner.member) if isinstance(inner, History) else None
         self.steps, self.action_size = (inner.steps, inner.action_size) if isinstance(inner, History) else (1, 0)
         if not self.members and self.member is None and not _is_empty(policy.start(1)):
-            text = f"a {type(inner).__name__} policy acts on what it remembers of an episode, not on single rows"
+            text = f"a {type(inner).__name__} policy has a memory of the episode and does not act on single rows"
             raise UserError(f"{text}: use its start and act")
 
     def act(self, observations: np.ndarray, rng: np.random.Generator, greedy: bool) -> np.ndarray:

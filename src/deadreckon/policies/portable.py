@@ -149,7 +149,7 @@ class NumpyPolicy:
         """
         if self.behind is not None:
             if legal is not None:
-                raise ValueError("legal actions are the end of flat observations; this policy sees pictures: leave legal out")
+                raise ValueError("legal actions are the end of flat observations; this policy takes images: leave legal out")
             return self._on_pictures(self.behind, np.asarray(observations), rng, greedy)
         sees = bool(self.members) and self.members[0].rank > 1  # a mixture's pictures stay as they are
         x = np.asarray(observations, None if sees else np.float32)
@@ -204,7 +204,7 @@ class NumpyPolicy:
         begins = np.broadcast_to(np.asarray(first, bool), len(batch))
         if self.past is None or len(self.past) != len(batch):
             if not begins.all():
-                raise ValueError("episodes go on that have not begun: the first call, and one of another size, has first=True")
+                raise ValueError("no episode is in progress: the first call, and one of another size, needs first=True")
             self.past = np.zeros((len(batch), 1), np.float32)
         none = np.zeros((len(batch), inner["action_size"]), np.float32)
         start = np.concatenate([batch, none] * (inner["steps"] - 1), 1)

@@ -17,10 +17,10 @@ def features(node, arrays, pictures):
     shape, or not of uint8.
     """
     if pictures.dtype != np.uint8:
-        raise ValueError(f"this policy sees pictures of uint8, numbers from 0 to 255, got {pictures.dtype}")
+        raise ValueError(f"this policy takes images of uint8, numbers from 0 to 255, got {pictures.dtype}")
     shape = tuple(node["shape"])
     if pictures.shape[1:] != shape:
-        raise ValueError(f"this policy sees pictures of shape {shape}, got {pictures.shape[1:]}")
+        raise ValueError(f"this policy takes images of shape {shape}, got {pictures.shape[1:]}")
     layers = [(arrays[kernel[1:]], arrays[bias[1:]]) for kernel, bias in zip(node["kernels"], node["biases"])]
     x = _maps(node["network"], layers[:-1], pictures.astype(np.float32) / np.float32(255.0) - np.float32(0.5))
     out = x.reshape(len(x), -1) @ layers[-1][0] + layers[-1][1]
@@ -38,7 +38,7 @@ def _maps(network, layers, x):
             x = np.maximum(_convolved(x, kernel, stride) + bias, 0.0)
         return x
     if network != "impala":
-        raise ValueError(f"unknown network of pictures {network!r}")
+        raise ValueError(f"unknown network for images {network!r}")
     left = iter(layers)
     for _ in range(STAGES):
         x = _pooled(_same(x, *next(left)))

@@ -20,7 +20,7 @@ MEMBER = "member"
 # Kinds that no format but the package's own can hold, and why.
 REFUSED = {
     Planner: "plan by random draws in a learned model at every step",
-    Asking: "remember returns, observations and actions of earlier steps",
+    Asking: "keep returns, observations and actions of earlier steps",
 }
 
 

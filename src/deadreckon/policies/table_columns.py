@@ -93,7 +93,7 @@ class Numbers:
         if not flag:
             refuse(absent & ~self.marked, "and the log misses no value there")
             refuse(beyond, "outside the range {limits} that the schema gives")
-        refuse(absent & np.isnan(self.fill), "and nothing says what stands for it")
+        refuse(absent & np.isnan(self.fill), "and no replacement for it is known")
         outside = beyond | (values < self.seen_low) | (values > self.seen_high) | (absent & (self.complete | ~self.marked))
         with np.errstate(over="ignore"):
             small = np.where(absent, self.fill, values).astype(np.float32)
@@ -169,7 +169,7 @@ class Legal:
     def of(self, columns: Mapping[str, np.ndarray], count: int, name: str) -> np.ndarray:
         """(rows, actions) float32, 1 where an action is legal, by the columns of `count` rows."""
         if not self.columns:
-            text = "a function of the log says which actions are legal, and not its columns"
+            text = "the legal actions of the log come from a function, not from columns"
             raise RowsError(f"{name}: {text}: give legal, truth values of shape ({count}, {len(self.actions)})")
         mask = np.zeros((count, len(self.actions)), np.float32)
         for key, column in self.columns.items():

@@ -131,7 +131,7 @@ class TableEncoder:
         if outside not in ("raise", "flag"):
             raise RowsError(f"outside must be raise or flag, got {outside!r}")
         if legal is not None and not self.masked:
-            raise RowsError(f"{self.name}: leave legal out: the log of this policy says of no action where it is legal")
+            raise RowsError(f"{self.name}: leave legal out: the log of this policy has no legal actions")
         found = columns_of(rows, self.observed, self.used, self.name)
         if found is None:
             return self._plain(rows, outside, legal)
@@ -178,7 +178,7 @@ class TableEncoder:
             raise RowsError(f"{self.name}: rows outside the log can be flagged where they have named columns, not in arrays")
         if like(self.shape or ()) is np.uint8:
             if not ((x >= 0) & (x <= 255) & (x == np.round(x))).all():
-                raise RowsError(f"{self.name}: pictures hold whole numbers from 0 to 255")
+                raise RowsError(f"{self.name}: images hold whole numbers from 0 to 255")
             x = x.astype(np.uint8)
         rank = 1 if self.shape is None else len(self.shape)
         x = x[None] if (single := x.ndim == rank) else x

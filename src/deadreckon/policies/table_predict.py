@@ -224,7 +224,7 @@ class _Episodes(NamedTuple):
         last: list[int] = []  # by number the newest row of the episode
         for row, name in enumerate(names):
             if is_missing(name):
-                raise RowsError(f"{encoder.name}: column {key} is empty in row {row}; it tells episodes apart")
+                raise RowsError(f"{encoder.name}: column {key} is empty in row {row}; it identifies episodes")
             if isinstance(name, list | dict | np.ndarray):
                 raise RowsError(f"{encoder.name}: column {key} has {shown(name)} in row {row}, a text or a number is needed")
             before = last[going[name]] if name in going else None
@@ -250,7 +250,7 @@ class _Episodes(NamedTuple):
             if unknown.all():  # columns that are to be filled in
                 return cls(number, position, None)
             if absent.any():
-                text = f"row {int(np.argmax(absent))} does not say what was done, and its episode goes on"
+                text = f"row {int(np.argmax(absent))} has no action, and its episode continues"
                 raise RowsError(f"{encoder.name}: {text}; give the action of every row but the last, or of none")
         return cls(number, position, logged)
 
@@ -269,14 +269,14 @@ def _ended(encoder: TableEncoder, columns: Mapping[str, np.ndarray], rows: int, 
         RowsError: nothing tells it.
     """
     if alone and rows > 1 and (absent := [key for key in encoder.ends if key not in columns]):
-        raise RowsError(f"{where}: give the column {absent[0]}, which says where one ends (0 where it goes on)")
+        raise RowsError(f"{where}: give the column {absent[0]}, which says where one ends (0 where it continues)")
     out = np.zeros(rows, bool)
     for key in encoder.ends:
         if key in columns:
             values = flags_of(key, columns[key], encoder.name)
             if alone and np.isnan(values[:-1]).any():
                 row = first(np.isnan(values))
-                raise RowsError(f"{encoder.name}: column {key} is empty in row {row}; it tells whether an episode ends there")
+                raise RowsError(f"{encoder.name}: column {key} is empty in row {row}; it marks where episodes end")
             out |= values > 0.5
     return out
 

@@ -75,10 +75,10 @@ def values(page: Page) -> Markup | None:
         chart = charts.lines(series, title=title, unit="discounted return", symlog=far, size=(320, 240), across=page.across)
         figures.append(figure(chart, e.label, data_agent=page.slot(e)))
     without = [e.label for e in page.entries if e not in shown]
-    learned = "Online, the critic soon sees what the actions it prefers bring. "
+    learned = "Online, the critic soon sees the rewards of the actions it prefers. "
     if not page.online:
-        learned = "A critic trained on a log never sees what the actions it prefers would bring. "
-    bonus = "SAC's value holds its entropy bonus too, which no return does. " if any(e.agent == "sac" for e in shown) else ""
+        learned = "A critic trained on a log does not see the rewards of actions that the log lacks. "
+    bonus = "SAC's value includes its entropy bonus, the return does not. " if any(e.agent == "sac" for e in shown) else ""
     return join(
         tag(
             "p",
@@ -92,7 +92,7 @@ def values(page: Page) -> Markup | None:
         tag("div", figures, class_="charts"),
         note(
             "Bands: lowest to highest seed. An episode stops at the horizon, the critic's value does not: a policy that "
-            f"collects reward to the end is estimated at a little more than an episode can realise. {bonus}"
+            f"collects reward to the end has an estimate slightly above what an episode can realise. {bonus}"
             "Axes differ between panels." + (f" No critic: {', '.join(without)}." if without else "")
         ),
     )
@@ -114,13 +114,13 @@ def distance(page: Page) -> Markup | None:
             figures.append(figure(charts.lines(series, title=title, unit=unit, across=page.across, references=lines)))
     if not figures:
         return None
-    told = f" Horizontal line: what a copy of the log's policy stays below in {PERCENT} of samples." if _of_copies(page) else ""
+    told = f" Horizontal line: a copy of the log's policy stays below it in {PERCENT} of samples." if _of_copies(page) else ""
     return join(
         legend(page),
         tag("div", figures, class_="charts two"),
         note(
             inside + "How far each policy's actions moved from the logged ones at the same states. Imitation stays near zero; "
-            "an agent that improves on the log has to leave it somewhat; one that leaves it far has nothing to hold its "
+            "an agent that improves on the log has to leave it somewhat; for one that leaves it far, no data supports its "
             f"values to.{told}"
         ),
     )
@@ -207,7 +207,7 @@ def _roads(page: Page, task: Flow) -> Markup | None:
     return join(
         tag("div", figures, class_="charts two"),
         note(
-            "The first episode of the last evaluation (first seed): position along the road against time, a line a car, "
+            "The first episode of the last evaluation (first seed): position along the road against time, one line per car, "
             "coloured by speed; thin lines in the colour of the headings are learners. Waves of stopping and going are bands "
             "that run backwards."
         ),

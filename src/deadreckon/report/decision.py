@@ -27,8 +27,8 @@ def unjudged(page: Page) -> str:
     if page.task_name is not None:
         return "No evaluation is finished yet."
     return (
-        "Not judged yet: no simulator was named for this log. The page shows how training went and how far each policy moved "
-        "away from the log; `deadreckon ope --select` decides from the log alone."
+        "Not evaluated yet: no simulator was named for this log. The page shows how training went and how far each policy "
+        "moved away from the log; `deadreckon ope --select` decides from the log alone."
     )
 
 
@@ -55,9 +55,9 @@ def as_it_is(told: dict[str, Any], estimates: Path, page: Page) -> tuple[dict[st
     ]  # fmt: skip
     choice = told["choice"]
     if choice["name"] in changed:
-        why = f"The policy {choice['name']} has changed since it was judged"
-        return None, f"{why}, so the decision on it is not shown; `deadreckon ope --select` judges it as it is now."
-    lines = [f"{name} has changed since it was judged: its estimates are of what it was" for name in changed]
+        why = f"The policy {choice['name']} has changed since its evaluation"
+        return None, f"{why}, so the decision on it is not shown; `deadreckon ope --select` evaluates it as it is now."
+    lines = [f"{name} has changed since its evaluation: its estimates are of the earlier policy" for name in changed]
     return told | {"choice": choice | {"warnings": [*choice["warnings"], *lines]}}, None
 
 
@@ -77,7 +77,7 @@ def card(page: Page) -> Markup | None:
     )
     facts = [*grounds(told), ("support", _support(told, chosen)), *_costs(told, chosen)]
     if choice["deploy"] and (file := told["policies"][chosen].get("file")):
-        how = "" if told["estimand"].get("greedy") else ", with sampled actions, which are what was judged"
+        how = "" if told["estimand"].get("greedy") else ", with sampled actions, as it was evaluated"
         facts.append(("its file", f"{file}{how}"))
     listed = tag("dl", [(tag("dt", name), tag("dd", text)) for name, text in facts], class_="grounds")
     because = tag("p", f"{choice['reason']}.", class_="because")

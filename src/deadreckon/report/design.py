@@ -49,7 +49,7 @@ def write_design(data: Designs, made: Proposals, far: np.ndarray, out: Path | st
         ("variables", "What each variable does, by the model", on_average(data, made, effects)),
         ("around", f"Around proposal {chosen}", None if chosen is None else around(data, made, chosen, effects)),
     ]
-    counts = ("learned from", learned_from(data))
+    counts = ("training data", learned_from(data))
     facts = [("method", made.method), ("data", data.name), counts, ("seed", str(made.seed))]
     text = document(f"{len(made):,} designs for {data.target}", _lead(data, made, far, scores), facts, sections)
     with replacing(out) as temporary:
@@ -70,7 +70,7 @@ def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None
         parts.append(f"By the oracle, the best of them has {best_true} and the median {middle}.")
     share = float((far > FAR).mean())
     if share > 0:
-        parts.append(f"{share:.0%} lie more than {FAR:g} usual distances from any scored design, where no data supports them.")
+        parts.append(f"{share:.0%} lie more than {FAR:g} typical distances from any scored design, without support by data.")
     return " ".join(parts)
 
 
@@ -84,10 +84,10 @@ def _chart(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | Non
         (f"design {i}", 0, float(across[i]), 0.0, float(value[i]), float(value[i] - half[i]), float(value[i] + half[i]))
         for i in range(len(made))
     ]
-    unit = "usual distances to the data" if scores is None else f"{data.target}, true"
+    unit = "typical distances to the data" if scores is None else f"{data.target}, true"
     text = (
         f"Whiskers: {PERCENT} interval of {made.of_what}{'' if made.quality else ', by the model, not calibrated'}, "
-        "where the method gives a standard deviation. A usual distance is the "
+        "where the method gives a standard deviation. A typical distance is the "
         "median distance of a scored design to its nearest neighbour, in standardised coordinates."
     )
     if scores is not None:
@@ -113,9 +113,9 @@ def _quality(data: Designs, made: Proposals) -> Markup | None:
     up = f"{data.target}, predicted" if scored else "order by the model, the best above"
     drawn = charts.scatter(points, f"{data.target}, observed", up, diagonal=scored)
     corrected = "" if quality.calibration is None else (
-        " Predictions and their standard deviations, those of proposals too, are corrected by what they were worth on these "
-        f"designs, so that the {PERCENT} interval holds its share of them; R2 is of predictions as they were. The interval is "
-        "for a new measurement, not for the true score, which nobody has seen."
+        " Predictions and their standard deviations, those of proposals too, are corrected by their errors on these "
+        f"designs, so that the {PERCENT} interval covers its share of them; R2 is of uncorrected predictions. The interval is "
+        "for a new measurement, not for the true score, which is not known."
     )
     text = (
         f"{quality}. Each design was predicted by a model that was fitted without it ({len(observed):,} in all, {len(rows):,} "
@@ -134,5 +134,5 @@ def _compared(made: Proposals) -> Markup:
         cells = [tag("td", f"{value:.2f}" if np.isfinite(value) else "-") for value in shown]
         rows.append(tag("tr", [tag("th", each.method, scope="row"), *cells]))
     head = heads_of(["method", "R2", "rank correlation", "in the interval"])
-    text = f"Out of fold, by method: {made.reason}. The best of several looks better than it is."
+    text = f"Out of fold, by method: {made.reason}. The quality of the best of several is overestimated."
     return join(scroll(tag("table", head, tag("tbody", rows))), note(text))

@@ -38,7 +38,7 @@ def one_to_try(data: Designs, made: Proposals, far: np.ndarray) -> Markup:
         ),
         _tile("best of the data", number(float(data.shown(data.y[best]))), row_name(data, best) + breaks),
         *inside,
-        _tile("distance to the data", number(float(distances[0])), "usual distances"),
+        _tile("distance to the data", number(float(distances[0])), "typical distances"),
         _tile("nearest scored row", row_name(data, near), f"{data.target} {number(float(data.shown(data.y)[near]))}"),
     ]
     return tag(
@@ -53,9 +53,9 @@ def one_to_try(data: Designs, made: Proposals, far: np.ndarray) -> Markup:
 
 def _no_choice(data: Designs, made: Proposals) -> str:
     best, row = number(float(data.shown(data.y.max()))), row_name(data, int(data.y.argmax()))
-    known = f"What the table shows is that its best score is {best}, in {row}."
+    known = f"The best score of the table is {best}, in {row}."
     if made.fitted is None:
-        return f"{made.method} has no model of {data.target}, so nothing says which proposal to prefer. {known}"
+        return f"{made.method} has no model of {data.target}, so no proposal can be preferred. {known}"
     assert made.quality is not None  # else it would not be doubted
     return (
         f"None of the proposals is preferred: {made.quality.doubt}, so what the model expects of one more than of another, or "
@@ -69,7 +69,7 @@ def _why(data: Designs, made: Proposals, far: np.ndarray, chosen: int) -> str:
     highest = "lowest" if data.minimise else "highest"
     near = int((far <= FAR).sum())
     of = f"the {len(made):,} proposals" if near in (0, len(made)) else (
-        f"the {near:,} proposals within {FAR:g} usual distances of a scored row"
+        f"the {near:,} proposals within {FAR:g} typical distances of a scored row"
     )  # fmt: skip
     row, mean = best_permitted(data), float(made.predicted[chosen])
     best, of_all = float(data.y[row]), row == int(data.y.argmax())
@@ -99,7 +99,7 @@ def rule_note(made: Proposals) -> Markup:
     """By which rule the proposal is chosen."""
     return note(
         f"Rule: the proposal whose {PERCENT} interval has the best lower end (the upper end where the target is to be small), "
-        f"or the best prediction where the method gives no interval, among those within {FAR:g} usual distances of a scored "
+        f"or the best prediction where the method gives no interval, among those within {FAR:g} typical distances of a scored "
         f"row. The interval is of {made.of_what}. Rows are counted from 0, without the line of names; proposals are the rows "
         "of proposals.csv, counted likewise."
     )

@@ -28,7 +28,7 @@ def asked(data: Sequence[Designs], count: int) -> Markup:
     """
     first = data[0]
     sought = words([f"{each.target} is to be made {'small' if each.minimise else 'large'}" for each in data])
-    lines = [f"{count:,} proposals: {sought}.", *_rules(first), f"Learned from {learned_from(first)}."]
+    lines = [f"{count:,} proposals: {sought}.", *_rules(first), f"Training data: {learned_from(first)}."]
     lines += [f"{each.pooling}." for each in data if each.pooling]
     lines += [f"Of the table: {line}." for line in dict.fromkeys(line for each in data for line in each.noticed)]
     for each in data:
@@ -81,9 +81,9 @@ def _rules(data: Designs) -> list[str]:
     rules = data.rules
     lines = [f"Always: {each.text}." for each in rules.linear] + [f"Never: {each.text}." for each in rules.forbidden]
     if rules.max_distance is not None:
-        lines.append(f"At most {rules.max_distance:g} usual distances from the nearest scored row.")
+        lines.append(f"At most {rules.max_distance:g} typical distances from the nearest scored row.")
     if rules.apart is not None:
-        lines.append(f"At least {rules.apart:g} usual distances from each other.")
+        lines.append(f"At least {rules.apart:g} typical distances from each other.")
     return lines
 
 

@@ -17,7 +17,7 @@ from deadreckon.stats.interval import LEVEL
 
 TOGETHER = 0.9  # correlation from which on two variables are said to vary together
 MANY = 500  # variables beyond which their correlations are not looked at
-NEAR = 0.5  # usual distances to another proposal, within which one is told that they are nearly the same
+NEAR = 0.5  # typical distances to another proposal, within which one is told that they are nearly the same
 TOP = 0.1  # share of the rows with the highest predictions, whose optimism is told
 TRUSTED = 0.9  # share of what is predicted that came true, below which it is told
 
@@ -61,7 +61,7 @@ def _of_batch(data: Designs, made: Proposals, far: np.ndarray, idle: set[int], r
 def _of_quality(data: Designs, made: Proposals) -> list[str]:
     quality = made.quality
     if quality is None:
-        return ["How well the method predicts rows that it has not seen was not measured: its predictions may rest on nothing."]
+        return ["How well the method predicts unseen rows was not measured, so its predictions may be worthless."]
     rows = f"{len(quality.observed):,} rows"
     lines = []
     if quality.rank_correlation > quality.limit:
@@ -71,7 +71,7 @@ def _of_quality(data: Designs, made: Proposals) -> list[str]:
         )
     else:
         lines.append(
-            f"Its order of rows that it has not seen cannot be distinguished from chance: their rank correlation is "
+            f"Its order of unseen rows cannot be distinguished from chance: the rank correlation is "
             f"{_plain(quality.rank_correlation)} over {rows}, and chance alone gives up to {_plain(quality.limit)} in 39 of 40 "
             "tables of this size."
         )
@@ -79,7 +79,7 @@ def _of_quality(data: Designs, made: Proposals) -> list[str]:
         return lines
     if quality.r2 > 0:
         lines.append(
-            f"Of the variance of these scores it predicts {quality.r2:.0%} (R2); what is left is noise, or was not learned."
+            f"Of the variance of these scores it predicts {quality.r2:.0%} (R2); the rest is noise, or was not learned."
         )
     else:
         lines.append(f"The mean score of the table predicts unseen rows better than the model does (R2 {_plain(quality.r2)}).")
@@ -93,8 +93,8 @@ def _of_calibration(quality: Quality) -> list[str]:
     assert calibration is not None
     if not quality.skilled:
         return [
-            "Of its predictions of proposals only what they were worth on unseen rows is kept, and their intervals are as wide "
-            "as scores scatter around that."
+            "Predictions of proposals are shrunk to what holds on unseen rows, and their intervals are as wide as scores "
+            "scatter around that."
         ]
     lines = [
         f"{quality.coverage:.0%} of these scores lie in their {LEVEL:.0%} intervals. Of proposals, which are chosen for their "
@@ -102,7 +102,7 @@ def _of_calibration(quality: Quality) -> list[str]:
     ]
     if calibration.b < TRUSTED:
         lines.append(
-            f"Of how far the model's predictions of unseen rows lie from their mean only {calibration.b:.0%} came true, and "
+            f"On unseen rows only {calibration.b:.0%} of the deviation of predictions from their mean came true, and "
             "only that is kept for the proposals."
         )
     return lines
@@ -125,11 +125,11 @@ def _of_distance(data: Designs, made: Proposals, far: np.ndarray) -> list[str]:
     count, middle = int((far > FAR).sum()), number(float(np.median(far)))
     if not count:
         return [
-            f"No proposal lies more than {FAR:g} usual distances from a scored row; half of them lie more than {middle} away."
+            f"No proposal lies more than {FAR:g} typical distances from a scored row; half of them lie more than {middle} away."
         ]
     return [
         f"{count:,} of {len(made):,} proposals ({count / len(made):.0%}) {'lies' if count == 1 else 'lie'} more than {FAR:g} "
-        "usual distances from any scored row, where no data supports the prediction."
+        "typical distances from any scored row, where no data supports the prediction."
     ]
 
 
@@ -138,7 +138,7 @@ def _of_each_other(data: Designs, made: Proposals, ranks: bool) -> list[str]:
     if len(made) < 2 or (middle := float(np.median(distance_to_others(data, made.x)))) > NEAR:
         return []
     return [
-        f"Half of the proposals lie within {number(middle)} usual distances of another one, and are likely to be right or "
+        f"Half of the proposals lie within {number(middle)} typical distances of another one, and are likely to be right or "
         f"wrong together; a least distance between them (--apart 1) spreads them{', at some cost in predictions' * ranks}."
     ]
 
@@ -170,11 +170,11 @@ def _of_ends(data: Designs, made: Proposals, idle: set[int]) -> list[str]:
 
 def _of_effects(data: Designs, made: Proposals, effects: list[Effect]) -> list[str]:
     if effects and made.by_chance:
-        return ["What it shows of the effects of variables cannot be distinguished from zero either, for the same reason."]
+        return ["For the same reason, the effects of variables cannot be distinguished from zero either."]
     known = [each for each in effects if each.distinct(len(effects)) is not None]
     if made.fitted is not None and effects and not known:
         return [
-            f"Whether effects of variables differ from none is not known: {made.method} does not say how sure it is of them."
+            f"Whether effects of variables differ from none is not known: {made.method} does not estimate their uncertainty."
         ]
     flat = [each for each in known if not each.distinct(len(effects)) and not each.depends(len(effects))]
     turning = [each for each in known if each.depends(len(effects))]
@@ -189,8 +189,9 @@ def _of_effects(data: Designs, made: Proposals, effects: list[Effect]) -> list[s
         )
     if turning:
         lines.append(
-            f"What {_listed(list(map(name, turning)))} {'do' if len(turning) > 1 else 'does'} depends on the other variables: "
-            "nothing that could be told on average, but something in single rows."
+            f"{'Effects' if len(turning) > 1 else 'The effect'} of {_listed(list(map(name, turning)))} "
+            f"{'depend' if len(turning) > 1 else 'depends'} on the other variables: not distinguishable from zero on average, "
+            "but in single rows."
         )
     return lines
 
@@ -208,9 +209,7 @@ def _of_correlation(data: Designs) -> list[str]:
     name = lambda i: data.variables[columns[i]].name  # noqa: E731
     said = [f"{name(j)} and {name(i)} (correlation {_plain(float(found[i, j]))})" for i, j in pairs[:3]]
     more = f", and {len(pairs) - 3:,} more pairs" if len(pairs) > 3 else ""
-    return [
-        f"What one does cannot be told from what the other does, since they vary together in the data: {'; '.join(said)}{more}."
-    ]
+    return [f"Effects of variables that vary together in the data cannot be separated: {'; '.join(said)}{more}."]
 
 
 def _listed(names: list[str]) -> str:

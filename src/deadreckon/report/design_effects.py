@@ -34,8 +34,8 @@ def on_average(data: Designs, made: Proposals, effects: list[Effect]) -> Markup 
         parts.append(f"Bands and whiskers: {PERCENT} interval of this average, calibrated where the method was tested.")
     if any(each.equal for each in data.rules.linear):
         parts.append("Parts that must sum to a number make room for one another in their proportions.")
-    parts.append("Marks along the axis are values of the data, between and beyond which the model alone speaks.")
-    parts.append("Variables that change together in the data cannot be told apart.")
+    parts.append("Marks along the axis are values of the data; between and beyond them there is only the model.")
+    parts.append("The effects of variables that change together in the data cannot be separated.")
     left = int((np.ptp(data.x, axis=0) > 0).sum()) - len(effects)
     if left:
         parts.append(f"These are the {MOST} variables with the greatest changes; {left:,} are left out.")

@@ -28,7 +28,7 @@ def write_front(front: Front, out: Path | str) -> Path:
     data, made = front.data, front.made
     n, far = len(made[0]), nn_distance(data[0], made[0].x)
     facts = [
-        ("method", made[0].method), ("data", data[0].name), ("learned from", learned_from(data[0])),
+        ("method", made[0].method), ("data", data[0].name), ("training data", learned_from(data[0])),
         ("seed", str(made[0].seed)),
         *((each.target, "to be made small" if each.minimise else "to be made large") for each in data),
     ]  # fmt: skip
@@ -52,7 +52,7 @@ def _lead(front: Front) -> str:
     if bad:
         doubts = {each.target: made.quality.doubt for each, made in zip(front.data, front.made) if made.quality}
         parts += [f"Of {target}, {doubts[target]}." for target in bad]
-        parts.append(f"In {words(bad)} the proposals may rest on nothing, and what they would gain is not known.")
+        parts.append(f"Proposals may be worthless for {words(bad)}, and their expected gain is not known.")
     elif front.warnings:
         parts.append(f"{str(front.made[0].warning).capitalize()}.")
     point = ", ".join(f"{each.target} {number(float(v))}" for each, v in zip(front.data, front.shown(front.reference)))

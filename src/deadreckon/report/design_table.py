@@ -52,7 +52,7 @@ def proposals_table(
     which = f"{len(order)} with the {best}" if made[0].predicts else f"first {len(order)}"
     told = f"The {which}, of {count:,}." if count > len(order) else "All of them."
     meaning = (
-        f" Below a prediction is its {PERCENT} interval. Distance: to the nearest scored row, in usual distances. Nearest "
+        f" Below a prediction is its {PERCENT} interval. Distance: to the nearest scored row, in typical distances. Nearest "
         f"rows: row of the data (counted from 0) and its {words([each.target for each in data])}."
     )
     return join(scroll(tag("table", heads_of(heads), tag("tbody", rows), class_="proposals")), note(f"{told}{more}{meaning}"))

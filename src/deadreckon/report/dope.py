@@ -39,15 +39,15 @@ def write_bench(results: Sequence[Result], out: Path | str, *, clip: float | Non
     slots = {method: i % SLOTS for i, method in enumerate(methods)}
     tables = {each: cells(results, each.metric, clip=clip, k=each.k) for each in shown_metrics(results)}
     sections: list[tuple[str, str, Markup | None]] = [
-        ("metrics", "How good the estimates are", _metrics(tables, slots)),
+        ("metrics", "Quality of the estimates", _metrics(tables, slots)),
         ("tables", "Log by log", join(*(_table(each.title, found, methods) for each, found in tables.items()), note(REDRAWN))),
         *((f"log-{i}", log, _scatters([r for r in results if r.log == log], slots)) for i, log in enumerate(logs)),
-        ("risks", "What choosing by them risks", _risks(results)),
+        ("risks", "Risk of selecting by the estimates", _risks(results)),
         ("settings", "Settings", _settings(results)),
     ]
     counts = sorted({len(r.names) for r in results})
     many = " to ".join(str(n) for n in dict.fromkeys((counts[0], counts[-1])))
-    facts = [("logs", str(len(logs))), ("policies a task", many), ("estimators", ", ".join(methods))]
+    facts = [("logs", str(len(logs))), ("policies per task", many), ("estimators", ", ".join(methods))]
     facts += [] if clip is None else [("normalised estimates", f"cut at {clip:g}")]
     text = document("Off-policy evaluation, the DOPE protocol", _lead(tables), facts, sections)
     with replacing(out) as temporary:

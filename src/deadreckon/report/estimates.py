@@ -19,13 +19,13 @@ def section(page: Page) -> Markup | None:
         return None
     truth, level = told["truth"], level_in_words(told["choice"]["level"])
     how = note(
-        f"Values: {told['estimand']['words']}; {PERCENT} intervals, each for itself. Gains: over the behaviour policy, "
+        f"Values: {told['estimand']['words']}; {PERCENT} intervals, each on its own. Gains: over the behaviour policy, "
         f"estimated by the same method on the same episodes, with intervals of {level} for all policies at once; the first "
         "method decides. ",
         "ESS: effective sample size, the number of equally weighted episodes that the weights amount to. "
         if any(each["effective"] for each in told["results"]) else None,
         "Without support: the share of a policy's actions, in states of the log, that the behaviour policy hardly takes. "
-        "Arrows: an interval goes on beyond its chart. Model-based: no logged reward corrects the model's errors. ",
+        "Arrows: an interval continues beyond its chart. Model-based: no logged reward corrects the model's errors. ",
         f"True values are means of {truth['episodes']} episodes, in the charts with {PERCENT} intervals." if truth else None,
     )  # fmt: skip
     drawn = None

@@ -39,7 +39,7 @@ def part(found: Explained) -> Markup:
     told = f"{found.headline[:1].upper()}{found.headline[1:]}."
     tree = None
     if found.tree is not None:
-        share = "Shares are of the rows to which the tree was fitted; how well it does was measured on others."
+        share = "Shares are of the rows to which the tree was fitted; its fidelity was measured on others."
         tree = join(drawing(found.tree, f"what {found.name} does"), note(share))
     marks = [forest.Mark(each.column, 0, Interval(each.change, each.low, each.high)) for each in found.columns[:SHOWN]]
     if found.discrete:
@@ -48,7 +48,7 @@ def part(found: Explained) -> Markup:
         unit = f"root mean square change of the actions in their standard deviations, {PERCENT}"
     more = len(found.columns) - len(marks)
     rest = f" {more:,} more columns are not drawn." if more > 0 else ""
-    how = "Each column's values were exchanged between fresh rows; columns that say the same can hide each other in this."
+    how = "Each column's values were permuted between fresh rows; columns with the same information can hide each other."
     columns = None
     if marks:
         drawn = figure(forest.forest(marks, unit), f"Columns that the policy acts on: {unit}")

@@ -41,7 +41,7 @@ def write_log(log: Dataset, out: Path | str, info: Info, warnings: Sequence[str]
     sampled = f"Charts of rows show {len(rows):,} of {info.rows:,} rows, at regular distances." if len(rows) < len(log) else ""
     sections: list[tuple[str, str, Markup | None]] = [
         ("warnings", "Warnings", tag("ul", [tag("li", line) for line in warnings], class_="caveats") if warnings else None),
-        ("films", "What is seen", film.strips(log)),
+        ("films", "Images", film.strips(log)),
         ("columns", "Columns", columns_table(columns)),
         ("values", "Values of the columns", _pictures(log, columns, rows)),
         ("returns", "Returns and lengths of episodes", _returns(log)),
@@ -60,7 +60,7 @@ def _facts(info: Info) -> list[tuple[str, str]]:
     shape = "x".join(map(str, info.observation_shape))
     return [
         ("source", info.source), ("fingerprint", info.fingerprint), ("rows", f"{info.rows:,}"),
-        ("episodes", f"{info.episodes:,}"), ("steps an episode", f"{info.lengths[0]:g} to {info.lengths[-1]:g}"),
+        ("episodes", f"{info.episodes:,}"), ("steps per episode", f"{info.lengths[0]:g} to {info.lengths[-1]:g}"),
         ("ends", f"{info.terminal_share:.1%} terminal, {info.timeout_share:.1%} timeout"),
         ("without a next observation or terminal", f"{info.dropped:,} rows"),
         ("observation", f"{shape} {info.observation_dtype}"),
@@ -87,7 +87,7 @@ def _pictures(log: Dataset, columns: Sequence[Told], rows: np.ndarray) -> Markup
     drawn = [picture for each in columns if (picture := _picture(log, each, rows)) is not None]
     remarks = []
     if len(log.spec.observation_shape) > 1:
-        remarks.append("Values of pictures are not drawn; see the film strips above.")
+        remarks.append("Values of images are not drawn; see the film strips above.")
     if len(drawn) > _FIGURES:
         remarks.append(f"The first {_FIGURES} of {len(drawn):,} columns are drawn.")
     if any(each.role in ("ignore", "time", "episode", "not in the schema") for each in columns):
@@ -130,7 +130,7 @@ def _chart(log: Dataset, column: Told, rows: np.ndarray) -> Markup | None:
 
 def _returns(log: Dataset) -> Markup:
     parts = [figure(bars.histogram(log.returns(), "returns of episodes", "episodes"), "Returns (undiscounted sum of rewards)")]
-    parts.append(figure(bars.histogram(log.lengths, "lengths of episodes", "episodes"), "Steps an episode"))
+    parts.append(figure(bars.histogram(log.lengths, "lengths of episodes", "episodes"), "Steps per episode"))
     return join(tag("div", parts, class_="charts"), note("One count per episode, over the whole log."))
 
 
@@ -188,7 +188,7 @@ def _coverage(log: Dataset, rows: np.ndarray) -> Markup:
 def _plane(log: Dataset, rows: np.ndarray) -> Markup:
     """The first two principal components of the standardised observations."""
     if len(log.spec.observation_shape) > 1:
-        return note("Pictures have too many numbers for that; see the film strips above.")
+        return note("Images have too many numbers for that; see the film strips above.")
     flat = np.asarray(log.observations[rows], np.float64).reshape(len(rows), -1)
     flat, names = flat[:, flat.std(0) > 0], [n for n, s in zip(observation_names(log), flat.std(0)) if s > 0]
     if flat.shape[1] < 2:

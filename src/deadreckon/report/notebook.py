@@ -72,11 +72,11 @@ def _log(log: Dataset) -> Markup:
         more = note("Not counted here, since the log is large: ", tag("code", "deadreckon data info"), " does.")
         return join(head, _facts(*facts), _lines(log.warnings), more)
     returns, lengths = log.returns(), log.lengths
-    facts += [("mean return", number(float(returns.mean()))), ("steps an episode", f"{lengths.min():,} to {lengths.max():,}")]
+    facts += [("mean return", number(float(returns.mean()))), ("steps per episode", f"{lengths.min():,} to {lengths.max():,}")]
     facts.append(("ends", f"{float(np.asarray(log.terminals)[log.ends].mean()):.1%} terminal"))
     drawn = [figure(bars.histogram(returns, "returns of episodes", "episodes"), "Returns (undiscounted sum of rewards)")]
     if lengths.max() > 1:
-        drawn.append(figure(bars.histogram(lengths, "lengths of episodes", "episodes"), "Steps an episode"))
+        drawn.append(figure(bars.histogram(lengths, "lengths of episodes", "episodes"), "Steps per episode"))
     table = columns_table(columns_of(log), _LISTED)
     return join(head, _facts(*facts), _lines(log.warnings), tag("div", drawn, class_="charts"), table)
 
@@ -85,7 +85,7 @@ def _log(log: Dataset) -> Markup:
 def _run(run: Run) -> Markup:
     page = read([run])
     [entry] = page.entries
-    facts = [("log", entry.config["data"]["name"]), ("judged in", page.task_name or "nothing: no simulator")]
+    facts = [("log", entry.config["data"]["name"]), ("evaluated in", page.task_name or "nothing: no simulator")]
     facts += [("updates", f"{entry.status.get('step', 0):,}"), ("seeds", ", ".join(map(str, entry.seeds)))]
     row = next(each for each in rows(page) if each.entry is entry)
     tiles = [

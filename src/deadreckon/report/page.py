@@ -76,7 +76,7 @@ def render(page: Page, title: str | None = None, lead: str | None = None) -> str
     elif lead is None:
         lead = decision.unjudged(page) if found is None else found.headline
     logs = list(dict.fromkeys(e.config["data"]["name"] for e in page.entries if not e.online))
-    kind = "Policies learned online in" if page.online else "Offline policies for"
+    kind = "Policies trained online in" if page.online else "Offline policies for"
     title = title or f"{kind} {page.task_name or ', '.join(logs)}"
     sections = [
         ("decision", "Decision", decision.card(page)),
@@ -151,5 +151,5 @@ def _facts(page: Page, logs: list[str]) -> list[tuple[str, Any]]:
         facts.append(("rows", ", ".join(rows)))
     acted = dict.fromkeys(f"{e.environment_steps(e.status.get('step', 0)):,}" for e in page.entries if e.online)
     if acted:
-        facts.append(("environment steps a seed", ", ".join(acted)))
+        facts.append(("environment steps per seed", ", ".join(acted)))
     return facts

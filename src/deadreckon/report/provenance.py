@@ -153,11 +153,11 @@ def _run(entry: Entry) -> Markup:
     facts: list[tuple[str, Any]] = [
         ("state", state),
         ("updates", f"{config['steps']:,}, seeds {', '.join(map(str, entry.seeds))}"),
-        ("settings", ", ".join(f"{name} = {value}" for name, value in changed.items()) or "all as by default"),
+        ("settings", ", ".join(f"{name} = {value}" for name, value in changed.items()) or "all by default"),
     ]
     if entry.online is None:
         facts += [
-            ("pictures", seen_by(config)),
+            ("images", seen_by(config)),
             ("history", f"{config['history']} observations, with the actions between them" if "history" in config else ""),
             ("log", f"{data['name']}, {data.get('rows', 0):,} rows, {data.get('episodes', 0):,} episodes"),
             ("held out", _held(data.get("holdout"))),
@@ -200,7 +200,7 @@ def _held(told: dict[str, Any] | None) -> str:
 
 def _acted(turns: Online, steps: int) -> str:
     return (
-        f"{steps:,} environment steps a seed, of them {turns.explore:,} of uniform actions at first; {turns.copies} copies, "
+        f"{steps:,} environment steps per seed, the first {turns.explore:,} with uniform actions; {turns.copies} copies, "
         f"{turns.updates_per_block} updates after every {turns.block} steps"
     )
 
@@ -211,7 +211,7 @@ def _begun(entry: Entry) -> list[tuple[str, Any]]:
     if "length" in entry.evaluations:
         facts.append(("simulated", str(simulated(config, entry.evaluations))))
     if start := config.get("start"):
-        facts.append(("goes on from", join(tag("code", start["path"]), f", after {start['updates']:,} updates on the log")))
+        facts.append(("continues", join(tag("code", start["path"]), f", after {start['updates']:,} updates on the log")))
         if "return" in entry.evaluations:
             facts.append(("course", str(course(config, entry.evaluations))))
     if log := config.get("log"):

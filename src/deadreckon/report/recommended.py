@@ -50,10 +50,10 @@ def _tried(told: dict) -> Markup | None:
     candidates = told["recommend"]["candidates"]
     if not candidates:
         return note("Nothing was tried.")
-    heads = [tag("th", head, scope="col") for head in ("candidate", "updates", "planned", "how it ended", "why")]
+    heads = [tag("th", head, scope="col") for head in ("candidate", "updates", "planned", "state at the end", "why")]
     rows = [
         tag("tr", tag("th", each["name"], scope="row"), tag("td", f"{each['updates']:,}"), tag("td", f"{each['planned']:,}"),
-            tag("td", each["state"]), tag("td", each["why"]))
+            tag("td", recommending.STATES.get(each["state"], each["state"])), tag("td", each["why"]))
         for each in candidates
     ]  # fmt: skip
     return tag("table", tag("thead", tag("tr", heads)), tag("tbody", rows))

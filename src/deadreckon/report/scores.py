@@ -63,8 +63,8 @@ def scores(page: Page) -> Markup:
     head += [tag("th", tag("button", name, type="button"), tag("small", sub), scope="col") for name, sub, _ in columns]
     lines = []
     for r in found:
-        badge = "baseline" if r.baseline else None if r.entry else "made the log"
-        badge = "learned in the simulator" if r.online and not page.online else badge
+        badge = "baseline" if r.baseline else None if r.entry else "behaviour policy"
+        badge = "trained in the simulator" if r.online and not page.online else badge
         swatch = tag("i", class_=f"dot s{page.slot(r.entry)}" if r.entry else "dot log")
         cells = [tag("th", swatch, r.label, tag("small", badge) if badge else None, scope="row", data_value=r.label)]
         for _, _, cell in columns:
@@ -76,7 +76,7 @@ def scores(page: Page) -> Markup:
     text = "Click a heading to sort."
     if any(r.value is not None for r in found):
         text += (
-            " Estimated: the critic's value of the policy's own actions at the starts of the judged episodes; realised: the "
+            " Estimated: the critic's value of the policy's own actions at the starts of the evaluated episodes; realised: the "
             "discounted return that followed."
         )
     if any(r.mmd is not None for r in found):
@@ -103,7 +103,7 @@ def _published(page: Page) -> Markup | None:
             lines.append(tag("tr", tag("th", name, scope="row"), cells, class_="here" if name in here else None))
     title = "published (thesis Table 7.1, original D4RL data, MuJoCo 1.5/2.0): not the same data or simulator"
     table = tag("table", tag("caption", title), tag("thead", head), tag("tbody", lines), class_="published")
-    return tag("aside", scroll(table), note(f"{known['source']}. SAC learns online; scores are normalised, means of 3 seeds."))
+    return tag("aside", scroll(table), note(f"{known['source']}. SAC trains online; scores are normalised, means of 3 seeds."))
 
 
 def _domain(name: str) -> str:

@@ -99,7 +99,7 @@ def section(page: Page, found: Comparison | None) -> Markup | None:
         f"{PERCENT} interval, in which both seeds and episodes count as chance. Differences are paired where episodes start "
         "alike"
         + (f"; their intervals hold for all {found.compared} comparisons of this page at once (Bonferroni). " if many else ". ")
-        + (f"The behaviour policy's worth is the {_how(page)}; its own uncertainty is in the difference." if found.log else "")
+        + (f"The behaviour policy's value is the {_how(page)}; its own uncertainty is in the difference." if found.log else "")
     )
     items = tag("ul", [tag("li", coded(line)) for line in found.caveats], class_="caveats")
     lower = tag("div", why, tag("div", tag("h3", "What this does not show"), items), class_="split lower" if why else "lower")
@@ -133,7 +133,7 @@ def _forest(page: Page) -> Markup | None:
 
 def _beaten(page: Page, judged: list[Row], cloning: Row | None, log: Row | None, miss: float) -> list[str]:
     if cloning is None:
-        return ["No behaviour cloning run is on this page, so it cannot say what learning values adds to imitation."]
+        return ["No behaviour cloning run is on this page, so it cannot show what learning values adds to imitation."]
     gaps = [(r, versus(r, cloning, miss)) for r in judged if not r.baseline]
     better = [(r, gap) for r, gap in gaps if gap and gap.worth.low > 0]
     others = [r.label for r, gap in gaps if not gap or gap.worth.low <= 0]
@@ -153,11 +153,11 @@ def _why(page: Page, best: Row, cloning: Row, log: Row | None) -> list[str]:
     out = []
     directed = not isinstance(page.task, Maze) or "undirected data" not in page.task.properties
     undirected = not directed and bool((best.entry.config["data"].get("provenance") or {}).get("recipe"))
-    level = f" (the behaviour policy is worth {score(log.worth.value)})" if log and log.worth else ""
+    level = f" (value of the behaviour policy: {score(log.worth.value)})" if log and log.worth else ""
     if undirected:
         out.append(
-            f"The log goes to goals of its own, most of them not the task's, so much of it leads elsewhere{level}. Cloning "
-            f"repeats the average of all goals and is worth {score(cloning.worth.value if cloning.worth else None)}."
+            f"The log has goals of its own, most of which are not the task's, so much of it leads elsewhere{level}. Cloning "
+            f"repeats the average of all goals and has the value {score(cloning.worth.value if cloning.worth else None)}."
         )
     if best.mmd is not None and cloning.mmd is not None:
         further, copy = best.mmd > max(cloning.mmd, best.copy or 0.0), best.copy
@@ -177,7 +177,8 @@ def _why(page: Page, best: Row, cloning: Row, log: Row | None) -> list[str]:
     if best.over is not None:
         calm = abs(best.over) <= max(0.5 * abs(best.truth or 0), 1.0)
         said = f"Its critic estimated {number(best.value)} at the starts; {number(best.truth)} was realised (discounted)"
-        out.append(said + (": close enough to guide it." if calm else ": take its values for an order, not for amounts."))
+        wrong = ": its values can at most rank actions, they are not amounts of reward."
+        out.append(said + (": close enough to guide it." if calm else wrong))
     return out
 
 
@@ -202,21 +203,19 @@ def _caveats(judged: list[Row], best: Row, beside: list[Row]) -> list[str]:
             f"update {step:,}), so training it again may fail too."
         )
     if best.online:
-        out.append("It was judged in the simulator that it learned in: nothing here shows how it fares where a system differs.")
+        out.append("It was evaluated in its training simulator: nothing here shows how it performs in a system that differs.")
     else:
         out.append(
             "This ran the policies in the simulator. A real system has only its log: whether to deploy is decided from the log "
             "alone (`deadreckon ope --select`)."
         )
     if beside:
-        out.append(
-            f"{words([r.label for r in beside])} learned by acting in the simulator: shown to compare with, not to choose from."
-        )
+        out.append(f"Trained in the simulator and shown for comparison only: {words([r.label for r in beside])}.")
     if len(judged) > 1:
-        out.append(f"{best.label}'s own mean is that of the best of {len(judged)}, which flatters it a little.")
+        out.append(f"{best.label}'s own mean is that of the best of {len(judged)}, so it is slightly too high on average.")
     seeds = len(best.per_seed)
     if seeds == 1:
-        out.append("One seed: nothing here shows how much of the result is the luck of one training.")
+        out.append("One seed: nothing here shows how much of the result is due to chance in one training run.")
     elif seeds < 5:
         out.append(f"With {seeds} seeds the interval is unreliable: so few runs say little about their spread.")
     return out

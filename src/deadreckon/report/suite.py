@@ -127,7 +127,7 @@ def _table(table: Table) -> Markup:
             tds.append(tag("td", tag("b", value) if cell.bold else value, [tag("small", line) for line in small]))
         rows.append(tag("tr", tds))
     text = (
-        f"Means over seeds with Student's {PERCENT} intervals. Bold: the best, and all that Welch's t-test does not tell from "
-        "it."
+        f"Means over seeds with Student's {PERCENT} intervals. Bold: the best, and all that Welch's t-test does not "
+        "distinguish from it."
     )
     return join(scroll(tag("table", heads_of(("", *table.cells)), tag("tbody", rows))), note(text))

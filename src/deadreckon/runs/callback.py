@@ -62,5 +62,5 @@ def ends(callback: Callback, progress: TrainingProgress) -> bool:
     """
     answer = callback(progress)
     if answer is not None and not isinstance(answer, bool | np.bool_):
-        raise UserError(f"a callback must return True to end the run, or False or None to go on, got {answer!r}")
+        raise UserError(f"a callback must return True to end the run, or False or None to continue, got {answer!r}")
     return bool(answer)

@@ -55,7 +55,7 @@ def card(
 
 def _decision(estimates: tuple[dict[str, Any], int] | None) -> list[str]:
     if estimates is None:
-        return ["No estimates are known: nothing says whether this policy should be deployed (`deadreckon ope --select`)."]
+        return ["No estimates are known, so nothing shows whether this policy should be deployed (`deadreckon ope --select`)."]
     told, place = estimates
     choice, mine = told["choice"], told["policies"][place]["name"]
     words = "DEPLOY" if choice["deploy"] else "DO NOT DEPLOY"
@@ -146,7 +146,7 @@ def _limits(one: Subject, log: Dataset, estimates: tuple[dict[str, Any], int] | 
         how = "`greedy=False` samples" if format == "numpy" else how
         lines.append(f"The estimates above are of sampled actions, and do not hold for greedy ones: {how}.")
     lines += [
-        "It was learned from a log. If the world has changed since, nothing here holds; `deadreckon monitor` compares.",
+        "It was trained on a log. If the system has changed since, nothing here holds; `deadreckon monitor` compares.",
         "Rows outside the log (unknown levels, numbers beyond its ranges) get an action too, without any evidence.",
     ]
     if (steps := history_of(one.policy)) > 1:
@@ -154,7 +154,7 @@ def _limits(one: Subject, log: Dataset, estimates: tuple[dict[str, Any], int] | 
         lines.append(f"It acts on the last steps of an episode: {text}. Before an episode, its first observation is repeated.")
     if isinstance(inner, Mixture):
         last = len(inner.members) - 1
-        drawn = "is drawn with equal probabilities when an episode begins, and kept to its end"
+        drawn = "is drawn with equal probabilities at the start of an episode, and kept to its end"
         lines.append(f"It is a mixture of {last + 1} policies: `member`, 0 .. {last}, {drawn}.")
     if log.spec.mask_size:
         lines.append("Which actions are legal has to be given in every row.")

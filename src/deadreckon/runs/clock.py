@@ -35,7 +35,7 @@ class Clock:
         """
         seconds = seconds_of(budget) if isinstance(budget, str) else float(budget)
         if not 0 < seconds < math.inf:
-            raise UserError(f"the budget must be more than nothing, got {budget} seconds")
+            raise UserError(f"the budget must be above 0, got {budget} seconds")
         reserve = min(min(max(RESERVE * seconds, SHORT), LONG), SCANT * seconds)
         return cls(seconds, time.perf_counter() if began is None else began, reserve)
 

@@ -197,7 +197,7 @@ def load_cross_fit(path: Path | str) -> CrossFit:
     found = CrossFit(path, config, [] if missing else [load(path / f"fold{each}") for each in range(config["folds"])])
     if missing or not found.policy_path.exists():
         again = f"deadreckon train ... --cross-fit {config['folds']} --out {path} --resume"
-        raise UserError(f"{path} is not finished; `{again}` goes on with it")
+        raise UserError(f"{path} is not finished; `{again}` resumes it")
     return found
 
 
@@ -209,7 +209,7 @@ def _begin(path: Path, config: dict[str, Any], resume: bool) -> None:
     """
     if (path / NAME).exists():
         if not resume:
-            raise UserError(f"{path} holds a cross-fit already; --resume goes on with it, or choose another --out")
+            raise UserError(f"{path} holds a cross-fit already; --resume continues it, or choose another --out")
         before = read_cross_fit(path / NAME)
         if different := differences(before, config, ("folds", "by", "seed", "agent", "data")):
             raise UserError(f"{path} holds another cross-fit: {different[0]}; choose another --out")

@@ -191,8 +191,8 @@ def file_of(policy: Mapping[str, Any], folder: Path) -> Path | None:
     there = _places(policy, folder)
     same = [place for place in there if is_same(policy, place)]
     if there and not same:
-        text = f"{there[0]} is not the policy that was judged as {policy['name']}: it was trained further, or exchanged"
-        raise UserError(f"{folder}: {text}; estimate it again, or name its run to use it all the same")
+        text = f"{there[0]} is not the policy that was evaluated as {policy['name']}: it was trained further, or exchanged"
+        raise UserError(f"{folder}: {text}; estimate it again, or name its run to use it nevertheless")
     return same[0] if same else None
 
 
@@ -258,7 +258,7 @@ def read_results(path: Path | str) -> dict[str, Any]:
     """
     found = read_json(path, dict)
     if "estimand" not in found:
-        raise UserError(f"{path} is from a version that judged policies on the rows that taught them; estimate them again")
+        raise UserError(f"{path} is from a version that evaluated policies on their training rows; estimate them again")
     checked(found, Estimates, path)
     policies, choice = len(found["policies"]), found["choice"]
     choice["gain"] = _known(choice["gain"])

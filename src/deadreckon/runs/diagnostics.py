@@ -119,7 +119,7 @@ def logged_value(log: Dataset, task: Task, seed: int = 0) -> dict[str, Any]:
         mean, how = returns.mean(), "mean return of the logged episodes"
     else:
         mean = returns.sum() / lengths.sum() * task.horizon
-        how = f"mean logged reward a step, times the horizon of {task.horizon}"
+        how = f"mean logged reward per step, times the horizon of {task.horizon}"
     low, high = np.quantile(means, [ALPHA / 2, 1 - ALPHA / 2])
     return {"mean": float(mean), "low": float(low), "high": float(high), "how": how}
 

@@ -58,7 +58,7 @@ def dope(
         raise UserError(f"seeds must be 1 or more, and all of them 0 .. 2^32 - 1, got {seeds} from {first}")
     recipes = [recipe(name) for name in logs or _logs_of(half, tasks, kinds)]
     if not recipes:
-        raise UserError("no log is asked for: name a task, and of half d4rl a kind of its logs")
+        raise UserError("no log is selected: name a task, and of half d4rl also a kind of its logs")
     for each in recipes:
         library.library(each.task)
     results = []
@@ -88,6 +88,6 @@ def _check_taught(task: str, data: Dataset, log_steps: int | None) -> None:
     taught = library.about(task)["run"].get("data")
     if taught and log_steps is None and of_unplugged(data.name) and taught["fingerprint"] != data.fingerprint:
         warnings.warn(
-            f"{data.name} is not to the bit the log that the policies of {task} have learned from, but the same in kind",
+            f"{data.name} is not the log on which the policies of {task} were trained, but another of the same kind",
             stacklevel=3,
         )

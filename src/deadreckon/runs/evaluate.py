@@ -254,7 +254,7 @@ def _check_fit(policy: Any, task: Task, name: str) -> None:
     if not isinstance(policy, EnvPolicy):
         return
     if (shape := picture_shape(policy)) is not None and shape != task.observation_shape:
-        raise UserError(f"{name} sees pictures of shape {shape}, {task.name} shows {task.observation_shape}")
+        raise UserError(f"{name} takes images of shape {shape}, {task.name} has {task.observation_shape}")
     try:
         seen = jax.ShapeDtypeStruct((1, *task.observation_shape), task.observation_dtype)
         jax.eval_shape(lambda observation: first_actions(policy, observation, jax.random.key(0), True), seen)

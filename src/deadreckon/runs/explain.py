@@ -103,12 +103,12 @@ class Explained(Shown):
         """How well the tree imitates the policy, in one sentence."""
         rows = f"{self.rows:,} fresh rows of {self.log}"
         if self.constant >= 1.0 - 1e-9:
-            return f"the policy does the same in all of {rows}"
+            return f"the policy takes the same action in all of {rows}"
         spread = f"{self.fidelity:.1%} [{self.low:.1%}, {self.high:.1%}]"
         if not self.explains:
-            return f"fidelity: none. On {rows} no tree of depth {DEPTHS[-1]} or less is surely better than a constant action"
+            return f"fidelity: none. On {rows} no tree of depth {DEPTHS[-1]} or less is clearly better than a constant action"
         if self.discrete:
-            text = f"a tree of depth {self.depth} does what the policy does in {spread} of {rows}"
+            text = f"a tree of depth {self.depth} takes the policy's action in {spread} of {rows}"
             return f"{text}; the constant action in {self.constant:.1%}"
         return f"a tree of depth {self.depth} explains {spread} of the variance of the policy's actions in {rows}"
 
@@ -120,7 +120,7 @@ class Explained(Shown):
         width = max((len(each.column) for each, _ in shown), default=0)
         lines = [f"{self.name}: {self.headline}"]
         lines += [] if self.tree is None else ["", *self.tree.lines()]
-        lines += ["", f"columns that matter: {unit}, if a column's values are exchanged between rows"]
+        lines += ["", f"columns that matter: {unit}, if a column's values are permuted between rows"]
         return "\n".join([*lines, *(f"  {each.column:<{width}}  {text}" for each, text in shown)])
 
 

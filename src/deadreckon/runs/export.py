@@ -93,7 +93,7 @@ def _stablehlo(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[s
     if MEMBER in function.inputs:
         lines.insert(0, "import numpy as np")
         drawn = f'{MEMBER} = np.random.default_rng().integers({function.members}, size=len(observation), dtype="int32")'
-        call.insert(0, f"{drawn}   # of the mixture, the same in all rows of an episode")
+        call.insert(0, f"{drawn}   # member of the mixture, the same in all rows of an episode")
     encoder = TableEncoder(one.told)
     if not encoder.observed or history_of(one.policy) > 1:
         return ["`policy.stablehlo` takes observations as they are encoded:", "", "```python", *lines, *call, "```"]

@@ -76,7 +76,7 @@ def _line(given: Any) -> str:
     one, several = _WORDS.get(given.type, ("value", "values"))
     count = math.prod(given.shape[1:])
     words = f"one {one}" if count == 1 else f"{count} {several}"
-    return f"- {in_markdown(given.name)}: {words} a row (`{given.type}`, shape {given.shape})"
+    return f"- {in_markdown(given.name)}: {words} per row (`{given.type}`, shape {given.shape})"
 
 
 def _check_outside(encoder: TableEncoder, inputs: dict[str, np.ndarray], found: np.ndarray) -> None:

@@ -49,7 +49,7 @@ def divided(log: Dataset, given: Holdout | Fold | float | None, judge: Task | No
     else:
         asked = of_share(log, given) if given else None
     if isinstance(asked, Holdout) and (few := too_few(log, asked)):
-        warnings.warn(f"{few}: all are learned from, and none is left to judge by", stacklevel=4)
+        warnings.warn(f"{few}: all are used for training, and none is left for the evaluation", stacklevel=4)
         asked = None
     if asked is None:
         return Divided(log, log.episode_ids, np.zeros(0, np.uint64), None)

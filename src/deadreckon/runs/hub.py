@@ -166,14 +166,14 @@ def _sum(path: Path) -> str:
 
 def _card(thing: Any, kind: str, repo: str) -> str:
     """The repository's README, with what the Hub reads of it."""
-    what = {"log": "A log", "run": "Policies learned by offline reinforcement learning", "policy": "A policy"}[kind]
+    what = {"log": "A log", "run": "Policies trained by offline reinforcement learning", "policy": "A policy"}[kind]
     facts = [f"# {repo}", "", f"{what}, uploaded by deadreckon {__version__}."]
     if isinstance(thing, Dataset):
         facts += ["", f"{len(thing):,} rows in {thing.episodes:,} episodes; fingerprint `{thing.fingerprint}`."]
     if isinstance(thing, Run):
         config = in_markdown(thing.config)
         facts += ["", f"Agent {config['agent']['name']} on the log {config['data']['name']}, {config['steps']:,} updates,"]
-        facts.append(f"seeds {', '.join(map(str, thing.seeds))}. Whether to deploy it is a question to held-out episodes.")
+        facts.append(f"seeds {', '.join(map(str, thing.seeds))}. Whether to deploy it has to be decided on held-out episodes.")
     place = f"{DATASETS}{repo}" if kind == "log" else repo
     use = ["", "```python", "import deadreckon as dr", "", f'found = dr.from_hub("{place}")', "```"]
     head = ["---", "library_name: deadreckon", "tags: [offline-reinforcement-learning, deadreckon]", "---", ""]

@@ -19,7 +19,7 @@ def lanes_of(agent: Agent | str | Sequence[Agent], seeds: int) -> list[Agent]:
     found = agent_class(agent)() if isinstance(agent, str) else agent
     lanes = [found] * seeds if isinstance(found, Agent) else list(found)
     if len(lanes) != seeds:
-        raise UserError(f"one agent a seed is needed, got {len(lanes)} agents and {seeds} seeds")
+        raise UserError(f"one agent per seed is needed, got {len(lanes)} agents and {seeds} seeds")
     return lanes
 
 

@@ -210,7 +210,7 @@ def _words(by_policy: bool, first: bool, greedy: bool, fresh: bool) -> str:
     if not by_policy:
         return "compared: all rows and logged actions"
     rows = "the first step of each episode, since a new policy visits other states later" if first else "all rows"
-    where = "in the episodes of the reference that it has not learned from" if fresh else "in the reference"
+    where = "in the episodes of the reference on which it was not trained" if fresh else "in the reference"
     return f"compared: {rows}; actions with the policy's {'greedy' if greedy else 'sampled'} ones {where}"
 
 
@@ -220,7 +220,7 @@ def _of_value(value: Realised | str, alpha: float) -> list[Finding]:
     shown = value.interval
     d = decimals(shown.value, *([] if value.estimated is None else [value.estimated.value]))
     level = level_in_words(1 - alpha)
-    text = f"{shown:.{d}f} ({level} confidence sequence, which holds however often one looks)"
+    text = f"{shown:.{d}f} ({level} confidence sequence, which holds for any number of looks)"
     if value.estimated is not None:
         text += f", estimated {value.estimated:.{d}f}"
         if value.among > 1:
@@ -234,7 +234,7 @@ def _of_value(value: Realised | str, alpha: float) -> list[Finding]:
     if value.beyond:
         low, high = value.range
         lost = f"{value.beyond:,} returns lie outside {low:.4g} .. {high:.4g} ({value.source})"
-        out.append(Finding("value", "range", False, f"{lost}: no interval rests on that side; name a range (--return-range)"))
+        out.append(Finding("value", "range", False, f"{lost}: there is no bound on that side; give a range (--return-range)"))
     return out
 
 
@@ -243,7 +243,7 @@ def _of_columns(columns: Sequence[Compared], tested: str) -> list[Finding]:
     for each in columns:
         what = each.what
         if what.kind == "category":
-            effect = f"{each.distance:.1%} of rows would need another level for equal shares (total variation distance)"
+            effect = f"{each.distance:.1%} of rows would need another level to make shares equal (total variation distance)"
             effect += f"; most in {each.level}, {each.before:.1%} before, {each.now:.1%} now"
         else:
             effect = f"mean {each.before:.4g} before, {each.now:.4g} now ({each.shift:+.2f} standard deviations)"

@@ -216,10 +216,10 @@ def grounds(results: dict[str, Any]) -> list[tuple[str, str]]:
     cluster, count = judged["cluster"], judged.get("clusters")
     of = "" if cluster is None else f", in {count:,} clusters by {cluster}" if count else f", in clusters by {cluster}"
     policies = f"{looks['policies']:,} {'policy' if looks['policies'] == 1 else 'policies'}"
-    looked = f"look {looks['number']} at these episodes or some of them, {policies} so far in all looks"
+    looked = f"look {looks['number']} at these episodes or some of them, {policies} so far"
     if not looks["counted"]:
         looked = "looks at these episodes were not counted"
-    known = {"logged": "logged", "learned": "estimated by a model of the behaviour policy; none were logged"}
+    known = {"logged": "logged", "learned": "estimated by a model of the behaviour policy; the log has none"}
     lines = [
         ("log", results["log"]),
         ("estimated", results["estimand"]["words"]),
@@ -259,18 +259,18 @@ def checked(results: dict[str, Any]) -> str:
     share = f", {100 * lost / spread:.0f} % of the range of all" if spread > 0 else ""
     limit = ""
     if "beyond" in truth:
-        limit = f"; its time limit leaves {100 * truth['beyond']:.0f} % of the discounted time out, which estimates count"
+        limit = f"; its time limit leaves {100 * truth['beyond']:.0f} % of the discounted time out, which the estimates include"
     rank = int((means > means[chosen]).sum()) + 1
     said = lambda error: f" (standard error {error:.2f})"  # noqa: E731 - in words: a bare ± could be an interval
     words = f"in the simulator {names[chosen]} has {means[chosen]:.2f}{said(truth['error'][chosen])} and is "
     error = lambda other: said(truth["apart"][chosen][other]) if "apart" in truth else ""  # noqa: E731
     if rank == 1:
         others = [i for i in np.argsort(-means, kind="stable").tolist() if i != chosen]
-        behind = [f"; the next, {names[i]}, has less by {means[chosen] - means[i]:.2f}{error(i)}" for i in others[:1]]
+        behind = [f"; the next, {names[i]}, is lower by {means[chosen] - means[i]:.2f}{error(i)}" for i in others[:1]]
         return f"{words}the best of {len(names)}{''.join(behind)}{limit}"
     best = int(means.argmax())
     return (
-        f"{words}number {rank} of {len(names)}; the best, {names[best]}, has {means[best]:.2f}: a regret of "
+        f"{words}in place {rank} of {len(names)}; the best, {names[best]}, has {means[best]:.2f}: a regret of "
         f"{lost:.2f}{error(best)}{share}{limit}"
     )
 
@@ -290,9 +290,9 @@ def groups(results: dict[str, Any]) -> str:
     """The gain of the chosen policy in each group, a line each, where that was asked for."""
     choice, by = results["choice"], results["choice"]["groups"]
     if "refused" in by:
-        return f"gains by {by['column']} are not known: {by['refused']}"
+        return f"gains by subgroup of {by['column']} are not known: {by['refused']}"
     width = max(len(each["name"]) for each in by["values"])
-    level = f"{level_in_words(choice['level'])}, for all groups at once"
+    level = f"{level_in_words(choice['level'])}, for all subgroups at once"
     lines = [f"gain of {choice['name']} by {by['column']} ({level})"]
     known = [each[end] for each in by["values"] for end in ("gain", "low", "high") if each[end] is not None]
     d = decimals(*known)

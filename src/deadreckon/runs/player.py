@@ -81,7 +81,7 @@ def _of_run(folder: Folder, seed: int | None) -> Chosen:
     told = read_status(status, len(config["seeds"])) if status.exists() else {}
     which = policy_seed(str(folder.path), config["seeds"], told.get("failures") or [None] * len(config["seeds"]), seed)
     if not (file := folder.policy(which)).exists():
-        raise UserError(f"{folder.path} is not finished; `deadreckon train ... --out {folder.path} --resume` goes on with it")
+        raise UserError(f"{folder.path} is not finished; `deadreckon train ... --out {folder.path} --resume` resumes it")
     others = f", one of {len(config['seeds'])} (--policy-seed)" if len(config["seeds"]) > 1 else ""
     return Chosen(file, f"seed {which} of {folder.path}{others}", owner=folder.path)
 
@@ -96,7 +96,7 @@ def _own_decision(path: Path) -> tuple[Chosen | None, str]:
     try:
         return _decided(path, results), ""
     except UserError:  # the file is gone, or has another policy in it
-        return None, f"; the policy that {path / ESTIMATES} is about was another, before it was trained further"
+        return None, f"; {path / ESTIMATES} evaluated another policy, from before it was trained further"
 
 
 def _of_decision(path: Path) -> Chosen:
@@ -109,7 +109,7 @@ def _of_decision(path: Path) -> Chosen:
     choice = results["choice"]
     if not choice["deploy"]:
         reason = f": {choice['reason']}" if choice["reason"] else ""
-        raise UserError(f"{path}: the decision is to deploy none of its policies{reason}; name a run to use one all the same")
+        raise UserError(f"{path}: the decision is to deploy none of its policies{reason}; name a run to use one nevertheless")
     return _decided(path, results)
 
 

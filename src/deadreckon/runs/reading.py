@@ -115,7 +115,7 @@ def check_encoding(name: str, read: Read, data: Dataset) -> None:
         if before.get(key) != here.get(key):
             kinds = [each.get(key, "plain numbers") for each in (before, here)]
             raise UserError(
-                f"{name} learned from a log whose {what} {kinds[0]}; those of {data.name} are {kinds[1]}: "
+                f"{name} was trained on a log whose {what} {kinds[0]}; those of {data.name} are {kinds[1]}: "
                 "its policies would misread them"
             )
 
@@ -136,18 +136,18 @@ def check_episodes(name: str, read: Read, data: Dataset) -> None:
     new = f"{int((~known).sum()):,} of {data.episodes:,} episodes of {data.name} are not known to {name}"
     if not known.any():
         new = f"no episode of {data.name} is known to {name}"
-    unseen = "or, if it has learned from none of these episodes, say so with --unseen"
+    unseen = "or, if it was trained on none of these episodes, state that with --unseen"
     before, here = (extra.get(HORIZON) for extra in (read.extra, data.provenance.extra))
     if before != here:
         how = ["with no horizon" if each is None else f"with a horizon of {each}" for each in (before, here)]
         option = "without --log-horizon" if before is None else f"with --log-horizon {before}"
-        why = f"which learned from a log read {how[0]}, while this one was read {how[1]}"
+        why = f"which was trained on a log read {how[0]}, while this one was read {how[1]}"
         raise UserError(f"{new}, {why}: read it {option}, {unseen}")
     path = data.provenance.path if data.part_of is None else None  # parts of one file may well have no episode in common
     if not known.any() and (path is None or read.path is None or Path(path) != Path(read.path)):
         return  # another log
-    why = "while the others are" if known.any() else f"although it learned from {path} too"
+    why = "while the others are" if known.any() else f"although it was trained on {path} too"
     raise UserError(
         f"{new}, {why}: the log was read with other options or has changed since; read it as for training, "
-        f"judge new episodes as a log of their own, {unseen}"
+        f"evaluate new episodes as a log of their own, {unseen}"
     )

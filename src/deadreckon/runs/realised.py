@@ -79,13 +79,13 @@ def returns_of(log: Dataset, estimand: Estimand) -> np.ndarray:
 
 
 def _cut(log: Dataset, estimand: Estimand) -> np.ndarray:
-    """(n,) steps of the episodes that a time-out cuts."""
+    """(n,) steps of the episodes that a timeout cuts."""
     cut = log.lengths[~np.asarray(log.terminals)[log.ends]]
     return cut if estimand.horizon is None else cut[cut < estimand.horizon]
 
 
 def unseen(log: Dataset, estimand: Estimand) -> float:
-    """The largest share of the discounted time of an episode that lies beyond a time-out, of which the log shows nothing."""
+    """The largest share of the discounted time of an episode that lies beyond a timeout, of which the log shows nothing."""
     cut = _cut(log, estimand)
     if not len(cut):
         return 0.0
@@ -125,7 +125,7 @@ def realised(
         those = f"the {new.episodes:,} episodes come from {units:,} values of {group_of(new)}"
         return f"not compared: {those}, and the interval needs independent ones; give one episode of each"
     if given is not None and not (np.isfinite(given).all() and given[0] < given[1]):
-        raise UserError(f"return_range must be the least and the greatest return of an episode, got {given[0]:g} .. {given[1]:g}")
+        raise UserError(f"return_range must be least and greatest return of an episode, got {given[0]:g} .. {given[1]:g}")
     x, source = returns_of(new, estimand), "as given"
     estimated, least, among = None, -np.inf, 1
     if told is not None:

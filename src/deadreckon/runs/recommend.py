@@ -36,6 +36,8 @@ from deadreckon.stats.interval import PERCENT, decimals
 EVER = 4.0  # times the budget is proposed where nothing is known of what would do
 LOG = ".log"  # folder of a log that was given in memory
 MANY_DIGITS = 10  # columns of a number
+# How far a candidate came, as it is shown.
+STATES = {"learning": "was training", "learned": "trained", "diverged": "diverged (NaN or Inf)", "not begun": "not started"}
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ def recommend(
     out = Path(out)
     with alone(out, what=str(out)):
         if out.exists():
-            raise UserError(f"{out} is there already; give another --out")
+            raise UserError(f"{out} exists already; give another --out")
         if not isinstance(data, Dataset) and not isinstance(data, Path) and not str(data):
             raise UserError("no log is named")
         source, columns = str(data), settings.columns
@@ -152,7 +154,7 @@ def recommend(
                 try:
                     page(out, False)
                 except Exception as error:  # noqa: BLE001 - the card is there, and counts more than its pictures
-                    tell(f"report.html has the card alone; its pictures failed with {type(error).__name__}: {error}")
+                    tell(f"report.html has only the card; its figures failed with {type(error).__name__}: {error}")
         return Recommendation(out, told, clock.spent())
 
 
@@ -172,7 +174,7 @@ def _written(out: Path, log: str, again: str | None, found: Found, clock: Clock)
     if told is None:
         told = _unjudged(out, log, again, found, clock)
     elif found.fault is not None:
-        told["choice"]["warnings"].append(f"what follows judging was not done: {found.fault}")
+        told["choice"]["warnings"].append(f"the steps after the evaluation were not done: {found.fault}")
     told["choice"]["warnings"] += state.get("leaks", [])
     told["recommend"] = mine
     write_results(path, told)
@@ -185,24 +187,23 @@ def _unjudged(out: Path, log: str, again: str | None, found: Found, clock: Clock
     candidates = state.get("candidates", [])
     evidence = []
     for each in candidates:
-        how = {"learning": "was learning", "diverged": "it diverged (NaN or Inf)", "not begun": "did not begin"}
         updates = f", {each['updates']:,} of {each['planned']:,} updates" if each["planned"] else ""
-        evidence.append(f"{each['name']}: {how.get(each['state'], each['state'])}{updates}")
+        evidence.append(f"{each['name']}: {STATES.get(each['state'], each['state'])}{updates}")
     if found.refused or found.unfinished or found.fault:
         reason = str(found.refused or found.unfinished or found.fault)
         if state.get("short"):
             evidence.append(f"a budget of {_enough(state, clock)} should be sufficient")
     else:
         learned = sum(each["state"] == "learned" for each in candidates)
-        of = f"{learned} of {len(candidates)} candidates have learned, none is judged"
-        came = of if candidates else "nothing has learned"
-        reason = f"not enough time: {in_words(clock.budget)} were over while {stage}; {came}"
-        evidence.append(f"to be done: {', '.join(_rest(stage, bool(candidates)))}")
+        of = f"{learned} of {len(candidates)} candidates are trained, none is evaluated"
+        came = of if candidates else "no candidate is trained"
+        reason = f"not enough time: the budget of {in_words(clock.budget)} was used up during {stage}; {came}"
+        evidence.append(f"still to be done: {', '.join(_rest(stage, bool(candidates)))}")
         evidence.append(f"a budget of {_enough(state, clock)} should be sufficient")
     learned = [each for each in candidates if each["state"] == "learned"]
     if learned and again is not None:
         words = ["deadreckon", "ope", "--data", again, "--policies", *(str(out / each["name"]) for each in learned), "--select"]
-        evidence.append(f"this judges what has learned: {shlex.join(words)}")
+        evidence.append(f"this evaluates the trained candidates: {shlex.join(words)}")
     choice = {
         "name": None, "deploy": False, "gain": [None, None, None], "level": None, "reason": reason, "evidence": evidence,
         "warnings": [], "objections": [],
@@ -211,7 +212,7 @@ def _unjudged(out: Path, log: str, again: str | None, found: Found, clock: Clock
 
 
 def _rest(stage: str, planned: bool) -> list[str]:
-    order = ["starting", "reading the log", "pilots", "learning", "judging"]
+    order = ["starting", "reading the log", "pilots", "training", "evaluation"]
     at = order.index(stage) if stage in order else 0
     return [each for each in order[max(at, 1) :] if each != "pilots" or not planned]
 
@@ -220,7 +221,7 @@ def _enough(state: dict[str, Any], clock: Clock) -> str:
     """A budget that should do, in whole minutes."""
     need = state.get("need")
     seconds = EVER * clock.budget if need is None else max(1.2 * need, 1.25 * clock.budget)
-    if state.get("stage") == "judging":  # which took longer than it was thought to
+    if state.get("stage") == "evaluation":  # which took longer than it was thought to
         seconds = max(seconds, clock.budget + 2.0 * (time.time() - state["since"]))
     return f"{max(math.ceil(seconds / 60), 2)}m"
 

@@ -117,7 +117,7 @@ def load(path: Path | str) -> Run:
     missing = [seed for seed in config["seeds"] if not folder.policy(seed).exists()]
     if missing:
         again = "train_together" if "together" in config else f"deadreckon train ... --out {path} --resume"
-        raise UserError(f"{path} is not finished; `{again}` goes on with it")
+        raise UserError(f"{path} is not finished; `{again}` resumes it")
     status = read_status(folder.path / "status.json", len(config["seeds"]))
     policies = [store.load(folder.policy(seed)) for seed in config["seeds"]]
     failures = [None if f is None else Failure(*f) for f in status.get("failures") or [None] * len(config["seeds"])]

@@ -157,7 +157,7 @@ def _parsed(body: bytes) -> Any:
     """
 
     def no_number(text: str) -> None:
-        raise ValueError(f"{text} is no number of JSON; null says that a value is missing")
+        raise ValueError(f"{text} is not a number of JSON; use null for a missing value")
 
     try:
         return json.loads(body, parse_constant=no_number)
@@ -196,7 +196,7 @@ def app(service: Service) -> Starlette:
 
     async def refused(request: Request, error: Exception) -> Response:
         status = error.status_code if isinstance(error, HTTPException) else 500
-        words = {404: f"no such page; there are /predict, {', '.join(texts)} and /docs",
+        words = {404: f"no such page; the pages are /predict, {', '.join(texts)} and /docs",
                  405: "this method is not for this page",
                  500: "internal error; the log of the service has the cause"}  # fmt: skip
         headers = error.headers if isinstance(error, HTTPException) else None

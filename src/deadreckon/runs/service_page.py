@@ -68,7 +68,7 @@ def openapi(policy: Predictor, words: str, limits: "Limits", sampled: bool = Fal
             _option("probabilities", {"type": "boolean", "default": False}, "also give the probabilities of discrete actions"),
             _option("greedy", {"type": "boolean", "default": not sampled}, "take the deterministic (greedy) action"),
             _option("outside", {"enum": ["raise", "flag"], "default": "raise"}, "refuse rows outside the log, or mark them"),
-            _option("seed", {"type": "integer", "minimum": 0}, "of sampled actions; absent: each request samples anew"),
+            _option("seed", {"type": "integer", "minimum": 0}, "of sampled actions; if absent, each request draws new ones"),
         ],
         "responses": {"200": {"description": "the actions", "content": _as_json(ok)}, **answers},
     }  # fmt: skip

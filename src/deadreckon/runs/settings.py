@@ -80,16 +80,16 @@ class TrainSettings(RunSettings):
     stream: bool | None = None  # whether to keep the log in host memory; None: only if it does not fit on the device
     strict: bool = False  # whether to refuse logs with actions out of bounds instead of clipping them
     holdout: Holdout | Fold | float | None = None
-    """Episodes to judge by, which are not learned from (`data.split.Holdout`, or its share alone; 0: none). None: a fifth at
-    random of a log that no simulator judges, none of others; of a memory-mapped log the latest fifth, so that the rest is not
+    """Held-out episodes, which are not used for training (`data.split.Holdout`, or its share alone; 0: none). None: a fifth at
+    random if there is no simulator to evaluate in, else none; of a memory-mapped log the latest fifth, so that the rest is not
     copied. Of fewer than 10 episodes (or clusters) none, with a warning. A run that is continued keeps its own."""
     history: int = 1  # number of last observations, with the actions between them, that the agent and its policy act on
 
     encoder: Kind = "patches"
-    """network between pictures and the agent's own: patches (fast on CPUs), drq or impala (convolutions, for GPUs)"""
+    """network between images and the agent's own: patches (fast on CPUs), drq or impala (convolutions, for GPUs)"""
     shift: int | None = None
-    """largest number of pixels by which pictures are moved at random, which makes learning robust where it changes nothing
-    (DrQ); None: 4 of 84, and 0 in tasks such as driving, where places in a picture say what to do"""
+    """largest number of pixels by which images are shifted at random (DrQ), for tasks in which shifts do not change the best
+    action; None: 4 of 84, and 0 in tasks such as driving, where positions in an image determine the action"""
 
     def check(self, seed: int, **counts: int) -> None:
         """See `RunSettings`."""
@@ -109,8 +109,8 @@ class OnlineSettings(RunSettings):
     episodes: int = 10  # number of episodes per evaluation, with greedy actions
     chunk: int = 2000  # updates between checkpoints, the most that an interruption can lose
     threads: int | None = None  # threads of the simulator; None: one per core; results do not depend on it
-    settings: Online | None = None  # how acting and learning take turns; None: the agent's own, or the defaults of `Online`
-    demonstrations: Dataset | str | Path | None = None  # log of demonstrations, for agents that learn from them (DAPG)
+    settings: Online | None = None  # how acting and updates alternate; None: the agent's own, or the defaults of `Online`
+    demonstrations: Dataset | str | Path | None = None  # log of demonstrations, for agents that use them (DAPG)
     start: object = None  # offline run to continue (a `Run` or its folder), from its last update; None: train from scratch
     data: Dataset | str | Path | None = None  # log to mix into every batch; None: that of `start`, or none
     log_share: float = 0.5  # share of the log in each batch, where there is one; the rest is the agent's own experience
@@ -121,7 +121,7 @@ class ReturnSettings(Settings):
     """Of the returns that a simulator measures; the same as an `Estimand`."""
 
     discount: float | Sequence[float] = 0.99  # discount factor per step, one for all policies or one each
-    horizon: int | None = None  # number of first steps that are discounted and summed; None: all until an end or a time-out
+    horizon: int | None = None  # number of first steps that are discounted and summed; None: all until a terminal or a timeout
     greedy: bool = True  # whether actions are deterministic (greedy) instead of sampled
 
     def check_values(self) -> None:
@@ -141,12 +141,13 @@ class JudgeSettings(DecisionSettings, EstimateSettings):
     """Of policies that are evaluated from a log: what is estimated, what decides, on which episodes."""
 
     horizon: int | Literal["auto"] | None = "auto"
-    """number of first steps of an episode that count; None: all; auto: all, or the length at which all were cut"""
+    """number of first steps of an episode that count; None: all; auto: the length at which all timeouts fall if it is one,
+    else all"""
     out: Path | str | None = None  # folder of `estimates.json`, which has all results, and of checkpoints; None: none
     cluster: str | None = None
     """column whose values are resampled as one, such as a user; None: that of the holdout, if it has one"""
-    by_group: str | None = None  # column, such as a site, for whose values the gain is shown separately
-    unseen: bool = False  # assert that the policies have not learned from this log, where their files do not say it
+    by_group: str | None = None  # column, such as a site, whose values are subgroups; the gain is shown for each
+    unseen: bool = False  # assert that policies were not trained on this log if their files do not record it
     counted: bool = True  # whether this counts as a look at these episodes; the level falls with the number of looks
     episodes: int = 100  # number of episodes per policy in the simulator that checks the choice
 
@@ -166,8 +167,8 @@ class RecommendSettings(EvidenceSettings):
     discount: float = 0.99  # discount factor per step of the returns
     seed: int = 0  # random seed of everything
     holdout: Holdout | float | None = None
-    """Episodes that nothing learns from and that decide (`data.split.Holdout`, or its share alone). None: a fifth at random, of
-    a memory-mapped log the latest."""
+    """Episodes that are held out for the decision (`data.split.Holdout`, or its share alone). None: a fifth at random, of a
+    memory-mapped log the latest."""
     history: int = 1  # number of last observations, with the actions between them, that agents and policies act on
     columns: dict[str, Any] | None = None  # of tables, which column is what; see `Dataset.from_frame`
 
@@ -181,7 +182,7 @@ class RecommendSettings(EvidenceSettings):
             raise UserError(f"history must be >= 1, got {self.history}")
         share = self.holdout.share if isinstance(self.holdout, Holdout) else self.holdout
         if share is not None and not 0 < share < 1:
-            raise UserError(f"holdout: the share held out must lie between 0 and 1, got {share}: the card judges by it")
+            raise UserError(f"holdout: the share held out must lie between 0 and 1, got {share}: the decision needs it")
 
 
 class _Options(TypedDict, total=False):

@@ -22,7 +22,7 @@ class Simulated(NamedTuple):
     evaluations: int
 
     def __str__(self) -> str:
-        return f"{self.learning:,} steps a seed to learn, {self.evaluating:,} in {self.evaluations} evaluations"
+        return f"{self.learning:,} training steps per seed, {self.evaluating:,} in {self.evaluations} evaluations"
 
 
 def simulated(config: Mapping[str, Any], evaluations: Mapping[str, np.ndarray]) -> Simulated:

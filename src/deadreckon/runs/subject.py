@@ -90,22 +90,22 @@ class Subject:
             return self._checked(self._like(given, gaps))
         known, path = self.data, self.read.path
         if path is None and "name" not in known:
-            raise UserError(f"{self.name} does not say where its log lies; name it with {option}")
+            raise UserError(f"{self.name} does not record where its log is; name it with {option}")
         if "online" in (self.config or {}):
-            raise UserError(f"{self.name} learned in a simulator and has no log of its own; name one with {option}")
+            raise UserError(f"{self.name} was trained in a simulator and has no log of its own; name one with {option}")
         where = shown(known["name"] if path is None else path)[:500]
         if path is not None and not is_there(path):
-            raise UserError(f"the log that {self.name} learned from is not at {where} any more; name it with {option}")
+            raise UserError(f"the log that {self.name} was trained on is not at {where} any more; name it with {option}")
         if is_there(known["name"] if path is None else path) and known.get("fingerprint") is None:
-            text = f"nothing tells whether {where} is the log that {self.name} learned from"
+            text = f"it is not known whether {where} is the log that {self.name} was trained on"
             raise UserError(f"{text}: its run.json has no fingerprint; name it with {option}")
         try:
             found = self._like(path) if path is not None else catalogue.load(known["name"])
         except UserError:  # which may quote the file, and a folder from elsewhere may say that any file is its log
-            text = f"the log that {self.name} learned from cannot be read again, so name it with {option}"
+            text = f"the log that {self.name} was trained on cannot be read again, so name it with {option}"
             raise UserError(f"{text} (it was {where})") from None
         if "fingerprint" in known and found.fingerprint != known["fingerprint"]:
-            raise UserError(f"the log that {self.name} learned from has changed ({where}); name a copy of it with {option}")
+            raise UserError(f"the log that {self.name} was trained on has changed ({where}); name a copy of it with {option}")
         return found
 
     def learned_from(self, log: Dataset) -> bool:
@@ -123,7 +123,7 @@ class Subject:
         if size is not None and tuple(size) != here:
             text = f"{self.name} takes observations of shape {tuple(size)}, those of {log.name} have {here}"
             if (self.told.get("action_space") or {}).get("masked") and not getattr(log.action_space, "masked", False):
-                text += "; its log had legal actions that a function said: give a Dataset made with legal=FUNCTION"
+                text += "; its log had legal actions from a function: give a Dataset made with legal=FUNCTION"
             raise UserError(text)
         return log
 
@@ -131,7 +131,7 @@ class Subject:
         horizon = (self.read.extra or {}).get(HORIZON)
         if not isinstance(given, str | Path):
             if self.schema is None or horizon is not None:
-                raise UserError(f"{self.name} did not learn from a table alone; give the log as a Dataset or a file")
+                raise UserError(f"{self.name} was not trained on a table alone; give the log as a Dataset or a file")
             table, make = to_arrow(given, "frame"), partial(Dataset.from_frame, name="frame")
             there = set(table.column_names)
             return self._with_gaps(partial(make, table), self.schema, there) if gaps else make(table, schema=self.schema)

@@ -113,7 +113,7 @@ def train_lanes(
         sight = Sight(settings.encoder, _shift(learned[0], settings.shift))
         common["encoder"], common["shift"] = sight
     elif seeing := [name for name in ("encoder", "shift") if getattr(settings, name) != getattr(TrainSettings, name)]:
-        raise UserError(f"{learned[0].log.name} has no pictures: leave {' and '.join(seeing)} out")
+        raise UserError(f"{learned[0].log.name} has no images: leave {' and '.join(seeing)} out")
     if out != folders[0].path:
         common["together"] = [folder.path.name for folder in folders]
     configs = [config | common for one in learned for config in _configs(one, seeds, len(lanes))]
@@ -179,7 +179,7 @@ def _shift(one: _Learned, asked: int | None) -> int:
     height = min(one.log.spec.observation_shape[:2])
     if asked is not None:
         if asked > height // 2:
-            raise UserError(f"shift must be at most half of a picture, {height // 2} of {height} pixels, got {asked}")
+            raise UserError(f"shift must be at most half of an image, {height // 2} of {height} pixels, got {asked}")
         return asked
     stem = one.log.name.partition("@")[0]
     task = one.judge or of_log(stem)

@@ -285,7 +285,7 @@ def _make(maze: str, kind: str) -> AntMaze:
 REACH_TASK = AntReach(
     name="ant-reach", domain="antmaze", horizon=300, observation_shape=(POSITIONS + VELOCITIES - 2,), action_space=_ACTIONS,
     gym_id="deadreckon/AntReach-v0", reference=Reference(0.0, 1.0, "returns as they are"),
-    summary="walk on four legs where one is told to, on open ground; the walker of the AntMaze logs",
+    summary="walk on four legs to given positions on open ground; the walker of the AntMaze logs",
 )  # fmt: skip
 
 TASKS = tuple(_make(maze, kind) for maze in LAYOUTS for kind in _KINDS[maze.removeprefix("eval-")])

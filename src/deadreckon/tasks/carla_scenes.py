@@ -108,7 +108,7 @@ class Town:
         port = server.traffic(int(start[0]), SLOWER)
         taken = server.begin(places)
         server.add_cars([each for each in places if each is not taken], OTHERS, port, generator)
-        with server.talking("begin its lights anew"):
+        with server.talking("restart its lights"):
             server.world.reset_all_traffic_lights()
         self._last, self._light = taken.location, None
         self._crossing, self._before, self._since = True, None, 0.0  # nobody has passed a light before the first step

@@ -123,7 +123,7 @@ class Server:
         until = time.monotonic() + PATIENCE
         while found := len(self.world.get_actors().filter("vehicle.*")):
             if time.monotonic() > until:
-                what = "another client is at work there, or one was killed: end it, or start the server anew"
+                what = "another client is at work there, or one was killed: end it, or start the server again"
                 raise UserError(f"{self.where}: its world has {found} vehicles already; {what}")
             time.sleep(0.05)
 
@@ -226,15 +226,15 @@ class Server:
                 image = self._images.get(timeout=max(until - time.monotonic(), 0.0))
             except queue.Empty:
                 self._silent = True
-                seen = f"no picture of step {self.frame} came within {self.timeout:g} s"
+                seen = f"no image of step {self.frame} came within {self.timeout:g} s"
                 raise UserError(f"{self.where}: {seen}; a server without a renderer (-nullrhi) has no camera") from None
             if image.frame > self.frame:
-                seen = f"a picture of step {image.frame} came at step {self.frame}"
+                seen = f"an image of step {image.frame} came at step {self.frame}"
                 raise UserError(f"{self.where}: {seen}; another client makes steps there")
             if image.frame == self.frame:  # those before it come late, which happens
                 break
         if (image.height, image.width) != (SIZE, SIZE):
-            seen = f"a picture has {image.height} x {image.width} pixels"
+            seen = f"an image has {image.height} x {image.width} pixels"
             raise UserError(f"{self.where}: {seen}, {SIZE} x {SIZE} were asked for")
         blue_first = np.frombuffer(image.raw_data, np.uint8).reshape(SIZE, SIZE, 4)
         return blue_first[:, :, 2::-1].copy()

@@ -165,6 +165,6 @@ TASK = LaneDriving(
 # What the original shows: pictures of 48 x 48 alone, with which a policy does not know how fast it drives.
 SEEN = Pixels.of(
     TASK, (48, 48), 1, "carla-lane", gym_id="deadreckon/CarlaLane-v0", places_matter=True,
-    summary="the same from pictures of 48 x 48 pixels",
+    summary="the same from images of 48 x 48 pixels",
 )  # fmt: skip
 TASKS = TASK, SEEN

@@ -60,7 +60,7 @@ class Spaces:
         picture = min((*pixels, 0)[:2]) >= PICTURE
         if not picture and _large(pixels):
             how = "put its channels last (gymnasium.wrappers.TransformObservation, numpy.moveaxis)"
-            raise UserError(f"{name}: an observation of {pixels} is no picture of (height, width, channels); {how}")
+            raise UserError(f"{name}: an observation of {pixels} is no image of (height, width, channels); {how}")
         shape, dtype = (pixels, "uint8") if picture else ((count,), "float32")
         actions, choices = _actions(env.action_space, name)
         return cls(observed, env.action_space, shape, dtype, actions, choices, tuple(left_out))

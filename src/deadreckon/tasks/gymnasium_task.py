@@ -28,7 +28,7 @@ from deadreckon.tasks.task import Task
 PREFIX = "gymnasium:"
 LIMIT = "max_episode_steps"  # as `gymnasium.make` calls the horizon
 
-_HORIZON = f"it has no time limit; give one, such as horizon=500 in Python or ?{LIMIT}=500 behind its name"
+_HORIZON = f"it has no time limit; give one, such as horizon=500 in Python or ?{LIMIT}=500 after its name"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -60,7 +60,7 @@ class Pixels(Task):
         choose_opengl()
         base = self.base.simulate(seeds, threads)
         if not hasattr(base, "renderer"):
-            raise UserError(f"nothing draws {self.base.name}, so it cannot be seen in pictures; leave {SUFFIX} out")
+            raise UserError(f"{self.base.name} cannot be rendered, so it has no image observations; leave {SUFFIX} out")
         return PixelSimulator(self, base, len(seeds))
 
     def shown(self, simulator: Any, observations: np.ndarray, which: np.ndarray) -> np.ndarray:
@@ -162,7 +162,7 @@ class PixelSimulator:
 
 REMEDY = (
     "without a screen set MUJOCO_GL=egl, or MUJOCO_GL=osmesa for a CPU alone (on Debian and Ubuntu the packages libegl1 and "
-    "libosmesa6 have these), or use a task without pictures, such as carla-lane-state"
+    "libosmesa6 have these), or use a task without images, such as carla-lane-state"
 )
 
 
@@ -211,5 +211,5 @@ def of_pixels(base: Task) -> Pixels:
         UserError: it shows pictures already.
     """
     if isinstance(base, Pixels):
-        raise UserError(f"{base.name} shows pictures already; leave {SUFFIX} out")
+        raise UserError(f"{base.name} has image observations already; leave {SUFFIX} out")
     return Pixels.of(base, (SIDE, SIDE), FRAMES, f"{base.name}{SUFFIX}", gym_id="")

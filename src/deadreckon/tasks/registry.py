@@ -95,7 +95,7 @@ def check_named(name: str, what: str, remedy: str) -> None:
     if module not in sys.modules:
         raise UserError(f"{refused}, or import {module} first")
     if not path.startswith("gymnasium:") and not _is_world(getattr(sys.modules[module], attribute, None)):
-        why = f"{attribute} of {module} is no class of environments, and might do anything"
+        why = f"{attribute} of {module} is no class of environments, and its code could do anything"
         raise UserError(f"{refused}; {why} (deadreckon.imports.trust allows it)")
 
 

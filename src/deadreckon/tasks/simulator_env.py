@@ -63,7 +63,7 @@ class SimulatorEnv(gymnasium.Env[np.ndarray, np.ndarray], EzPickle):
             return None
         if self._renderer is None:
             if not hasattr(self.simulator, "renderer"):
-                raise UserError(f"nothing draws {self.task.name}; leave render_mode out")
+                raise UserError(f"{self.task.name} cannot be rendered; leave render_mode out")
             with needs_opengl(self.task.name):
                 self._renderer = self.simulator.renderer(self._size)
         return self.simulator.picture(0, self._size, self._renderer)[1]

@@ -92,7 +92,7 @@ class Starts:
     def begin(self, which: np.ndarray, seeds: Sequence[int]) -> None:
         """Gives the copies `which` new seeds."""
         if len(which) == 0 or len(which) != len(seeds) or any(seed < 0 for seed in seeds):
-            raise UserError(f"one seed a copy is needed, each 0 or more, got {list(seeds)} for {len(which)} copies")
+            raise UserError(f"one seed per copy is needed, each 0 or more, got {list(seeds)} for {len(which)} copies")
         for i, seed in zip(which, seeds):
             self.seeds[i], self.drawn[i] = seed, 0
             self._generators[i] = self._generator(int(seed))

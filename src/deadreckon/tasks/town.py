@@ -286,6 +286,6 @@ TASK = TownDriving(
 
 SEEN = Pixels.of(
     TASK, (48, 48), 1, "carla-town", gym_id="deadreckon/CarlaTown-v0", places_matter=True,
-    summary="the same from pictures of 48 x 48 pixels",
+    summary="the same from images of 48 x 48 pixels",
 )  # fmt: skip
 TASKS = TASK, SEEN

@@ -163,11 +163,11 @@ READ = {
     ),
     "dates that no cell tells, beside points": (
         "d,x\n03/04/2024,1.5\n05/06/2024,2\n", {}, {"d": [moment(2024, 3, 4), moment(2024, 5, 6)], "x": [1.5, 2]},
-        ["read as month/day/year, and no cell tells whether that is right (--dates day-first): column d"],
+        ["read as month/day/year, and no cell shows whether that is right (--dates day-first): column d"],
     ),
     "dates that no cell tells, beside semicolons": (
         "d;x\n03/04/2024;1\n05/06/2024;2\n", {}, {"d": [moment(2024, 4, 3), moment(2024, 6, 5)], "x": [1, 2]},
-        [SEMICOLONS, "read as day/month/year, and no cell tells whether that is right (--dates month-first): column d"],
+        [SEMICOLONS, "read as day/month/year, and no cell shows whether that is right (--dates month-first): column d"],
     ),
     "dates that another column tells": (
         "d,e\n03/04/2024,01/02/2024\n25/06/2024,03/04/2024\n", {},

@@ -97,7 +97,7 @@ def test_texts_that_stand_for_something_else(tmp_path):
 def test_kinds_that_are_mixed(tmp_path):
     rows = [["x", "y"], *([value, value / 2] for value in range(15)), [15, "broken"], *([value, 1] for value in range(20))]
     path = write_xlsx(tmp_path / "log.xlsx", {"Log": rows}, first="B2")
-    with pytest.raises(UserError, match=rf"^{path}: column y: cell C18 holds 'broken', and most cells hold numbers; mend that"):
+    with pytest.raises(UserError, match=rf"^{path}: column y: cell C18 holds 'broken', and most cells hold numbers; correct"):
         read_table(path)
     rows = [["x", "y"], [1, DAY(2024, 1, 1)], ["a", "soon"], [2.5, DAY(2024, 1, 2)]]
     found, _, told = read_table(write_xlsx(tmp_path / "log.xlsx", {"Log": rows}))

@@ -42,7 +42,7 @@ def test_a_file_of_a_known_name_holds_pictures(tmp_path, name, numbers):
     assert (log.spec.observation_shape, log.spec.observation_dtype) == ((48, 48, 3), "uint8")
     np.testing.assert_array_equal(log.observations, DRAWN)
     assert log.episodes == 2
-    assert log.provenance.extra["observations"] == f"pictures, 48 x 48 x 3, of 6,912 numbers a row, as {name} has them"
+    assert log.provenance.extra["observations"] == f"images, 48 x 48 x 3, of 6,912 numbers per row, as {name} has them"
 
 
 def test_other_names_keep_their_columns(tmp_path):
@@ -63,7 +63,7 @@ def test_next_observations_are_pictures_too(tmp_path):
 def test_numbers_that_are_no_pictures_are_told(tmp_path, value, said):
     numbers = flat(np.float32, 255)
     numbers[7, 3] = value
-    with pytest.raises(UserError, match=rf"lane-v0.hdf5: observations has {said} in row 7, and its pictures need numbers"):
+    with pytest.raises(UserError, match=rf"lane-v0.hdf5: observations has {said} in row 7, and its images need numbers"):
         dr.load(d4rl_file(tmp_path / "carla-lane-v0.hdf5", numbers))
 
 
@@ -75,7 +75,7 @@ def test_blocks_and_an_empty_column(monkeypatch):
 
 def test_mapped_and_converted(tmp_path):
     path = d4rl_file(tmp_path / "carla-lane-v0.hdf5", flat(np.float32, 255))
-    with pytest.raises(UserError, match="its pictures are rows of numbers, so it cannot be memory-mapped: `deadreckon"):
+    with pytest.raises(UserError, match="its images are rows of numbers, so it cannot be memory-mapped: `deadreckon"):
         read(path, mmap=True)
     convert(path, tmp_path / "out.hdf5")
     again = read(tmp_path / "out.hdf5", mmap=True)
@@ -103,7 +103,7 @@ def test_the_catalogue(monkeypatch, tmp_path, capsys):
     assert reference("carla-lane-v0").expert == registry.task("carla:localhost:2000/lane").published.expert
     assert reference("carla-town-full").random == registry.task("carla:localhost:2000/town").published.random
     for name in ("carla-town-full-v0", "carla-town-full-v0@d4rl"):
-        with pytest.raises(UserError, match="is not here yet: `deadreckon data get carla-town-full-v0 --source d4rl` downl"):
+        with pytest.raises(UserError, match="is not in the cache yet: `deadreckon data get carla-town-full-v0 --source d4rl`"):
             load(name)
     with pytest.raises(UserError, match=r"'dr1' of carla-town-full-v0: known are carla-town-full-v0@d4rl \(downloaded\)$"):
         load("carla-town-full-v0@dr1")

@@ -48,7 +48,7 @@ REFUSED = {
                        "column pscore has 0.0 in row 0, a positive"),
     "pictures beside numbers": (
         {**flat_file(FLAGS), "observations": {"eye": np.zeros((14, 4, 4), np.uint8), "hand": np.zeros(14)}},
-        "eye is a picture of shape",
+        "eye is an image of shape",
     ),
     "a column too short": ({**flat_file(BOTH), "rew": np.zeros(13)}, "column rew has 13 rows, act has 14"),
 }  # fmt: skip

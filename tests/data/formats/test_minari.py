@@ -204,7 +204,7 @@ def test_the_names_of_dicts_within_dicts():
     assert names == ["a", "b/c[0,0]", "b/c[0,1]"]
     np.testing.assert_array_equal(column, [[1, 0, 0], [1, 0, 0]])
     for space, values, words in (
-        (spaces.Dict({"eye": spaces.Box(0, 255, (4, 4), np.uint8)}), {"eye": np.zeros((2, 4, 4), np.uint8)}, "is a picture"),
+        (spaces.Dict({"eye": spaces.Box(0, 255, (4, 4), np.uint8)}), {"eye": np.zeros((2, 4, 4), np.uint8)}, "is an image"),
         (spaces.Dict({"word": spaces.Text(3)}), {"word": ["a", "b"]}, "word is Text, which has no fixed number of dimensions"),
         (spaces.Discrete(2), np.array([0, 2]), r"observation has 2 in row 1, 0 \.\. 1 is needed"),
     ):

@@ -153,7 +153,7 @@ def _duckdb(path: Path | str, query: str | None, table: str | None, seconds: flo
         raise _wrong(path, "DuckDB", error, query, seconds) from error
     for name, values in zip(found.column_names, found.columns, strict=True):
         if pa.types.is_binary(values.type) or pa.types.is_large_binary(values.type):
-            raise UserError(f"{path}: column {name} holds binary data, which nothing can learn from; leave it out with --query")
+            raise UserError(f"{path}: column {name} holds binary data, which agents cannot use; leave it out with --query")
     return found, []
 
 

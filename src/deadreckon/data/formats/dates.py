@@ -81,7 +81,7 @@ def dates_of(columns: Mapping[str, Any], asked: str | None, european: bool) -> t
     for (order, mark, unsure), names in taken.items():
         example, other = found[names[0]].example, next(each for each in _ORDERS if each != order)
         text = f"dates such as {example!r} are read as {_words(order, mark)}"
-        text += f", and no cell tells whether that is right (--dates {other})" if unsure else f" (--dates {other})"
+        text += f", and no cell shows whether that is right (--dates {other})" if unsure else f" (--dates {other})"
         told += [f"{text}: {_listed(names)}"] if asked is None else []
     orders = {order for order, *_ in taken}
     # Further rows are read in one order, which columns of two orders do not have: their own cells tell again.

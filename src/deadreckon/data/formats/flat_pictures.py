@@ -65,7 +65,7 @@ def pictures(path: Path | str, column: str, flat: Any, shape: tuple[int, ...], p
         if wrong.any():
             row, at = np.argwhere(wrong)[0]
             said = f"{column} has {part[row, at]} in row {block.start + row}"
-            raise UserError(f"{path}: {said}, and its pictures need numbers from 0 to 1, or from 0 to 255")
+            raise UserError(f"{path}: {said}, and its images need numbers from 0 to 1, or from 0 to 255")
         out[block] = np.rint(np.clip(part, 0.0, most) * (255.0 / most)).astype(np.uint8).reshape(-1, *shape)
     return out
 
@@ -91,6 +91,6 @@ def as_pictures(
         if flat is None or flat.shape[1:] != (size,):
             continue
         if refuse is not None and flat.dtype != np.uint8:
-            raise refuse("its pictures are rows of numbers")
+            raise refuse("its images are rows of numbers")
         found[column] = pictures(path, column, flat, shape, None if scratch is None else scratch / f"{column}.pictures")
-    return found, f"pictures, {' x '.join(map(str, shape))}, of {size:,} numbers a row, as {name.partition('@')[0]} has them"
+    return found, f"images, {' x '.join(map(str, shape))}, of {size:,} numbers per row, as {name.partition('@')[0]} has them"

@@ -123,7 +123,7 @@ def _inside(name: str, key: Any) -> str:
 def _numbers(column: np.ndarray, name: str) -> tuple[np.ndarray, list[str]]:
     shape = column.shape[1:]
     if column.dtype == np.uint8 and len(shape) >= 2:
-        raise UserError(f"{name} is a picture of shape {shape} beside other observations; a picture alone is read, or numbers")
+        raise UserError(f"{name} is an image of shape {shape} beside other observations; images alone or numbers are read")
     if math.prod(shape) > MOST_NUMBERS:
         raise UserError(f"{name} has {math.prod(shape)} numbers, at most {MOST_NUMBERS} are read")
     return column.reshape(len(column), -1).astype(np.float32), _cells(name, shape)

@@ -79,7 +79,7 @@ def _agree(good: np.ndarray, text: str) -> None:
 
 def _flag(name: str, column: np.ndarray, rows: int) -> np.ndarray:
     if column.size != rows or column.dtype.kind not in "fiub":
-        raise UserError(f"column {name} of shape {column.shape} holds {column.dtype}, one truth value a row is needed")
+        raise UserError(f"column {name} of shape {column.shape} holds {column.dtype}, one truth value per row is needed")
     column = column.reshape(rows)
     wrong = ~np.isin(column, (0, 1))
     if wrong.any():
@@ -90,7 +90,7 @@ def _flag(name: str, column: np.ndarray, rows: int) -> np.ndarray:
 
 def _discount(name: str, column: np.ndarray, rows: int) -> np.ndarray:
     if column.size != rows or column.dtype.kind not in "fiub":
-        raise UserError(f"column {name} of shape {column.shape} holds {column.dtype}, one number a row is needed")
+        raise UserError(f"column {name} of shape {column.shape} holds {column.dtype}, one number per row is needed")
     column = column.reshape(rows)
     wrong = ~((column >= 0) & (column <= 1))
     if wrong.any():

@@ -72,7 +72,7 @@ def d3rlpy_episodes(parts: Parts) -> None:
                 columns.setdefault(place, []).append(parts.arrays[name])
         ended = parts.other.get(f"terminated_{episode}")
         if ended is None:
-            raise UserError(f"no column terminated_{episode}: whether episode {episode} ended by termination is not told")
+            raise UserError(f"no column terminated_{episode}: it is not known whether episode {episode} ended by termination")
         steps = len(columns["actions"][-1])
         last = np.arange(steps) == steps - 1
         columns.setdefault("done", []).append(last)
@@ -229,7 +229,7 @@ def ogbench(parts: Parts) -> None:
         _follow(parts, "observations", "next_observations", rows)
         parts.take(valid, rows)
     elif not parts.under("next_observations"):
-        parts.told.append("neither valids nor next_observations: what follows the last row of a trajectory is unknown")
+        parts.told.append("neither valids nor next_observations: next observations of last rows are not known")
 
 
 def steps(parts: Parts) -> None:
@@ -252,7 +252,7 @@ def steps(parts: Parts) -> None:
         parts.arrays["terminated"] = np.append(ended[1:], False)
         parts.arrays.pop("discount", None)  # says the same, or is 1 throughout
     elif "discount" not in parts.arrays:
-        raise UserError("neither is_terminal nor discount: whether the task ended is not told")
+        raise UserError("neither is_terminal nor discount: it is not known whether the task ended")
     parts.arrays["cut"] = np.append(last[1:], False)
     _follow(parts, "observation", "next_observation", rows)
     for key in ("is_last", "is_first", "is_terminal", "step_type"):

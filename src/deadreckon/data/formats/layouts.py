@@ -53,7 +53,7 @@ class Layout:
 # The first that fits is taken, so those with more particular names stand first.
 LAYOUTS = (
     Layout(
-        "d3rlpy 2", "`terminated` says whether an episode ended by termination; what follows the last row of others is unknown",
+        "d3rlpy 2", "`terminated` marks episodes that ended by termination; in others the last next observation is not known",
         needs=("columns", "num_episodes", "actions_0"), order=rows.d3rlpy_episodes,
         names={**_GYMNASIUM, "terminated": "terminated", "done": "done"},
     ),
@@ -63,7 +63,7 @@ LAYOUTS = (
         names={**_GYMNASIUM, "terminals": "terminated", "episode_terminals": "done"},
     ),
     Layout(
-        "RL Unplugged (Atari)", "`d_t` 0 is a termination, `episode_id` tells episodes apart",
+        "RL Unplugged (Atari)", "`d_t` 0 is a termination, `episode_id` identifies episodes",
         needs=("o_t", "a_t", "r_t", "d_t", "o_tp1"),
         names={"o_t": "observations", "a_t": "actions", "r_t": "rewards", "d_t": "discount", "o_tp1": "next_observations",
                "episode_id": "episode"},
@@ -102,7 +102,7 @@ LAYOUTS = (
                "legal": "legal", "next_legal": "next_legal", "cut": "cut"},
     ),
     Layout(
-        "RLlib", "`terminateds` are terminations, `truncateds` time limits, `eps_id` tells episodes apart",
+        "RLlib", "`terminateds` are terminations, `truncateds` time limits, `eps_id` identifies episodes",
         needs=("obs", "actions", "rewards"), order=partial(rows.masks, now="obs", after="new_obs"),
         names={"obs": "observations", "actions": "actions", "rewards": "rewards", "new_obs": "next_observations",
                "terminateds": "terminated", "truncateds": "truncated", "dones": "done", "eps_id": "episode", "t": "time",
@@ -142,7 +142,7 @@ LAYOUTS = (
                "dones": "done"},
     ),
     Layout(
-        "DSRL", "`terminals` are terminations, `timeouts` time limits; `costs` are kept as an extra, which no method uses yet",
+        "DSRL", "`terminals` are terminations, `timeouts` time limits; `costs` are costs, which `ope` estimates and limits",
         needs=("observations", "actions", "rewards", "terminals", "costs"), never=("masks", "dones"), ours=True,
     ),
     Layout(

@@ -33,5 +33,5 @@ def open_bandit(path: Path | str, kind: str, mapping: dict[str, Any]) -> tuple[d
         return mapping, []
     found = {"action": "item_id", "reward": "click", "propensity": "propensity_score", "observations": context,
              "keep": "position"}  # fmt: skip
-    told = "read as Open Bandit's layout: each row is an episode of one terminal step, position is kept as an extra"
+    told = "read as Open Bandit's layout: each row is an episode of one terminal step, position is stored with the log"
     return {**mapping, **found}, [told]

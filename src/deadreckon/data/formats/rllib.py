@@ -65,7 +65,7 @@ def is_rllib(head: bytes) -> bool:
 
 
 def _batch(line: str, number: int) -> dict[str, Any]:
-    needed = "one batch a line is needed, as RLlib's JsonWriter writes"
+    needed = "one batch per line is needed, as RLlib's JsonWriter writes"
     try:
         batch = json.loads(line)
     except (ValueError, RecursionError) as error:

@@ -190,7 +190,7 @@ def from_table(
         if key in shapes:
             shape, dtype = shapes[key]
             if column[:1].size != math.prod(shape):
-                raise damaged(path, f"column {key} of shape {list(shape)} has {column[:1].size} numbers a row")
+                raise damaged(path, f"column {key} of shape {list(shape)} has {column[:1].size} numbers per row")
             column = column.reshape(len(column), *shape).astype(dtype, copy=False)
         columns[key] = column
     rows = table.num_rows

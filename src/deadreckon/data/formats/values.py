@@ -37,7 +37,7 @@ def column_of(
     if not kinds:
         return pa.nulls(len(values)), []
     for row in (row for row, value in enumerate(values) if "bytes" in kinds and isinstance(value, bytes)):
-        raise UserError(f"{path}: {called} holds binary data ({where(row)}), which nothing can learn from; leave it out")
+        raise UserError(f"{path}: {called} holds binary data ({where(row)}), which agents cannot use; leave it out")
     texts = {value.strip() for value in values if isinstance(value, str)} if len(kinds) > 1 else set()
     if texts and texts <= {*MISSING, DASH}:
         values = [None if isinstance(value, str) else value for value in values]
@@ -51,7 +51,7 @@ def column_of(
     row = next(row for row, value in enumerate(values) if _kind(value) not in ("", usual))
     odd = f"{where(row)} holds {str(values[row])[:40]!r}, and most cells hold {_WORDS[usual]}"
     if count >= MOSTLY * (len(values) - missing) and usual != "text":
-        raise UserError(f"{path}: {called}: {odd}; mend that cell (an empty one is missing), or make all of them texts")
+        raise UserError(f"{path}: {called}: {odd}; correct that cell (an empty one is missing), or make all of them texts")
     return _array([None if _kind(value) == "" else _text(value) for value in values], "text"), [
         f"{called} is read as texts: {odd}"
     ]

@@ -65,7 +65,7 @@ def read_vw(path: Path | str, *, strict: bool = False, name: str | None = None, 
         told.append(f"{unlabelled} examples without action:cost:probability are left out")
     if "legal" in columns:
         names += [f"legal={action}" for action in range(1, actions + 1)]
-        told.append("which actions could be taken differs between examples, and becomes the end of the observations")
+        told.append("the legal actions differ between examples, and are appended to the observations")
     extra = {"layout": "VW", "observation_names": names}
     space = Discrete(max(actions, 2))
     return build(path, columns, source="vw", name=name, action_space=space, extra=extra, strict=strict, warnings=told)

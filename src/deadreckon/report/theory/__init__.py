@@ -11,7 +11,7 @@ from deadreckon.report.theory.sampled_mmd import mmd
 
 EXPERIMENTS: dict[str, tuple[Callable[[Path, int], Made], str]] = {
     "gridworld": (gridworld, "error propagation and the support threshold (Figure 4.2), a diverging projection, stitching"),
-    "mmd": (mmd, "what sampled MMD can tell apart (Figure A.1), and what a threshold allows"),
+    "mmd": (mmd, "what sampled MMD can distinguish (Figure A.1), and what a threshold allows"),
     "bounds": (bounds, "Theorems 5.2.1 to 5.2.3, how loose they are, rollout lengths, Algorithm 2"),
     "cnml": (nml, "normalised maximum likelihood in exact arithmetic (Figures 6.1 and 6.3), regret and its bounds"),
 }

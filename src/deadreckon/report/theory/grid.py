@@ -142,7 +142,7 @@ def gridworld(out: Path, seed: int = 0) -> Made:
     names = [*runs, "growth"]
     panels = {
         "one feature, Q-iteration": lines(steps, iterates, names, "weight w", "iterations", symlog=True),
-        "factor of w an iteration": lines(
+        "factor of w per iteration": lines(
             share, {"growth": growth}, names, "factor", "share of the data in state 1", references=[("diverges above", 1.0)]
         ),
     }

@@ -58,7 +58,7 @@ class Tracking:
                 tracker.start(config)
             except Exception as error:  # whatever it raises, the user is there to mend it
                 why = " ".join(f"{type(error).__name__}: {error}".split())
-                again = f"nothing has been learned; --resume, or resume=True, goes on in {self.folder.path}"
+                again = f"no update was made; --resume, or resume=True, continues {self.folder.path}"
                 raise UserError(f"{type(tracker).__name__} cannot start: {why}; {again}") from error
         steps = {int(part.stem) for part in (whole / "metrics").glob("*.parquet")} | set(known.policy_steps())
         self.waiting = sorted(steps)
@@ -99,7 +99,7 @@ class Tracking:
                 self.trackers.remove(tracker)
                 why = " ".join(f"{type(error).__name__}: {error}".split())
                 name = type(tracker).__name__
-                self.problems.append(f"{name} failed and is no longer told of {self.folder.path} ({why}); the run goes on")
+                self.problems.append(f"{name} failed and gets no more points of {self.folder.path} ({why}); the run continues")
 
     def _give(self, new: int | None, below: float) -> None:
         """Gives all points of steps below a bound, as far as their evaluations are done."""
