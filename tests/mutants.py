@@ -1199,7 +1199,7 @@ MUTANTS = (
         ("dynamics/test_ensemble.py::test_such_ends_are_drawn_as_often_as_they_happen",),
     ),
     Mutant(
-        "history-moves-on", "data/history.py", "after = self.log.ends + self.log.final_known", "after = self.log.ends + 1",
+        "history-moves-on", "data/history.py", "self._before(self.log.ends + known, ", "self._before(self.log.ends + 1, ",
         "histories move on where it is not known what followed",
         ("data/test_history.py::test_what_follows_repeats_the_last_row_where_it_is_not_known",),
     ),
@@ -1224,7 +1224,7 @@ MUTANTS = (
         "one seed in one episode counts as certain", ("stats/test_means.py::test_one_value_does_not_say_how_it_varies",),
     ),
     Mutant(
-        "equal-ranked", "bench/tune.py", "known and np.ptp(means) > 0 and", "known and",
+        "equal-ranked", "bench/tune.py", "min(np.ptp(means), np.ptp(standing)) > 0", "len(trials) > 1",
         "a search whose settings all score the same dies at its end",
         ("bench/test_tune.py::test_settings_of_equal_scores_have_no_order_that_estimates_could_find",),
     ),

@@ -160,12 +160,13 @@ def test_what_a_choice_by_estimates_loses_is_told():
     assert text.startswith("* alpha = 1.0")
 
 
-def test_settings_of_equal_scores_have_no_order_that_estimates_could_find(tmp_path):
-    """As in a sparse task where nothing reaches the goal: all else is still told, and kept."""
+@pytest.mark.parametrize(("scores", "values", "best", "lost"), [((0, 0), (1, 2), 5.0, 0.0), ((3, 4), (1, 1), 1.0, 1.0)])
+def test_settings_of_equal_scores_have_no_order_that_estimates_could_find(scores, values, best, lost, tmp_path):
+    """As in a sparse task where nothing reaches the goal, or by estimates that are all the same: the rest is told, and kept."""
     settings = [{"alpha": value} for value in (1.0, 5.0)]
-    trials = [Trial(fields, np.zeros((1, 2)), np.array([value, value])) for fields, value in zip(settings, (1.0, 2.0))]
+    trials = [Trial(f, np.full((1, 2), s, float), np.full(2, v, float)) for f, s, v in zip(settings, scores, values)]
     found = chosen(suite("td3_bc", [UMAZE], settings, by="ope", steps=10, seeds=2), "ope", trials, Store(tmp_path))
-    assert (found.best.fields, found.truth, found.lost) == ({"alpha": 5.0}, None, 0.0)
+    assert (found.best.fields, found.truth, found.lost) == ({"alpha": best}, None, lost)
     assert (tmp_path / "tuned.json").exists()
 
 

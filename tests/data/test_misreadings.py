@@ -24,6 +24,12 @@ EPISODE = np.repeat(np.arange(10), 12)
 WALK = np.stack([np.arange(N), np.arange(N) * 0.5], 1) + RNG.normal(size=(N, 2))
 
 
+@pytest.fixture
+def rng():
+    """Of the test's own: what is drawn above is the same for all of them."""
+    return np.random.default_rng(1)
+
+
 def named(log):
     return log.provenance.extra["observation_names"]
 
@@ -155,8 +161,8 @@ def test_one_of_several_actions_cannot_be_discrete():
             Dataset.from_frame(base(b=np.arange(N) % 2), action=["action", "b"], kinds={"b": kind})
 
 
-def test_the_first_name_of_the_time_orders_rows():
-    order = RNG.permutation(N)
+def test_the_first_name_of_the_time_orders_rows(rng):
+    order = rng.permutation(N)
     table = {key: np.asarray(value)[order] for key, value in base(ep=EPISODE, step=STEP, timestamp=STEP * 60.0).items()}
     log = Dataset.from_frame(table)
     np.testing.assert_array_equal(log.observations[:, 0], X.astype(np.float32))
@@ -345,8 +351,8 @@ ASK = {"%d.%m.%Y": "month-first", "%d/%m/%Y": "month-first", "%m/%d/%Y": "day-fi
 
 @pytest.mark.parametrize("made", [pd.DataFrame, pa.table, dict, lambda t: pd.DataFrame(t).astype({"day": "category"})])
 @pytest.mark.parametrize("form", ASK)
-def test_texts_of_dates_in_frames_are_read_as_in_text_files(form, made):
-    order = RNG.permutation(N)
+def test_texts_of_dates_in_frames_are_read_as_in_text_files(form, made, rng):
+    order = rng.permutation(N)
     texts = [DAYS[i].strftime(form) for i in order]
     table = made({"day": texts, "x": np.arange(N)[order] * 1.0, "action": order % 3, "reward": R[order]})
     log = Dataset.from_frame(table, time="day")
@@ -473,7 +479,7 @@ def test_arrays_of_other_shapes_are_told_by_their_names():
         Dataset.from_frame(pd.DataFrame(base(y=pd.Series([1, "a"] * (N // 2), dtype=object))))
 
 
-def test_dates_that_only_fall_within_episodes_are_told():
+def test_dates_that_only_fall_within_episodes_are_told(rng):
     def of(days, **more):
         return Dataset.from_frame(base(ep=EPISODE, day=pa.array(days, pa.date32())), **more)
 
@@ -482,7 +488,7 @@ def test_dates_that_only_fall_within_episodes_are_told():
     assert not told(of(falling, time="day"), "never rises")
     assert not told(of(DAYS), "never rises")
     for _ in range(50):
-        assert not told(of([DAYS[i] for i in RNG.permutation(N)]), "never rises")
+        assert not told(of([DAYS[i] for i in rng.permutation(N)]), "never rises")
 
 
 def by_schema(table, **columns):
@@ -601,10 +607,10 @@ def test_what_replaces_missing_values_is_told_as_it_is():
     assert told(log, r"1 missing values in 1 of 120 rows are replaced by the column's fill \(the mean by default\)")
 
 
-def test_rows_of_an_episode_that_are_not_together_are_told():
+def test_rows_of_an_episode_that_are_not_together_are_told(rng):
     """With the column that counts their steps, where there is one; rows that are together are taken as they stand."""
     step, episode = np.arange(N) % 12, np.arange(N) // 12
-    shuffled = RNG.permutation(N)
+    shuffled = rng.permutation(N)
     for order, words in ((shuffled, "column minute counts their steps in another order: --time minute"),
                          (np.argsort(step, kind="stable"), "they are taken in the table's order")):  # fmt: skip
         log = Dataset.from_frame(base(minute=step[order], machine=episode[order]), episode="machine")
@@ -625,10 +631,10 @@ def test_times_of_day_that_pass_midnight_are_told(tmp_path):
     assert not told(read(path, episode="night", time="clock"), "another order")
 
 
-def test_columns_that_count_rows_are_told():
-    log = Dataset.from_frame(base(order=70_001 + RNG.permutation(N)))
+def test_columns_that_count_rows_are_told(rng):
+    log = Dataset.from_frame(base(order=70_001 + rng.permutation(N)))
     assert told(log, "column order has whole numbers without gaps, each once")
-    assert not told(Dataset.from_frame(base(order=RNG.permutation(N) * 2)), "column order has")
+    assert not told(Dataset.from_frame(base(order=rng.permutation(N) * 2)), "column order has")
 
 
 def test_subtotals_among_levels_are_told():
@@ -652,9 +658,9 @@ def test_a_last_row_that_calls_itself_a_total_is_told(tmp_path, word):
 
 
 @pytest.mark.parametrize("function", [np.sum, np.mean])
-def test_a_last_row_of_sums_or_means_is_told(tmp_path, function):
+def test_a_last_row_of_sums_or_means_is_told(tmp_path, function, rng):
     path = tmp_path / "log.csv"
-    table = pd.DataFrame({"x": X, "y": RNG.integers(0, 9, N) + 0.25, "action": np.arange(N) % 3, "reward": R})
+    table = pd.DataFrame({"x": X, "y": rng.integers(0, 9, N) + 0.25, "action": np.arange(N) % 3, "reward": R})
     total = table[["x", "y", "reward"]].apply(function).to_frame().T.assign(action=0)
     pd.concat([table, total]).to_csv(path, index=False)
     assert told(read(path), r"the last row, 120, looks like a total \(columns x, y, reward have the sums or the means")

@@ -34,7 +34,7 @@ def test_every_column_with_what_becomes_of_it(table):
     assert (found["site"].holds, found["site"].becomes) == ("a, b", "observation 0-1 (one 0/1 number per level)")
     assert found["temp"].holds == "1.5 .. 4.5"
     assert found["temp"].dimensions == (2, 3)
-    assert found["temp"].becomes == "observation 2-3 (missing cells: 3, marked in the last)"
+    assert found["temp"].becomes == "observation 2-3 (missing cells: 3, marked by 1 in the last)"
     assert found["act"].becomes == "actions 0, 1, 2 = high, low, mid"
     assert found["note"].becomes.startswith("left out: empty")
     assert found["day"].becomes == "identifies episodes"

@@ -161,7 +161,7 @@ def test_held_out_episodes_are_not_in_the_replay(offline, run):
 def test_the_last_lines_count_the_steps_of_simulation(run):
     told = summary(run)
     lengths = sum(run.evaluations["length"].to_pylist()) // 2
-    assert f"simulated: {STEPS} training steps per seed, {lengths} in 4 evaluations" in told
+    assert f"simulated: {STEPS} environment steps per seed in training, {lengths} in 4 evaluations" in told
     assert "from return" in told
 
 
@@ -176,7 +176,7 @@ def test_the_report_tells_what_it_began_with_and_how_it_is_made_again(offline, r
     told = str(section(page))
     for fact in ("continues", "after 20 updates on the log", "90 rows, 50% of each batch; 3 episodes are held out"):
         assert fact in told
-    assert f"{STEPS} training steps per seed" in told
+    assert f"{STEPS} environment steps per seed in training" in told
 
 
 @pytest.mark.slow
@@ -279,7 +279,7 @@ def test_from_the_command_line(tmp_path, home, capsys):
     words = ["train", "--from", str(tmp_path / "a"), "--online", "--task", "hopper", "--steps", "32", "--episodes", "1", *turns]
     capsys.readouterr()
     assert main([*words, "--agent.lr", "0.002", "--out", str(tmp_path / "b")]) == 0
-    assert "32 training steps per seed" in capsys.readouterr().out
+    assert "32 environment steps per seed in training" in capsys.readouterr().out
     config = read_json(tmp_path / "b" / "run.json")
     fields = config["agent"]["fields"]
     assert (config["agent"]["name"], fields["lr"], fields["hidden"], config["online"]["explore"]) == (agent, 0.002, [5], 0)

@@ -87,7 +87,7 @@ def test_episodes_that_cannot_be_repeated_begin_anew_with_a_warning(tmp_path):
             raise StopTraining
 
     train(tmp_path / "run", dr.task(toys.Unseeded, horizon=50), watch=stop)
-    with pytest.warns(UserWarning, match="it draws from elsewhere; 8 episodes begin anew"):
+    with pytest.warns(UserWarning, match="it draws from elsewhere; 8 episodes start again"):
         found = train(tmp_path / "run", dr.task(toys.Unseeded, horizon=50), resume=True)
     rows = np.fromfile(found.path / "replay" / "seed0.bin", np.float32).reshape(-1, 6)
     per_copy = rows.reshape(-1, 4, 6)

@@ -19,7 +19,7 @@ from deadreckon.online.rows import row_width
 from deadreckon.policies import store
 from deadreckon.runs import online as module
 from deadreckon.runs.evaluate import evaluate
-from deadreckon.runs.gather import LEARNED, fresh, gather
+from deadreckon.runs.gather import LEARNED, NOBODY, fresh, gather
 from deadreckon.runs.recorder import Recorder
 from deadreckon.training.checkpoint import load_arrays
 from tests.agents.little import Little
@@ -72,9 +72,9 @@ def stop_at(step):
     return watch
 
 
-def replayed(run, seed=0):
-    """A seed's steps as a log."""
-    path, steps = run.path / "replay" / f"seed{seed}.bin", STEPS
+def replayed(run, seed=0, steps=STEPS):
+    """A seed's first steps as a log."""
+    path = run.path / "replay" / f"seed{seed}.bin"
     return replay_log(path, HOPPER, SETTINGS.copies, steps, name="replay", provenance=Provenance("replay"))
 
 
@@ -88,7 +88,23 @@ def test_its_own_steps_are_episodes_that_it_was_trained_on(run, tmp_path):
     write_hdf5(log, tmp_path / "replay.hdf5")
     for given in (log, read_hdf5(tmp_path / "replay.hdf5")):
         assert fresh(gather(run), given, False).against == [LEARNED]
-    assert fresh(gather(run), replayed(train(tmp_path / "other", seed=1), 1), False).against == [None]
+    other = replayed(train(tmp_path / "other", seed=1), 1)
+    for given in (run, run.path / "policies" / "seed0.npz"):
+        assert fresh(gather(given), other, False).against == [None]
+        # Fewer of its steps end each copy's last episode elsewhere: these look new, and they are not.
+        with pytest.raises(UserError, match="4 of .* are not known to .*, while the others are"):
+            fresh(gather(given), replayed(run, steps=STEPS - 8), False)
+
+
+def test_the_note_of_an_older_run_which_names_no_episodes_is_not_believed(run, tmp_path):
+    shutil.copytree(run.path, tmp_path / "r")
+    none = np.zeros(0, np.uint64)
+    np.savez(tmp_path / "r" / "episodes.npz", taught=none, held=none)
+    old = dr.load_run(tmp_path / "r")
+    assert old.taught is None
+    assert fresh(gather(old), replayed(run), False).against == [NOBODY]
+    (tmp_path / "r" / "policies" / "seed0.npz").unlink()  # and if it had not finished, it is noted now
+    np.testing.assert_array_equal(train(tmp_path / "r", resume=True).taught, run.taught)
 
 
 @pytest.mark.slow
@@ -339,6 +355,7 @@ def test_by_default_a_run_has_its_name_from_agent_and_task(tmp_path, monkeypatch
         raise Told(self.path, config["evaluation"]["every"])
 
     monkeypatch.setattr(module.Folder, "begin", begin)
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(Told) as told:
         dr.train_online(Little(), "hopper", steps=100_000, settings=Online(updates_per_step=0.5))
     assert str(told.value.args[0]) == "runs/Little-hopper-online"

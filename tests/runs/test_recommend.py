@@ -139,9 +139,10 @@ def test_what_was_found_is_told(doing, time_is_over, tmp_path):
         seen.append(each)
         time_is_over()
 
-    found = recommend("near.csv", 90.0, out=tmp_path / "out", watch=watch, page=recommended.write)
+    found = recommend("near.csv", 60.0, out=tmp_path / "out", watch=watch, page=recommended.write)
     said = str(found)
-    assert said.startswith("DO NOT DEPLOY: not enough time: the budget of 90 s was used up during training; 1 of 2 candidates")
+    why = "not enough time: the budget of 60 s was used up (at this stage: training)"
+    assert said.startswith(f"DO NOT DEPLOY: {why}; 1 of 2 candidates")
     assert "bc: trained, 90 of 90 updates" in said
     assert "iql: was training, 30 of 90 updates" in said
     assert "to be done: training, evaluation" in said
@@ -214,7 +215,7 @@ def test_estimates_that_are_there_are_the_card_even_if_the_check_hangs(doing, ti
         "send('line', 'written'); time.sleep(600)"
     )
     tell = lambda line: time_is_over() if line == "written" else None  # noqa: E731
-    found = recommend(a_log(), 90.0, out=tmp_path / "out", tell=tell, page=recommended.write)
+    found = recommend(a_log(), 60.0, out=tmp_path / "out", tell=tell, page=recommended.write)
     assert found.judged
     assert found.choice.deploy
     assert "DEPLOY bc seed 0: it is better." in str(found)
@@ -567,7 +568,7 @@ def test_the_command_gives_a_card_where_there_is_no_time_to_speak_of(tmp_path, c
     options = ["--action", "dose", "--reward", "gain", "--episode", "day", "--budget", "2s", "--holdout-by", "time"]
     assert main(["recommend", str(table), *options, "--out", str(tmp_path / "out")]) == 0
     told = capsys.readouterr().out
-    assert told.index("a card in 2 s at the latest") < told.index("DO NOT DEPLOY: not enough time")
+    assert told.index("time plan for 2 s") < told.index("DO NOT DEPLOY: not enough time")
     assert (tmp_path / "out" / "report.html").exists()
     assert main(["recommend", str(table), "--budget", "0s", "--out", str(tmp_path / "more")]) == 2
 

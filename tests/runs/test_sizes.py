@@ -80,7 +80,7 @@ def test_train_warns(tmp_path):
 
 
 def test_a_rule_that_ends_episodes_reads_observations_as_they_are():
-    columns = {"observations": np.zeros((20, 11)), "actions": RNG.uniform(-1, 1, (20, 3)), "rewards": np.zeros(20)}
+    columns = {"observations": np.zeros((20, 11)), "actions": np.zeros((20, 3)), "rewards": np.zeros(20)}
     own = dr.Dataset.from_arrays(**columns, timeouts=np.arange(20) == 19, name="mine")
     with pytest.raises(dr.UserError, match="MOPO.standardise: the rule that ends episodes of hopper .* 'learned'"):
         dr.agents.MOPO(standardise=True, termination="hopper").resolve(own.spec, 10)

@@ -103,7 +103,7 @@ def test_an_episode_that_could_not_be_taken_up_again_ends_in_its_last_row(acted,
     before = np.fromfile(path, np.float32).reshape(experience.count, -1)
     go_on = ~before[:, -2:].any(1).reshape(-1, SETTINGS.copies)
     last = SETTINGS.copies * np.flatnonzero(go_on.all(1))[-1]  # where no copy's episode has ended by itself
-    with pytest.warns(UserWarning, match="2 episodes begin anew"):
+    with pytest.warns(UserWarning, match="2 episodes start again"):
         experience.restore(state | {"count": np.asarray(last + SETTINGS.copies)})
     after = np.fromfile(path, np.float32).reshape(before.shape)
     assert np.argwhere(before != after).tolist() == [[last, before.shape[1] - 1], [last + 1, before.shape[1] - 1]]

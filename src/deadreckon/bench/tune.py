@@ -199,7 +199,8 @@ def chosen(search: Suite, by: By, trials: Sequence[Trial], store: Store) -> Tune
         raise UserError(f"no setting can be chosen: {trials[0].failure or 'nothing finite was estimated'}")
     best = int(np.nanargmax(standing))
     known = bool(np.isfinite(means).all()) and by == "ope"
-    truth = compare(standing, means) if known and np.ptp(means) > 0 and np.isfinite(standing).all() else None
+    ranked = known and np.isfinite(standing).all() and min(np.ptp(means), np.ptp(standing)) > 0
+    truth = compare(standing, means) if ranked else None
     lost = float(means.max() - means[best]) if known else None
     found = Tuned(search.methods[0].agent, by, tuple(trials), trials[best], truth, lost)
     write_json(store.path / "tuned.json", _json(found, search))

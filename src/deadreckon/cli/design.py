@@ -59,7 +59,6 @@ class Design:
     weights: dict[str, float] = dataclasses.field(default_factory=dict)
     """further columns in the score, such as costs, as COLUMN WEIGHT pairs: the score is target + sum of weight x column"""
     max_distance: float | None = None
-
     """largest distance of proposals to the nearest scored design, in typical distances (the median nearest-neighbour distance
     of scored designs); None: no limit"""
     apart: float | None = None

@@ -11,7 +11,7 @@ from deadreckon.cli.parse import parse, with_policy_seed
 
 @dataclass
 class Explain:
-    """Fit a small decision tree to a policy, report its fidelity on held-out rows, and name the columns that matter.
+    """Fit a small decision tree to a policy, report its fidelity on other rows of the log, and name the columns that matter.
 
     Without LOG the result is kept in the run's folder, and `deadreckon report` draws it.
     """

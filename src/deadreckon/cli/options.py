@@ -47,7 +47,8 @@ class TrainOnline:
     None: with --from, the task of that run"""
     steps: int = 1_000_000  # environment steps per seed, including the uniformly random ones at the beginning
     seeds: int | None = None
-    """number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1; None: 1"""
+    """number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1; None: 1, or
+    with --from those of the run"""
     seed: int | None = None  # first random seed; None: 0, or with --from that of the run
     out: str | None = None  # run folder; None: runs/AGENT-TASK-online, or runs/AGENT-TASK-fine-tuned with --from
     copies: int | None = None  # environments stepped in parallel per seed; None: the agent's own number, or 8

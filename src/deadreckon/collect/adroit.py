@@ -115,7 +115,7 @@ def collect_adroit(
     """
     full = f"{name}@{VERSION}"
     if kind == "expert":
-        provenance = acted_in(BODY, name, seed, {"task": task.name, "policies": ["DAPG's"], "actions": "sampled, clipped to 1"})
+        provenance = acted_in(BODY, name, seed, {"task": task.name, "policies": ["DAPG's"], "actions": "drawn, clipped to 1"})
         return _acted(task, load_dapg(policy_file(task)), steps, full, seed, provenance, threads, scratch, progress)
     people = human(task)
     if kind == "human":
@@ -126,7 +126,7 @@ def collect_adroit(
         raise UserError(f"{name}: steps must be 2 or more, got {steps}")
     shown = steps // 2
     extra = {"task": task.name, "policies": ["people", "bc"], "updates": UPDATES, "rows": [shown, steps - shown],
-             "from": people.provenance.extra["from"], "actions": "as demonstrated, then sampled; clipped to 1"}  # fmt: skip
+             "from": people.provenance.extra["from"], "actions": "as demonstrated, then drawn; clipped to 1"}  # fmt: skip
     provenance = acted_in(BODY, name, seed, extra)
     clone = cloned_policy(people, seed, scratch / "clone")
     told = (lambda rows, total: progress(shown + rows, steps)) if progress else None

@@ -116,7 +116,7 @@ def collect_replay(
     if seed == 0 and (different := differences(run["versions"], now, [*now])):
         text = f"{name}: not the run that the policies come from, but another of the same kind: {'; '.join(different)}"
         warnings.warn(text, stacklevel=2)
-    extra = {"task": task.name, "training": run["agent"], "online": run["online"], "actions": "sampled, uniform at first",
+    extra = {"task": task.name, "training": run["agent"], "online": run["online"], "actions": "drawn, uniform at first",
              "trained_with": now, "device": jax.default_backend()}  # fmt: skip
     provenance = acted_in("gymnasium", name, seed, extra)
     path = train_for_rows(

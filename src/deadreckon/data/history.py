@@ -90,8 +90,9 @@ class Histories:
     def final(self) -> np.ndarray:
         """(episodes, history_size) histories after each episode's last action; where it is not known what that led to, the
         last row's own."""
-        after = self.log.ends + self.log.final_known
-        return self._before(after, self.log.starts, np.asarray(self.log.final_observations, np.float32))
+        known, last = self.log.final_known, np.asarray(self.log.observations[self.log.ends], np.float32)
+        newest = np.where(known[:, None], np.asarray(self.log.final_observations, np.float32), last)
+        return self._before(self.log.ends + known, self.log.starts, newest)
 
     def _before(self, rows: np.ndarray, starts: np.ndarray, newest: np.ndarray) -> np.ndarray:
         """Histories that end with the observations `newest`, which were seen at `rows` of episodes that begin at `starts`."""

@@ -163,7 +163,7 @@ def _becomes(log: Dataset, column: Column, seen: dict[str, Any], at: tuple[int, 
         how = ["one 0/1 number per level"] if column.kind == "category" else []
         if column.marked:
             filled = "no level" if column.fill is None else f"{column.fill:.4g}"
-            how.append(f"missing cells: {filled}, marked in the last")
+            how.append(f"missing cells: {filled}, marked by 1 in the last")
         return span + (f" ({'; '.join(how)})" if how else "") + _kept(column)
     if column.role == "action":
         if isinstance(log.action_space, Box):

@@ -122,7 +122,7 @@ def about_front(front: Front) -> dict[str, list[Any]]:
         "mean_std_TARGET": OF_MEAN,
         "distance": DISTANCE,
         "nearest_row": NEAREST,
-        "nearest_score_TARGET": "measured value",
+        "nearest_score_TARGET": "measured value in that row",
     }  # fmt: skip
     return {"what": list(lines), "value": list(lines.values())}
 

@@ -128,7 +128,7 @@ class Quality:
         if self.skilled:
             return None
         if self.rank_correlation > self.limit:
-            return "predictions of unseen designs do not go with their scores, but their order does: one may be an error"
+            return "predictions of unseen designs do not go with their scores, but their order does: one score may be an error"
         return (
             "the model's order of unseen designs cannot be distinguished from chance (rank correlation "
             f"{self.rank_correlation:.2f}; with {len(self.observed):,} designs chance alone gives up to {self.limit:.2f}); "

@@ -226,7 +226,7 @@ def name_of_rows(v: Variable, values: np.ndarray, designs: int) -> str | None:
     own = len(np.unique(values)) if v.kind == "categorical" else 0
     if own < FEWEST or own <= OWN * designs:
         return None
-    text = f"holds {own:,} different values in {designs:,} designs, like an identifier of rows, which has no effect"
+    text = f"holds {own:,} different values in {designs:,} designs, like an identifier of rows, and has no effect to estimate"
     return f"column {v.name} {text}; ignore it (--ignore {shlex.quote(v.name)}), or say kind categorical"
 
 

@@ -256,7 +256,7 @@ class Exploration:
         self.replay.restore(int(state["count"]))
         if lost is not None:
             told = "when seed and actions are repeated it shows something else, so it draws from elsewhere"
-            warnings.warn(f"{self.task.name}: {told}; {len(lost)} episodes begin anew", stacklevel=2)
+            warnings.warn(f"{self.task.name}: {told}; {len(lost)} episodes start again", stacklevel=2)
             self._begin_episodes(lost)
 
     def _cut(self, lost: np.ndarray, count: int) -> None:

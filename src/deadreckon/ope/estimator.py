@@ -67,7 +67,7 @@ class Estimator(eqx.Module):
         if case.data.successors is not None and not self.takes_apart:
             raise UserError(
                 f"{case.data.name}: its rows do not follow each other, so {self.label} would take what the behaviour policy "
-                "did elsewhere for what it did next; use FQE, also with linear features, or a model"
+                "did elsewhere for what it did next; use FQE, also with linear features or return distributions, or a model"
             )
 
     def on(self, case: OPEInput) -> Estimates:

@@ -39,7 +39,8 @@ def with_features(log: Dataset, policies: Sequence[Any], names: Sequence[str]) -
     parts = []
     for policy, name in zip(policies, names):
         if isinstance(policy, EnvPolicy) and isinstance(policy.inner, Mixture):
-            raise UserError(f"{name} is a mixture of policies of images: give the folder of its cross-fit, or its members")
+            what = f"{name} is a mixture of policies with image observations"
+            raise UserError(f"{what}: give the folder of its cross-fit, or its members")
         if not (isinstance(policy, EnvPolicy) and isinstance(policy.inner, Seeing)):
             raise UserError(
                 f"{name} has no encoder: estimators evaluate policies with image observations on the features that the "

@@ -77,7 +77,7 @@ def bounds(
     """
     top = np.max(log_high, initial=-np.inf)
     if not np.isfinite(top):
-        raise UserError("no episode has a weight: the policy takes no logged action")
+        raise UserError("no episode has a weight: each has an action that the policy never takes")
     order = np.argsort(np.asarray(outcomes, float), kind="stable")
     y, low, high = np.asarray(outcomes, float)[order], np.exp(log_low - top)[order], np.exp(log_high - top)[order]
     begin = float(np.mean(baseline))

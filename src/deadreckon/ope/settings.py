@@ -38,8 +38,8 @@ class EstimateSettings(FitSettings):
 
     discount: float = 0.995  # discount factor per step; 1 where episodes end or there is a horizon
     horizon: int | Literal["auto"] | None = None
-    """number of first steps of an episode that count; None: all; auto: the length at which all timeouts fall if it is one,
-    else all"""
+    """number of first steps of an episode that count; None: all; auto: the step at which all timeouts fall, if more than
+    2 % of the discounted time lies beyond it, else all"""
     greedy: bool = False  # whether to evaluate deterministic (greedy) instead of sampled actions
 
     def estimand(self, log: Dataset) -> Estimand:

@@ -67,7 +67,7 @@ def lower_tail(log_weights: np.ndarray, returns: np.ndarray, share: float, least
     logs, returns = np.asarray(log_weights, float), np.asarray(returns, float)
     top = logs.max(initial=-np.inf)
     if not np.isfinite(top):
-        raise UserError("no episode has a weight: the policy takes no logged action")
+        raise UserError("no episode has a weight: each has an action that the policy never takes")
     weights = np.exp(logs - top)
     weights /= weights.mean()
     order = np.argsort(returns, kind="stable")

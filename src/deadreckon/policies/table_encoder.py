@@ -131,7 +131,7 @@ class TableEncoder:
         if outside not in ("raise", "flag"):
             raise RowsError(f"outside must be raise or flag, got {outside!r}")
         if legal is not None and not self.masked:
-            raise RowsError(f"{self.name}: leave legal out: the log of this policy has no legal actions")
+            raise RowsError(f"{self.name}: leave legal out: the log of this policy does not say which actions are legal")
         found = columns_of(rows, self.observed, self.used, self.name)
         if found is None:
             return self._plain(rows, outside, legal)

@@ -121,7 +121,7 @@ def distance(page: Page) -> Markup | None:
         note(
             inside + "How far each policy's actions moved from the logged ones at the same states. Imitation stays near zero; "
             "an agent that improves on the log has to leave it somewhat; for one that leaves it far, no data supports its "
-            f"values to.{told}"
+            f"values.{told}"
         ),
     )
 

@@ -190,8 +190,8 @@ def _of_effects(data: Designs, made: Proposals, effects: list[Effect]) -> list[s
     if turning:
         lines.append(
             f"{'Effects' if len(turning) > 1 else 'The effect'} of {_listed(list(map(name, turning)))} "
-            f"{'depend' if len(turning) > 1 else 'depends'} on the other variables: not distinguishable from zero on average, "
-            "but in single rows."
+            f"{'depend' if len(turning) > 1 else 'depends'} on the other variables: on average it cannot be distinguished from "
+            "zero, in single rows it can."
         )
     return lines
 

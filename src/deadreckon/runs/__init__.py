@@ -1,1 +1,1 @@
-"""Where a method meets a judge: train, evaluate, run folders."""
+"""Training and evaluation of agents, and run folders."""

@@ -1,9 +1,9 @@
-"""What `recommend` lets a process of its own do: pilots, learning, judging and the check in a simulator.
+"""The work of `recommend` in a separate process: pilots, training, evaluation and the check in a simulator.
 
-A program that is being compiled cannot be interrupted from within its process, so `recommend` ends this one where its time
-is over. Whatever is found is therefore told at once, by lines of JSON on standard output, and files are complete or absent.
+A program that is being compiled cannot be interrupted from within its process, so `recommend` ends this process when its time
+is over. Results are therefore reported at once, as lines of JSON on standard output, and files are complete or absent.
 
-    python -m deadreckon.runs.attempt      reads its task, one JSON line, from standard input, and ends where that is closed
+    python -m deadreckon.runs.attempt      reads its task, one JSON line, from standard input, and ends when that is closed
 """
 
 import contextlib
@@ -112,10 +112,10 @@ class Job:
 
 @dataclass(frozen=True)
 class Pilot:
-    """How fast a candidate learns.
+    """The speed of training a candidate.
 
     Attributes:
-        start: seconds until its first updates were done, which are mostly the compiler's.
+        start: seconds until its first updates were done, mostly compile time.
         rate: updates per second after that.
     """
 
@@ -124,7 +124,7 @@ class Pilot:
 
 
 class Attempt:
-    """A log and some time; everything that is found is told to `send` as it comes."""
+    """Trains and evaluates candidates on a log in a given time; each result is passed to `send` at once."""
 
     def __init__(self, job: Job, send: Callable[[str, Any], None]):
         self.job, self.settings, self.send = job, job.settings, send
@@ -150,6 +150,8 @@ class Attempt:
         judging = self._judging(log, learning, len(candidates), hidden, pilots)
         runs = self._learn(candidates, hidden, pilots, judging, log, holdout)
         if not runs:
+            if any(told["state"] == "not begun" for told in self.told):
+                raise self._short("the candidates that were trained diverged (NaN or Inf), the others were not started")
             raise Unfinished("all candidates diverged (NaN or Inf) in training")
         judged = self._judge(runs, log, hidden, pilots, judging)
         self._check(runs, judge_in, judged)
@@ -416,7 +418,7 @@ class Attempt:
 
 
 class Unfinished(Exception):
-    """There is nothing to judge, for a reason that belongs on the card."""
+    """There is nothing to evaluate, for a reason that is shown on the card."""
 
 
 def _number(value: Any) -> Any:

@@ -1,4 +1,4 @@
-"""What a run tells a function of the user's after every chunk, and how that function ends the run."""
+"""The callback of a run: what a user's function receives after every chunk, and how it ends the run."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -14,12 +14,12 @@ from deadreckon.training.fit import Failure
 
 
 class StopTraining(Exception):
-    """Raised by a watcher or callback: the run ends with this chunk, as if no more had been asked for, and may be resumed."""
+    """Raised by a callback or watcher to end the run with this chunk, as if it were complete; it can be resumed."""
 
 
 @dataclass(frozen=True)
 class TrainingProgress:
-    """How far a run has come, as its callback sees it after a chunk of updates.
+    """The progress of a run, as its callback receives it after a chunk of updates.
 
     Attributes:
         path: the run folder.
@@ -41,13 +41,13 @@ class TrainingProgress:
 
     @property
     def evaluations(self) -> pa.Table:
-        """One row an episode of every evaluation up to `step`; waits for those that are under way, so that what a callback
-        decides by them does not depend on the machine's speed."""
+        """One row per episode of every evaluation up to `step`; waits for unfinished evaluations, so that the decisions of a
+        callback do not depend on the machine's speed."""
         return self.find_evaluations()
 
     @property
     def policies(self) -> list[EnvPolicy]:
-        """The present policies, one per seed; of a failed seed the last good one."""
+        """The current policies, one per seed; for a failed seed the last good one."""
         return self.find_policies()
 
 

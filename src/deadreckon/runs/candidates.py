@@ -12,14 +12,14 @@ from deadreckon.data.spec import Spec
 
 @dataclass(frozen=True)
 class Candidate:
-    """An agent with settings that is worth a try.
+    """An agent with settings to try.
 
     Attributes:
         name: in tables and of its run folder.
         agent: its registered name.
         fields: settings that differ from its defaults.
         why: in a few words.
-        deterministic: its policy draws nothing, so that no logged reward can correct its estimate where actions are continuous.
+        deterministic: its policy does not sample, so no logged reward can correct its estimate if actions are continuous.
     """
 
     name: str
@@ -53,9 +53,9 @@ DISCRETE = (
 
 
 def units(spec: Spec) -> dict[str, Any]:
-    """Settings that bring what agents learn from to about 1 in size, where the numbers of a log are far from that.
+    """Settings that scale observations and rewards to about 1 in size, if those of a log are far from that.
 
-    Agents learn little, or worse than nothing, from people's units: see docs/recommend.md.
+    Agents train badly on observations and rewards in the usual units of measurement: see docs/recommend.md.
     """
     found: dict[str, Any] = {} if usual_observations(spec) else {"standardise": True}
     return found if (scale := reward_scale(spec)) == 1.0 else found | {"reward_scale": scale}

@@ -1,4 +1,4 @@
-"""The model card beside an exported policy: what it is made of, what it was judged at, and what it cannot do, in Markdown."""
+"""The model card beside an exported policy, in Markdown: its origin, its estimates and its limits."""
 
 import datetime
 import inspect
@@ -29,7 +29,7 @@ def card(
     Args:
         one: the policy.
         log: on whose rows the export was checked.
-        estimates: of the policy, and its place there; None where there are none.
+        estimates: of the policy, and its index there; None if there are none.
         format: of the export.
         use: how it is used, lines of Markdown.
         checked: rows on which it was checked.

@@ -1,4 +1,4 @@
-"""How much of a time budget is left, and how it is divided."""
+"""A time budget: how much of it is left, and how it is divided."""
 
 import math
 import time

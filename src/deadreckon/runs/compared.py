@@ -1,7 +1,7 @@
-"""What a new log holds against an earlier one, column by column: how much differs, and whether that can be chance.
+"""Compares a new log with an earlier one, column by column: the size of a difference, and whether it can be chance.
 
-Tests and what makes them safe to repeat are in `stats.drift`; here is what is compared: the rows of whole episodes, or of whole
-clusters of them where the log has a group column. Of a long episode `WITHIN` rows at regular distances are looked at.
+The tests, which may be repeated, are in `stats.drift`; this module has the data that they compare: the rows of whole episodes,
+or of whole clusters of them if the log has a group column. Of a long episode, `WITHIN` rows at regular distances are used.
 """
 
 from collections.abc import Mapping, Sequence
@@ -83,13 +83,14 @@ class Compared:
         what: the column.
         distance: largest difference of the shares of rows at most some value (Kolmogorov and Smirnov); of a category half the
             sum of the differences of its levels' shares (total variation). 0 .. 1.
-        shift: difference of the means in standard deviations of the reference; NaN of a category, infinite where that did not
-            vary.
+        shift: difference of the means in standard deviations of the reference; NaN for a category, infinite if the reference
+            did not vary.
         before, now: mean of the reference and of the new log; of a category the share of the level that differs most.
         level: that level; empty of numbers.
         missing: share of the rows without a value, in the reference and in the new log.
         others: values of the new log that are none of the reference's levels, as texts.
-        found: after how many new episodes the first test accused the column, and which part of them it had compared; None.
+        found: the number of new episodes at which a test first found a change in the column, and which part of them it had
+            compared; None if no test did.
     """
 
     what: What
@@ -164,8 +165,8 @@ def some(episodes: np.ndarray, purpose: str, *counters: int) -> np.ndarray:
 
 
 def drifts(old: Sample, new: Dataset, which: Sequence[What], first: bool, alpha: float) -> tuple[list[Compared], int]:
-    """Every column against the reference, and how many tests were made of them; the chance that any is accused without a change
-    is at most `alpha`, ever.
+    """Compares every column with the reference; also returns the number of tests. The probability that any column is ever
+    reported without a change is at most `alpha`.
 
     Args:
         old: the reference.
@@ -220,12 +221,13 @@ def _compared(what: What, old: Sample, now: Sample, others: tuple[str, ...], fou
 
 
 class Outside(NamedTuple):
-    """Rows of the new log that lie outside the reference: with a number beyond the least or greatest there, a level that it
-    does not have, or a missing value in a column that misses none there.
+    """Rows of the new log that lie outside the reference: with a number beyond its smallest or largest value, a level that it
+    does not have, or a missing value in a column that has none there.
 
     Attributes:
         share: of the new log's rows, 0 .. 1.
-        columns: name, in which way, in how many rows, and whether that is more than chance allows; those with any.
+        columns: name, in which way, in how many rows, and whether that is more than chance can explain; only columns with such
+            rows.
     """
 
     share: float
@@ -235,8 +237,8 @@ class Outside(NamedTuple):
 def outside(old: Dataset, new: Dataset, which: Sequence[What], first: bool, alpha: float) -> Outside:
     """How much of a new log lies outside the reference; see `drifts` for the arguments.
 
-    All rows are counted. What cannot be chance is told by `stats.drift.beyond`, from the rows that are compared alone: the
-    chance that any column is accused without a change is at most `alpha`.
+    All rows are counted. `stats.drift.beyond` tests, on the compared rows alone, what cannot be chance: the probability that
+    any column is reported without a change is at most `alpha`.
     """
     names = [name for what in which for name in _sides(what)]
     tables = [_extremes(log, which) for log in (old, new)]

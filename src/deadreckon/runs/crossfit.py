@@ -1,8 +1,8 @@
-"""Cross-fitting: every episode is held out once, so that a small log judges what it teaches without being used twice.
+"""Cross-fitting: every episode is held out once, so that a small log serves for both training and evaluation.
 
-Each of K policies learns from all folds but one and is judged on that one. The mean of their values is the value of the
-procedure, and exactly that of the mixture that draws one of them for each episode. Of a policy that learns once more from
-everything it says what the procedure does with a little less data.
+Each of K policies is trained on all folds but one and evaluated on that one. The mean of their values is the value of the
+procedure, and exactly that of the mixture that draws one of them for each episode. For a policy that is trained again on all
+episodes, it is the value of the same procedure with a little less data.
 """
 
 import shutil
@@ -45,8 +45,8 @@ class CrossFit:
 
     Attributes:
         path: its folder.
-        config: what was asked for, as in `crossfit.json`; `members` are the mixture's, (fold, seed) each.
-        runs: one per fold, which has not learned from it.
+        config: the settings, as in `crossfit.json`; `members` are the mixture's, (fold, seed) each.
+        runs: one per fold, which was not trained on it.
     """
 
     path: Path
@@ -54,7 +54,7 @@ class CrossFit:
     runs: list[Run]
 
     def fold_of(self, log: Dataset) -> np.ndarray:
-        """(episodes,) the fold in which each episode was held out, whose policies have not seen it; -1 where it was in none."""
+        """(episodes,) the fold in which each episode was held out, whose policies were not trained on it; -1 for none."""
         fold = np.full(log.episodes, -1)
         for number, run in enumerate(self.runs):
             assert run.held is not None  # a cross-fit notes it
@@ -72,14 +72,14 @@ class CrossFit:
         return store.load(self.policy_path) if self.config["deliver"] == "mixture" else load(self.policy_path).policy
 
     def policy_of(self, seed: int) -> EnvPolicy:
-        """What would be deployed of one seed: the mixture of its policies, or its policy of all episodes."""
+        """The policy to deploy for one seed: the mixture of its policies, or its policy trained on all episodes."""
         if self.config["deliver"] != "mixture":
             refit = load(self.policy_path)
             return refit.policies[refit.seeds.index(seed)]
         return Mixture.of([run.policies[run.seeds.index(seed)] for run in self.runs])
 
     def file_of(self, seed: int) -> Path | None:
-        """The file of `policy_of`; None where a fold's policy of that seed failed, or in folders of before there was one."""
+        """The file of `policy_of`; None if a fold's policy of that seed failed, or in folders from older versions."""
         if self.config["deliver"] != "mixture":
             return Folder(self.policy_path).policy(seed)
         file = self.policy_path if len(self.runs[0].seeds) == 1 else self.path / MIXTURE_OF.format(seed)
@@ -106,7 +106,7 @@ def cross_fit(
     task: Any = None,
     **settings: Unpack[TrainOptions],
 ) -> CrossFit:
-    """Trains an agent once for each fold of a log, from the other folds, and makes what is to be deployed.
+    """Trains an agent once for each fold of a log, on the other folds, and makes the policy to deploy.
 
     Args:
         agent: as for `runs.train.train`.
@@ -116,15 +116,16 @@ def cross_fit(
             "random".
         seed: of the folds, and the first of each run's.
         out: folder of the run folders `fold0`, `fold1`, ...; None is `runs/AGENT-LOG-crossfit`.
-        deliver: "mixture" makes a policy of those of all folds, `mixture.npz`; "refit" a run on all episodes, `refit`.
+        deliver: "mixture" combines the policies of all folds into one, `mixture.npz`; "refit" makes a run on all episodes,
+            `refit`.
         steps: number of updates, for every fold.
         seeds: number of independent runs of every fold.
         task: see `runs.train.train`.
-        **settings: see `train`; for every fold, and without `holdout`. With `resume` finished folds are not done again, and
-            another delivery may be asked for.
+        **settings: see `train`; for every fold, and without `holdout`. With `resume`, finished folds are not trained again, and
+            `deliver` may be different.
 
     Raises:
-        UserError: input that does not fit, and nothing is written then, or a fold in which every seed failed; in one line.
+        UserError: invalid input, in which case nothing is written, or a fold in which every seed failed; in one line.
     """
     if (holdout := settings.get("holdout")) is not None:
         raise UserError(f"cross_fit holds every fold out in turn: leave holdout out, got {holdout}")

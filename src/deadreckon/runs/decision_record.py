@@ -25,7 +25,7 @@ class Estimand(TypedDict):
 
 
 class JudgedPolicy(TypedDict):
-    """A policy that was judged."""
+    """A policy that was evaluated."""
 
     name: str
     run: str
@@ -36,7 +36,7 @@ class JudgedPolicy(TypedDict):
 
 
 class JudgedOn(TypedDict):
-    """The episodes that they were judged on."""
+    """The episodes on which they were evaluated."""
 
     words: str
     episodes: int
@@ -48,7 +48,7 @@ class JudgedOn(TypedDict):
 
 
 class Looks(TypedDict):
-    """How often these episodes were looked at."""
+    """The number of evaluations on these episodes."""
 
     number: int
     policies: int
@@ -57,7 +57,7 @@ class Looks(TypedDict):
 
 
 class Support(TypedDict):
-    """What the log can speak for, a number each policy."""
+    """The support of the log for each policy, as one number per policy."""
 
     missing: list[Number]
     ratio: list[Number]
@@ -65,7 +65,7 @@ class Support(TypedDict):
 
 
 class Result(TypedDict):
-    """The answers of an estimator: of each policy, and the behaviour policy's last."""
+    """The estimates of an estimator for each policy, and last for the behaviour policy."""
 
     method: str
     title: str
@@ -100,7 +100,7 @@ class Group(TypedDict):
 
 
 class Groups(TypedDict):
-    """Gains in groups, or why they are not known."""
+    """Gains in groups, or the reason why they are not known."""
 
     column: str
     refused: NotRequired[str]
@@ -123,7 +123,7 @@ class Choice(TypedDict):
 
 
 class Truth(TypedDict):
-    """What a simulator says; `apart` is the standard errors of the differences of all policies."""
+    """Values from a simulator; `apart` has the standard errors of the differences of all policies."""
 
     episodes: int
     mean: list[float]
@@ -134,7 +134,7 @@ class Truth(TypedDict):
 
 
 class Candidate(TypedDict):
-    """What `recommend` has tried."""
+    """A candidate that `recommend` has tried."""
 
     name: str
     updates: int
@@ -173,7 +173,7 @@ class Estimates(TypedDict):
 
 
 def saved_at(file: Path | None, out: Path | str | None) -> dict[str, str | None]:
-    """What is noted of a policy's file: its path, the same from the record's folder `out`, and its content."""
+    """The record of a policy's file: its path, its path relative to the record's folder `out`, and its content."""
     if file is None or not is_there(file):  # of a run in memory, whose folder is gone
         return {"file": None if file is None else str(file)}
     beside = None
@@ -183,10 +183,10 @@ def saved_at(file: Path | None, out: Path | str | None) -> dict[str, str | None]
 
 
 def file_of(policy: Mapping[str, Any], folder: Path) -> Path | None:
-    """The file of a policy that was judged: at its place from the record's folder, or where it was; None: it is gone.
+    """The file of an evaluated policy: at its path relative to the record's folder, or at its former path; None: gone.
 
     Raises:
-        UserError: there is a file, and another policy in it, or something that is no file.
+        UserError: the file holds another policy, or the path is not a file.
     """
     there = _places(policy, folder)
     same = [place for place in there if is_same(policy, place)]
@@ -204,19 +204,19 @@ def _places(policy: Mapping[str, Any], folder: Path) -> list[Path]:
 
 
 def has_changed(policy: Mapping[str, Any], folder: Path, owner: Path) -> bool:
-    """Whether another policy than the one that was judged lies at its place in `owner`, its run's or cross-fit's folder.
+    """Whether its place in `owner`, the folder of its run or cross-fit, holds another policy than the one that was evaluated.
 
     Args:
         policy: as the record has it.
         folder: of the record.
-        owner: only files in it count: another file that still holds what was judged is not what this folder has.
+        owner: only files in it count: another file that still holds the evaluated policy is ignored.
     """
     own = [place for place in _places(policy, folder) if place.resolve().is_relative_to(owner.resolve())]
     return bool(own) and not any(is_same(policy, place) for place in own)
 
 
 def is_same(policy: Mapping[str, Any], file: Path) -> bool:
-    """Whether a file holds the policy that was judged, as far as the record tells."""
+    """Whether a file holds the policy that was evaluated, as far as the record shows."""
     return policy.get("digest") is None or content_digest(file) == policy["digest"]
 
 
@@ -243,7 +243,7 @@ def _known(value: Any) -> Any:
 
 
 def is_from(policy: Mapping[str, Any], folder: Path) -> bool:
-    """Whether a policy that was judged is of a run's or cross-fit's folder: by its file, or by its name where that is gone."""
+    """Whether an evaluated policy belongs to a run's or cross-fit's folder: by its file, or by its name if it is gone."""
     if policy["run"] != folder.name:
         return False
     file = policy.get("file")
@@ -254,7 +254,7 @@ def read_results(path: Path | str) -> dict[str, Any]:
     """`estimates.json`, whose lists have a number for each policy.
 
     Raises:
-        UserError: names the field that is not what `judge` writes.
+        UserError: names the field that does not have the form that `judge` writes.
     """
     found = read_json(path, dict)
     if "estimand" not in found:

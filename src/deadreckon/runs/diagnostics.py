@@ -1,4 +1,4 @@
-"""What the log and the critics say of a policy, without a simulator."""
+"""Diagnostics of a policy from the log and the critics, without a simulator."""
 
 import math
 from typing import Any
@@ -42,9 +42,9 @@ def _kernel(a: np.ndarray, b: np.ndarray, variance: float) -> np.ndarray:
 
 
 def mmd_of_copy(rows: Float[np.ndarray, "n d"], variance: float, rng: np.random.Generator) -> float:
-    """What `two_sample_mmd` stays below in `LEVEL` of random splits of one sample into halves (a permutation test's bound).
+    """The bound of `two_sample_mmd` for a share `LEVEL` of random splits of one sample into halves (a permutation test).
 
-    A policy whose MMD is no greater than that cannot be told from the one that made the rows.
+    A policy whose MMD is no greater than that cannot be distinguished from the one that made the rows.
     """
     half = len(rows) // 2
     k = _kernel(rows[: 2 * half], rows[: 2 * half], variance)
@@ -56,12 +56,12 @@ def mmd_of_copy(rows: Float[np.ndarray, "n d"], variance: float, rng: np.random.
 
 
 class LogProbe:
-    """A fixed sample of the log on which policies are compared with what was logged.
+    """A fixed sample of the log on which policies are compared with the logged actions.
 
     `mmd_to_data`: two-sample MMD between (state, logged action) and (state, policy's action), states standardised, actions
     in [-1, 1], the kernel's variance the median squared distance; two disjoint halves of the sample, so that a perfect
-    copy gives about zero. Of pictures actions alone are compared: thousands of pixels would outweigh them.
-    `mmd_of_copy`: what such a copy stays below in 95 % of samples of this size.
+    copy gives about zero. With images only actions are compared: thousands of pixels would outweigh them.
+    `mmd_of_copy`: the bound that such a copy stays below in 95 % of samples of this size.
     `outside_range`: share of the policy's actions beyond the range of the log in some dimension.
     """
 
@@ -101,10 +101,10 @@ class LogProbe:
 
 
 def logged_value(log: Dataset, task: Task, seed: int = 0) -> dict[str, Any]:
-    """What the policy that made the log was worth over one horizon of the task, from the log alone.
+    """The value of the behaviour policy of the log over one horizon of the task, from the log alone.
 
-    Episodes that run from a start to their end count as they are. Where recordings were cut earlier and nothing ended
-    (goals that change on the way), the mean reward a step is carried to the horizon.
+    Complete episodes, from a start to their end, are used unchanged. If recordings were cut earlier and nothing ended (goals
+    that change on the way), the mean reward per step is extrapolated to the horizon.
 
     Returns:
         `mean`, `low`, `high` (bootstrap over episodes), and `how` in words.
@@ -125,7 +125,7 @@ def logged_value(log: Dataset, task: Task, seed: int = 0) -> dict[str, Any]:
 
 
 def log_segments(log: Dataset, count: int = 16, length: int = 300) -> np.ndarray:
-    """(count, length, *shape) stretches of consecutive rows, evenly spread over the log; for pictures."""
+    """(count, length, *shape) stretches of consecutive rows, evenly spread over the log; for figures."""
     length = min(length, len(log))
     starts = np.linspace(0, len(log) - length, count).astype(int)
     return np.stack([np.asarray(log.observations[s : s + length]) for s in starts])
@@ -147,8 +147,9 @@ def estimated_values(
 ) -> np.ndarray | None:
     """(lanes, episodes) each lane's Q at initial observations and its policy's own actions; None without a critic.
 
-    The actions are those that `evaluate` with seed 0 takes first at these starts. Q looks through timeouts, a return in the
-    simulator stops at the horizon: at discount 0.99 and 300 steps up to 0.99^300 = 5 % of the value lies between them.
+    The actions are those that `evaluate` with seed 0 takes first at these starts. Q extrapolates beyond timeouts, while a
+    return in the simulator stops at the horizon: with a discount of 0.99 and 300 steps the two differ by up to 0.99^300 = 5 %
+    of the value.
 
     Args:
         agents: lifted, one per lane.

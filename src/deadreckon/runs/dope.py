@@ -1,4 +1,4 @@
-"""The DOPE protocol over tasks and logs, which are collected where they are not there yet."""
+"""The DOPE protocol over tasks and logs; missing logs are collected."""
 
 import warnings
 from collections.abc import Sequence
@@ -33,24 +33,24 @@ def dope(
     collecting: Watcher = unwatched,
     **options: Unpack[DopeOptions],
 ) -> list[Result]:
-    """Estimates the policies of tasks from logs of theirs; their true values are known.
+    """Estimates the values of the policies of tasks from their logs; the true values are known.
 
     `deadreckon.ope.dope.markdown(results, "regret")` makes a table of the results, `deadreckon.report.dope.write_bench` a page.
 
     Args:
         estimators: names, `Estimator` objects, or functions `fn(data, policies, discount) -> values`.
-        tasks: whose policies and logs; None: hopper, or of `unplugged` all that have policies.
-        kinds: of logs, of half `d4rl`.
+        tasks: whose policies and logs are used; None: hopper, or with `unplugged` all tasks that have policies.
+        kinds: of logs, for half `d4rl`.
         half: of DOPE, `d4rl` (here tasks of Gym-MuJoCo with logs of several kinds; others by `logs`) or `unplugged`
-            (dm_control: one log a task, from which its policies have learned).
-        logs: names of the catalogue such as `maze2d-umaze-dense-v1` or `door-human-v1`, in the place of tasks and kinds.
+            (dm_control: one log per task, on which its policies were trained).
+        logs: names of the catalogue such as `maze2d-umaze-dense-v1` or `door-human-v1`, instead of tasks and kinds.
         log_steps: rows of the logs; None: all.
-        seeds: how many fits of each.
+        seeds: number of fits of each.
         collecting: called while a log is collected, with its name, steps done and steps in all.
         **options: `seed` (of several fits the first), `out`, `watch` and `told`; see `ope.dope.DopeSettings`.
 
     Raises:
-        UserError: unknown estimators, tasks, kinds, halves or logs, no log at all, or seeds out of range, before all else.
+        UserError: unknown estimators, tasks, kinds, halves or logs, no log, or seeds out of range; raised before anything else.
     """
     settings = DopeSettings.of(options)
     first, estimators = settings.seed, as_estimators(estimators)

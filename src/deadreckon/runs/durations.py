@@ -1,4 +1,4 @@
-"""Times as people write and read them."""
+"""Durations as text, such as `30m`."""
 
 import re
 
@@ -9,7 +9,7 @@ def seconds_of(text: str) -> float:
     """Seconds of `90s`, `30m`, `2h` or `1h30m`.
 
     Raises:
-        UserError: something else, or no time at all.
+        UserError: something else, or no time.
     """
     found = re.fullmatch(r"(?:([\d.]+)h)?(?:([\d.]+)m)?(?:([\d.]+)s)?", text.strip())
     try:

@@ -1,4 +1,4 @@
-"""Policies in a simulator: returns per episode, scores, intervals, and what the thesis asks of a critic."""
+"""Evaluation of policies in a simulator: returns per episode, scores, intervals, and the thesis's checks of a critic."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -26,7 +26,7 @@ REVISION = 1  # of how policies are judged in a simulator; raised where scores c
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What some policies did in a task.
+    """The returns of policies in a task.
 
     Attributes:
         task: where.
@@ -35,8 +35,8 @@ class Evaluation:
         lengths: (policies, episodes) steps.
         discount: of `discounted`, one per policy.
         names: one per policy.
-        trajectories: (policies, recorded, steps, *any) what was seen in the first episodes before each action: observations, or
-            what the task shows instead; NaN after an end.
+        trajectories: (policies, recorded, steps, *any) observations of the first episodes before each action, or what the task
+            shows instead; NaN after an end.
     """
 
     task: Task
@@ -49,16 +49,16 @@ class Evaluation:
 
     @property
     def scores(self) -> np.ndarray | None:
-        """(policies, episodes) on the scale where random is 0 and the expert 100; None where the task has no such scale."""
+        """(policies, episodes) on the scale on which random is 0 and the expert 100; None if the task has no such scale."""
         return self.task.scores(self.returns)
 
     def score(self, policy: int | None = None) -> Interval | None:
-        """Normalised score of one policy, or of all of them together, with its interval; None where there are no scores."""
+        """Normalised score of one policy, or of all policies together, with its interval; None if there are no scores."""
         scores = self.scores
         return None if scores is None else mean_interval(scores if policy is None else scores[policy])
 
     def published_score(self, policy: int | None = None) -> Interval | None:
-        """The same by the benchmark's own reference returns; None where it has none, or where `score` uses them."""
+        """The score by the benchmark's own reference returns; None if it has none, or if `score` uses them."""
         scale = self.task.published
         if scale is None or scale == self.task.reference:
             return None
@@ -81,7 +81,7 @@ def episode_seeds(seed: int, episodes: int) -> list[int]:
 
 
 def action_key(seed: Any, t: Any) -> jax.Array:
-    """The key of all policies' draws at step `t`: what one draws does not depend on how many are judged beside it."""
+    """The key of all policies' draws at step `t`: the draws of one do not depend on how many are evaluated beside it."""
     return jax.random.fold_in(jax.random.key(seed), t)
 
 
@@ -142,21 +142,21 @@ def evaluate(
     record: int = 0,
     **options: Unpack[ReturnOptions],
 ) -> Evaluation:
-    """Runs policies in a task's simulator, all of them and all episodes side by side.
+    """Evaluates policies in a task's simulator, with all policies and episodes in parallel.
 
-    Where a task cannot have as many copies (`Task.most_copies`) they run in turns, with the same results.
+    If a task cannot have that many copies (`Task.most_copies`), they run one after another, with the same results.
 
     Args:
         policies: a `Policy`, a policy file, a Run, or a sequence of these.
-        task: a task, its name, or a Gymnasium environment, its id, or what makes one; see `tasks.registry.task`.
+        task: a task, its name, or a Gymnasium environment, its id, or a function that makes one; see `tasks.registry.task`.
         episodes: for each policy; all policies get the same starts.
         seed: of starts and draws.
         names: shown for the policies.
-        record: episodes of which is kept what pictures show.
+        record: number of episodes whose trajectories are kept for figures.
         **options: `discount` and `horizon` of the discounted returns, and `greedy`; see `runs.settings.ReturnSettings`.
 
     Raises:
-        UserError: an unknown task, no episodes, settings out of range, or actions and observations that do not fit.
+        UserError: an unknown task, no episodes, settings out of range, or actions and observations of other sizes.
     """
     settings = ReturnSettings.of(options)
     settings.check_values()

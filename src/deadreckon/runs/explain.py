@@ -1,9 +1,10 @@
-"""What a policy does, as a small tree that says how far it can be trusted, and which columns the policy acts on.
+"""Explains a policy by a small decision tree with a measured fidelity, and by the columns that affect its actions.
 
-The log's episodes (or clusters of them) are parted in three: a tree imitates the policy's greedy actions on the first part, its
-depth is chosen on the second, and how well it imitates them is measured on the third, which neither has seen. A tree that is
-not surely better there than the constant action explains nothing, and is not shown. How much a column matters is asked of the
-policy itself and not of the tree: its values are exchanged between fresh rows, and what changes is what the policy does.
+The log's episodes (or clusters of them) are divided into three parts: a tree is fitted to the policy's greedy actions on the
+first part, its depth is chosen on the second, and its fidelity is measured on the third, which was used for neither. A tree
+that is not significantly better there than the constant action explains nothing, and is not shown. The importance of a column
+is measured on the policy itself and not on the tree: its values are permuted between fresh rows, and the change of the policy's
+actions is measured.
 """
 
 from collections.abc import Sequence
@@ -39,12 +40,12 @@ EXCHANGES = 5  # of each column's values
 
 @dataclass(frozen=True)
 class Matters:
-    """How much a column matters.
+    """The importance of a column.
 
     Attributes:
         column: its name.
-        change: share of fresh rows in which another action follows from exchanged values; of continuous actions the root mean
-            square change, in standard deviations of the policy's actions.
+        change: share of fresh rows in which permuted values lead to another action; for continuous actions the root mean square
+            change, in standard deviations of the policy's actions.
         low, high: its interval.
     """
 
@@ -56,21 +57,21 @@ class Matters:
 
 @dataclass(frozen=True)
 class Explained(Shown):
-    """A tree that imitates a policy, and what it is worth.
+    """A tree that imitates a policy, and its fidelity.
 
     Attributes:
         name, log: of the policy and of the log.
         discrete: whether its actions are.
         rows: fresh rows, on which all numbers are measured.
         depth: of the tree; 0: the constant action was best.
-        fidelity: share of fresh rows in which the tree does what the policy does; of continuous actions the share of the
+        fidelity: share of fresh rows in which the tree takes the policy's action; for continuous actions the share of the
             variance of the policy's actions that it explains (R squared).
         low, high: its interval.
-        constant: the same of the constant action, which is the most common one, or the mean.
-        explains: whether the tree is surely better than the constant action.
-        tree: its root; None where it explains nothing.
-        columns: what matters, most first.
-        digest: of the content of the policy's file, by which a page knows whether it is still that policy; None: not known.
+        constant: the fidelity of the constant action, which is the most common one, or the mean.
+        explains: whether the tree is significantly better than the constant action.
+        tree: its root; None if it explains nothing.
+        columns: by importance, the most important first.
+        digest: of the content of the policy's file, by which a page checks whether it is still that policy; None: not known.
     """
 
     name: str
@@ -125,15 +126,15 @@ class Explained(Shown):
 
 
 def explain(run: Any, log: Any = None, *, seed: int | None = None) -> Explained:
-    """Fits a small tree to what a policy does, and measures how well it imitates it; written to the run's folder.
+    """Fits a small tree to a policy's actions and measures its fidelity; the result is written to the run's folder.
 
     Args:
         run: the run, its folder, a cross-fit's folder or a policy file.
-        log: on whose rows it is asked, a `Dataset`, a file or a data frame; None: the log that the policy learned from.
+        log: whose rows are used, a `Dataset`, a file or a data frame; None: the log that the policy was trained on.
         seed: which of the run's policies; None: the first that has not failed.
 
     Raises:
-        UserError: the policy cannot be asked for single rows, or scikit-learn is missing.
+        UserError: the policy cannot act on single rows, or scikit-learn is missing.
     """
     one = subject(run, seed)
     function, data = pure(one.policy), one.log(log, option="a second argument (in Python log=)")

@@ -1,7 +1,7 @@
-"""A policy in a folder that other programs run: ONNX, StableHLO, numpy alone, or an MLflow model; each is checked first.
+"""Exports a policy for other programs: ONNX, StableHLO, numpy alone, or an MLflow model; each export is checked.
 
-What is exported are greedy actions. On rows of the policy's own log the export has to do what the policy does, to 1e-5 of half
-an action's range (or of 1, where that is less) and exactly where actions are discrete; else nothing is kept.
+The exported actions are the greedy ones. On rows of the policy's own log the export has to return the policy's actions, within
+1e-5 of half an action's range (or of 1, if that is less), and exactly if actions are discrete; otherwise nothing is kept.
 """
 
 from pathlib import Path
@@ -41,16 +41,16 @@ def export(
 
     Args:
         run: the run, its folder, a cross-fit's folder or a policy file.
-        format: "onnx" (with the encoding of the table where there is one), "stablehlo" (of `jax.export`: numbers alone, the
-            encoding as JSON beside it), "numpy" (the policy file and what plays it) or "mlflow" (a pyfunc model).
+        format: "onnx" (with the encoding of the table if there is one), "stablehlo" (of `jax.export`: numbers alone, the
+            encoding as JSON beside it), "numpy" (the policy file and the modules that run it) or "mlflow" (a pyfunc model).
         out: folder to write, which must not be there yet.
-        log: the log on whose rows the export is checked, a `Dataset`, a file or a data frame; None: the one that the policy
-            learned from.
-        estimates: the folder of `deadreckon ope --out` or `recommend`, for the card; None looks in the run's folder and beside.
+        log: the log on whose rows the export is checked, a `Dataset`, a file or a data frame; None: the one that the policy was
+            trained on. estimates: the folder of `deadreckon ope --out` or `recommend`, for the card; None searches the run's
+            folder and the folders beside it.
         seed: which of the run's policies; None: the first that has not failed.
 
     Raises:
-        UserError: the policy cannot be exported, or the export does something else. Nothing is left behind.
+        UserError: the policy cannot be exported, or the export returns other actions. Nothing is left behind.
     """
     if format not in FORMATS:
         raise unknown("format", str(format), FORMATS)

@@ -1,4 +1,4 @@
-"""`agent.fit(log)`: training with the least that has to be said, into a folder that is new every time."""
+"""`agent.fit(log)`: training with defaults, into a new folder with every call."""
 
 import itertools
 from pathlib import Path
@@ -14,7 +14,7 @@ from deadreckon.runs.train import train
 
 
 def fit(agent: Agent, data: Dataset | str | Path, *, out: Path | str | None = None, **settings: Any) -> Run:
-    """What `agent.fit(data)` does: `train` in a folder that is not there yet."""
+    """Implements `agent.fit(data)`: `train` in a new folder."""
     if out is None:
         log = data if isinstance(data, Dataset) else catalogue.load(data, strict=bool(settings.get("strict")))
         data, stem = log, file_part(f"{short_name(agent)}-{log.name}")

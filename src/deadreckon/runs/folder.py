@@ -79,10 +79,12 @@ class Folder:
         """Stretches of the log, for pictures."""
         return self.path / "log.npz"
 
-    def note_episodes(self, taught: np.ndarray, held: np.ndarray) -> None:
-        """Writes which episodes are learned from, (learning,) uint64, and which are not, (held,), unless it is there."""
-        if not (path := self._episodes).exists():
-            with replacing(path) as temporary, open(temporary, "wb") as file:
+    def note_episodes(self, taught: np.ndarray, held: np.ndarray, *, anew: bool = False) -> None:
+        """Writes which episodes are learned from, (learning,) uint64, and which are not, (held,), unless it is there; `anew`
+        also where others are."""
+        before = self.episodes("taught")
+        if before is None or (anew and not np.array_equal(before, taught)):
+            with replacing(self._episodes) as temporary, open(temporary, "wb") as file:
                 np.savez(file, taught=taught, held=held)
 
     @property
@@ -90,7 +92,7 @@ class Folder:
         return self.path / "episodes.npz"
 
     def episodes(self, which: str) -> np.ndarray | None:
-        """What `note_episodes` wrote, `taught` or `held`; None in folders from before it did."""
+        """What `note_episodes` wrote, `taught` or `held`; None where it has not yet, as online before a run's end."""
         if not (path := self._episodes).exists():
             return None
         found = read_arrays(path, "a note of episodes").get(which)

@@ -1,4 +1,4 @@
-"""The process of an attempt, followed from outside: what it says, how long it may take, and its end."""
+"""Follows the process of an attempt from outside: its messages, its time limit and its end."""
 
 import contextlib
 import json

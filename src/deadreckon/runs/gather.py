@@ -1,4 +1,4 @@
-"""Policies to judge, from runs, folders and files, and the episodes that none of them has learned from."""
+"""Policies to evaluate, from runs, folders and files, and the episodes that none of them was trained on."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,10 +22,11 @@ from deadreckon.runs.train import Run, load
 
 NOBODY = "it is not known whether it was trained on these episodes (--unseen asserts that it was not)"
 LEARNED = "it was trained on these episodes"
+NO_LOG = {"extra": {}}  # how an online run's own steps were read
 
 
 class Gathered(NamedTuple):
-    """A policy to judge, and what is known of it.
+    """A policy to evaluate, and what is known of it.
 
     Attributes:
         policy: what acts, or a cross-fit.
@@ -106,13 +107,16 @@ def gather(given: Any) -> list[Gathered]:
 def _saved(file: Path, name: str) -> Gathered:
     """The policy of a file of ours."""
     saved = store.load_all(file)
-    read = Read.of(saved.meta.get("log"), saved.taught, saved.held)
-    return Gathered(saved.policy, name, None, saved.taught, file=file, read=read)
+    # Older online runs noted that they had no episodes.
+    taught = None if saved.taught is None or not len(saved.taught) else saved.taught
+    read = Read.of(saved.meta.get("log") or NO_LOG, taught, saved.held)
+    return Gathered(saved.policy, name, None, taught, file=file, read=read)
 
 
 def _read(run: Run) -> Read:
-    # Of a run online with a log in its replay, that log's.
-    return Read.of(run.config["data"].get("provenance") or run.config.get("log_read"), run.taught, run.held)
+    # Of a run online with a log in its replay, that log's; its own steps were read in no special way.
+    known = run.config["data"].get("provenance") or run.config.get("log_read")
+    return Read.of(known or (NO_LOG if "online" in run.config else None), run.taught, run.held)
 
 
 def check_encodings(found: Sequence[Gathered], data: Dataset) -> None:
@@ -195,8 +199,7 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
 def _of_training(each: Gathered, data: Dataset) -> bool:
     """Whether a log is the training of the online run that snapshots of the package come from; see `collect_replay`."""
     made = data.provenance
-    unknown = each.taught is None or not len(each.taught)
-    return each.file is None and unknown and made.recipe == f"{each.task}-medium-replay-v2" and made.seed == 0
+    return each.file is None and made.recipe == f"{each.task}-medium-replay-v2" and made.seed == 0
 
 
 def _covers(episodes: np.ndarray | None, data: Dataset) -> bool:

@@ -1,4 +1,4 @@
-"""What a run holds out: episodes that it does not learn from, so that `deadreckon ope` can judge its policies on them."""
+"""The held-out episodes of a run: it is not trained on them, so `deadreckon ope` can evaluate its policies on them."""
 
 import warnings
 from typing import Any, NamedTuple

@@ -1,6 +1,6 @@
-"""Runs, policies and logs on the Hugging Face Hub: what is uploaded, and how what is downloaded is checked before it is used.
+"""Runs, policies and logs on the Hugging Face Hub: uploads, and downloads that are checked before use.
 
-A repository holds data alone: JSON, npz, npy and Parquet, with `deadreckon.json` beside them, which says what it is and names
+A repository holds only data: JSON, npz, npy and Parquet, with `deadreckon.json` beside them, which says what it is and names
 every file with its SHA-256. Nothing else is downloaded, and nothing is unpickled.
 """
 
@@ -40,19 +40,19 @@ _FILES = {
 
 
 def push_to_hub(thing: Dataset | Run | EnvPolicy, repo: str, *, private: bool = True) -> str:
-    """Uploads a log, a run or a policy to a repository of the Hugging Face Hub, which is made if it is not there.
+    """Uploads a log, a run or a policy to a repository of the Hugging Face Hub, which is created if it does not exist.
 
-    Of a run these are its settings, last policies, metrics, evaluations and the ids of its episodes; checkpoints, replay and
-    stretches of the log stay here. Whoever may read the repository sees all rows of a log, and of a run the names and levels
-    of its log's columns.
+    Of a run, the settings, last policies, metrics, evaluations and the ids of its episodes are uploaded; checkpoints, replay
+    and stretches of the log are not. Anyone who may read the repository sees all rows of a log, and of a run the names and
+    levels of its log's columns.
 
     Args:
-        thing: to be uploaded; of a `Run` all seeds, of a policy that one.
+        thing: to upload; a `Run` with all its seeds, or a single policy.
         repo: `user/name`; logs go to a repository for data sets.
-        private: whether a repository that is made now is private; one that is there stays as it is.
+        private: whether a new repository is private; an existing one is not changed.
 
     Returns:
-        What `from_hub` takes: `user/name`, of a log `datasets/user/name`.
+        The name that `from_hub` takes: `user/name`, for a log `datasets/user/name`.
 
     Raises:
         UserError: `huggingface_hub` is missing, nobody is logged in, or the Hub refuses; in one line.
@@ -83,17 +83,19 @@ def push_to_hub(thing: Dataset | Run | EnvPolicy, repo: str, *, private: bool = 
 
 
 def from_hub(repo: str, *, revision: str | None = None) -> Dataset | Run | EnvPolicy:
-    """Downloads what `push_to_hub` uploaded, checks it, and gives it back as what it was.
+    """Downloads and checks an upload of `push_to_hub`, and returns the log, run or policy.
 
-    It is kept in `hub` in the folder of downloaded logs (`DEADRECKON_HOME`), under its commit. The sums in `deadreckon.json`
-    tell a file that was damaged or exchanged by itself; whoever may write to the repository can change both.
+    It is kept in `hub` in the folder of downloaded logs (`DEADRECKON_HOME`), under its commit. The checksums in
+    `deadreckon.json` reveal a file that was damaged or replaced on its own; anyone who may write to the repository can change
+    both.
 
     Args:
         repo: `user/name` of a run or policy, `datasets/user/name` of a log.
-        revision: branch, tag or commit; None: the newest commit. A commit that is here needs no network.
+        revision: branch, tag or commit; None: the newest commit. A commit in the cache needs no network.
 
     Raises:
-        UserError: there is no such repository, it holds something else, or a file is not what the repository says of it.
+        UserError: there is no such repository, it holds something else, or a file does not match its description in the
+            repository.
     """
     name = repo.removeprefix(DATASETS)
     root = home() / "hub" / file_part(repo.replace("/", "--"))

@@ -149,12 +149,18 @@ def _train_online(
     folder.begin(config)
     given = log.taught if log is not None else np.zeros(0, np.uint64) if shown is None else shown.episode_ids
 
-    def taught() -> np.ndarray:
-        """Ids of the episodes of the log in the replay, or of the demonstrations, and of those of the run's own steps."""
+    def taught() -> np.ndarray | None:
+        """Ids of the episodes of the log in the replay, or of the demonstrations, and of those of the run's own steps; None
+        where these are no log, because a lane that diverged acted with numbers that are not finite."""
         done, provenance = job.source.environment_steps, Provenance("replay")
         assert done is not None
-        files = [folder.replay(seed) for seed in numbers]
-        own = [replay_log(file, task, turns.copies, done, name=task.name, provenance=provenance).episode_ids for file in files]
+        own = []
+        try:
+            for seed in numbers:
+                steps_log = replay_log(folder.replay(seed), task, turns.copies, done, name=task.name, provenance=provenance)
+                own.append(steps_log.episode_ids)
+        except UserError:
+            return None
         return np.unique(np.concatenate([given, *own]))
 
     job.resume()
@@ -162,7 +168,8 @@ def _train_online(
     folder.drop_after(job.step)
 
     learned = None if log is None else log.log
-    recorder = Recorder([folder], job, task, learned, job.stops, asked.episodes, taught, log.held if log is not None else None)
+    held = np.zeros(0, np.uint64) if log is None else log.held
+    recorder = Recorder([folder], job, task, learned, job.stops, asked.episodes, taught, held)
     try:
         with tracked([folder], trackers) as tracking:
             if job.step == 0 and not folder.part("evaluations", 0).exists():
@@ -219,8 +226,7 @@ def reopened(path: Path | str, data: Dataset | str | Path | None = None) -> Fit:
         log = beside(data, told, Read.of(config.get("log_read"), None, None), task, told["share"])
         settings = dataclasses.replace(settings, log_share=told["share"])
     job = _job(lanes, task, config["seeds"], config["steps"], folder, settings, every, None, log)
-    with folder.alone():  # where environments do not go on as they were, the rows in the file are marked as cut off
-        job.resume()
+    job.resume()
     if job.step == 0:
         raise UserError(f"{path} has no checkpoint with an update yet")
     return job

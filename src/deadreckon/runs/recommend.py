@@ -197,7 +197,7 @@ def _unjudged(out: Path, log: str, again: str | None, found: Found, clock: Clock
         learned = sum(each["state"] == "learned" for each in candidates)
         of = f"{learned} of {len(candidates)} candidates are trained, none is evaluated"
         came = of if candidates else "no candidate is trained"
-        reason = f"not enough time: the budget of {in_words(clock.budget)} was used up during {stage}; {came}"
+        reason = f"not enough time: the budget of {in_words(clock.budget)} was used up (at this stage: {stage}); {came}"
         evidence.append(f"still to be done: {', '.join(_rest(stage, bool(candidates)))}")
         evidence.append(f"a budget of {_enough(state, clock)} should be sufficient")
     learned = [each for each in candidates if each["state"] == "learned"]
@@ -242,7 +242,7 @@ def card(told: dict[str, Any]) -> str:
     if not told["results"]:
         return choice
     first = told["results"][0]
-    names = [*(each["name"] for each in told["policies"]), "the log"]
+    names = [*(each["name"] for each in told["policies"]), "behaviour policy"]
     width = max(map(len, names))
     d = decimals(*(x for ends in ("value", "low", "high") for x in first[ends] if x is not None))
     number = lambda x: "-" if x is None else f"{x:.{d}f}"  # noqa: E731

@@ -52,13 +52,13 @@ class Recorder:
         episodes: an evaluation, a lane.
         taught: (episodes,) uint64 `episode_ids` of the episodes that are learned from; online, what gives them once the run has
             finished, because its own are among them: policies of before do not know theirs.
-        held: (episodes,) uint64 of those of the log that are not; None: nobody knows of any.
+        held: (episodes,) uint64 of those of the log that are not.
         history: last observations that policies act on.
     """
 
     def __init__(
         self, folders: Sequence[Folder], job: Fit | Part, judge: Task | None, log: Dataset | None, every: int, episodes: int,
-        taught: np.ndarray | Callable[[], np.ndarray], held: np.ndarray | None = None, history: int = 1,
+        taught: np.ndarray | Callable[[], np.ndarray | None], held: np.ndarray, history: int = 1,
     ):  # fmt: skip
         self.folders, self.job, self.judge = list(folders), job, judge
         self.seeds = len(job.seeds) // len(folders)  # of a run
@@ -223,11 +223,10 @@ class Recorder:
         """Waits for the evaluations, then publishes the last policies; with them the run is finished."""
         for future in self.pending:
             future.result()
-        taught = self.taught
-        if callable(taught):
-            taught = taught()
-            for folder in self.folders:
-                folder.note_episodes(taught, np.zeros(0, np.uint64) if self.held is None else self.held)
+        taught = self.taught() if callable(self.taught) else self.taught
+        for folder in self.folders if callable(self.taught) else ():
+            if taught is not None:
+                folder.note_episodes(taught, self.held, anew=True)
         for path, seed, policy in zip(self._paths(), self.job.seeds, self.policies()):
             if not path.exists():
                 meta = {"agent": agent_name(self.job.learners[0]), "seed": seed, **self.read}

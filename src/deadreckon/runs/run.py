@@ -54,8 +54,10 @@ class Run(Shown):
 
     @property
     def taught(self) -> np.ndarray | None:
-        """(learning,) uint64 `episode_ids` of the episodes that it learned from; None for folders from before it was noted."""
-        return Folder(self.path).episodes("taught")
+        """(learning,) uint64 `episode_ids` of the episodes that it learned from; None where that is not known:
+        of online runs that have not finished, or are from before their own steps were noted."""
+        found = Folder(self.path).episodes("taught")
+        return None if found is not None and not len(found) and "online" in self.config else found
 
     @property
     def held(self) -> np.ndarray | None:

@@ -141,8 +141,8 @@ class JudgeSettings(DecisionSettings, EstimateSettings):
     """Of policies that are evaluated from a log: what is estimated, what decides, on which episodes."""
 
     horizon: int | Literal["auto"] | None = "auto"
-    """number of first steps of an episode that count; None: all; auto: the length at which all timeouts fall if it is one,
-    else all"""
+    """number of first steps of an episode that count; None: all; auto: the step at which all timeouts fall, if more than
+    2 % of the discounted time lies beyond it, else all"""
     out: Path | str | None = None  # folder of `estimates.json`, which has all results, and of checkpoints; None: none
     cluster: str | None = None
     """column whose values are resampled as one, such as a user; None: that of the holdout, if it has one"""

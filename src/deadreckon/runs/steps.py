@@ -22,7 +22,8 @@ class Simulated(NamedTuple):
     evaluations: int
 
     def __str__(self) -> str:
-        return f"{self.learning:,} training steps per seed, {self.evaluating:,} in {self.evaluations} evaluations"
+        learning = f"{self.learning:,} environment steps per seed in training"
+        return f"{learning}, {self.evaluating:,} in {self.evaluations} evaluations"
 
 
 def simulated(config: Mapping[str, Any], evaluations: Mapping[str, np.ndarray]) -> Simulated:

@@ -1,6 +1,8 @@
 """Spreadsheets that are written: texts, numbers, formulas, and what no spreadsheet holds."""
 
+import re
 import sys
+import zipfile
 
 import pytest
 
@@ -32,6 +34,10 @@ def test_what_is_written_is_read_back_with_formulas_neutralised(tmp_path):
     first = (tmp_path / "p.xlsx").read_bytes()
     xlsx_out.write_sheets({"proposals": TABLE, "about": {"what": ["x"]}}, tmp_path / "p.xlsx")
     assert (tmp_path / "p.xlsx").read_bytes() == first
+    with zipfile.ZipFile(tmp_path / "p.xlsx") as parts:  # in which a second that has passed would show as well
+        dates = re.findall(r">([^<]+)</dcterms:(created|modified)>", parts.read("docProps/core.xml").decode())
+        assert dates == [("2000-01-01T00:00:00Z", "created"), ("2000-01-01T00:00:00Z", "modified")]
+        assert {each.date_time for each in parts.infolist()} == {(1980, 1, 1, 0, 0, 0)}
 
 
 def test_control_and_half_characters_are_shown_as_escapes(tmp_path):
