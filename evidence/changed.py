@@ -15,7 +15,7 @@ BEFORE = ", before"  # how methods are named that are an agent as it was
 PAIRS = [
     "defaults-gym", "defaults-mazes", "defaults-antmaze", "defaults-flow", "defaults-cql", "defaults-models", "brac-defaults",
 ]  # fmt: skip
-MORE = ["defaults-decide", "defaults-hopper", "defaults-awac", "defaults-iql"]
+MORE = ["defaults-decide", "defaults-hopper", "defaults-awac", "defaults-awac-antmaze", "defaults-iql"]
 
 
 def changed(suites: Sequence[Suite], store: Store) -> str:
