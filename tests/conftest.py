@@ -64,6 +64,15 @@ def home(_homes, monkeypatch):
     return folder
 
 
+@pytest.fixture(autouse=True)
+def _platforms():
+    """`deadreckon data collect` chooses JAX's for its process, which is not to be that of the next test."""
+    before = os.environ.get("JAX_PLATFORMS")
+    yield
+    if before is None:
+        os.environ.pop("JAX_PLATFORMS", None)
+
+
 MAPS = Path("/proc/self/maps")  # of this process, on Linux
 MANY = 24_000  # of them: about 5 GB. A process may have 65,530, and the compiler crashes beyond
 

@@ -85,10 +85,12 @@ def test_import_does_not_touch_the_compilation_cache():
 
 
 def test_help_answers_in_half_a_second():
-    seconds = []
+    """On a machine on which the interpreter itself is slow, in twenty times what that takes to begin."""
+    seconds, bare = [], []
     while len(seconds) < 5 and min(seconds, default=1.0) >= 0.5:
         seconds.append(processor_seconds(SCRIPTS / "deadreckon", "--help"))
-    assert min(seconds) < 0.5, seconds
+        bare.append(processor_seconds(sys.executable, "-c", "pass"))
+    assert min(seconds) < max(0.5, 20 * min(bare)), (seconds, bare)
 
 
 def test_versions_are_said_once():

@@ -61,7 +61,7 @@ def test_predict(folder, made, monkeypatch, capsys):
     assert list(pd.read_parquet("actions.parquet")) == [
         "id", "offer", "probability=call", "probability=mail", "probability=none", "outside_the_log",
     ]  # fmt: skip
-    assert len(pd.read_csv("actions.csv")) == 2_000
+    assert len(pd.read_csv("actions.csv")) == 10_000
 
 
 @pytest.mark.slow
@@ -80,6 +80,20 @@ def test_serve(folder):
             assert names["ask"]([row, {**row, "age": 99}], "?outside=flag")["outside"] == [False, True]
         finally:  # else to leave the block waits for it
             process.terminate()
+
+
+@pytest.mark.slow
+def test_the_policy_of_the_page_is_deployed_and_can_be_monitored(tmp_path, monkeypatch, capsys):
+    """With all of its rows and steps: of a decision to deploy none nothing on the pages would run as it is printed."""
+    monkeypatch.chdir(tmp_path)
+    page = (PAGES / "predict.md").read_text()
+    exec(compile(BLOCK.findall(page)[0][1], "predict.md", "exec"), {})
+    (estimate,) = re.findall(r"^`(deadreckon ope .*?)`", page, re.MULTILINE)
+    assert main(shlex.split(estimate)[1:]) == 0
+    assert "DEPLOY offers seed 0: " in capsys.readouterr().out
+    pd.read_csv("visits.csv").sample(300, random_state=0).to_csv("new.csv", index=False)
+    (words,) = commands(blocks("monitor.md")[0][1])
+    assert main(words[1:]) == 1  # the new log is of random offers, and that is found
 
 
 @pytest.mark.slow

@@ -213,9 +213,13 @@ def test_refuses_what_does_not_fit(trained):
         agent.replace(**{name: float("nan")}).resolve(LOG.spec, STEPS)
 
 
+WITHOUT_VALUES = tuple(map(agent_class, ("bc", "awr", "decision_transformer")))  # of actions
+
+
 def test_value_estimates_have_one_number_a_row(trained):
     agent, rows, result, _ = trained
     q = agent.q_value(result.lane(0), jnp.zeros((5, 1)), jnp.zeros((5, 1)))
+    assert (q is None) == isinstance(agent, WITHOUT_VALUES)
     assert q is None or q.shape == (5,)
 
 

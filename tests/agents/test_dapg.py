@@ -227,7 +227,8 @@ def test_actions_beyond_the_bounds_are_learned_from_as_drawn():
     assert data["packed"].shape == (1, 80, 4 + 1)
 
 
-def test_refusals():
+def test_refusals(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(UserError, match="PPO takes no demonstrations"):
         dr.train_online("ppo", MAZE, steps=5000, demonstrations=demonstrations(MAZE, 1), out="nowhere")
     with pytest.raises(UserError, match="maze2d-umaze-dense-planner has observations \\(4,\\) and 2 actions, hopper has"):

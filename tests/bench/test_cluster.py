@@ -1,11 +1,13 @@
 """A Ray cluster of two node processes gives what this machine gives, though its workers are killed."""
 
+import contextlib
 import os
 import random
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -73,8 +75,19 @@ def at_work(nodes) -> list[int]:
     return [int(number) for number in found.stdout.split()]
 
 
+def at_work_on(folder, nodes) -> list[int]:
+    """The one of them that has a run folder to itself, if any has: it holds the lock open."""
+    lock, found = str(folder.with_name(f".{folder.name}.lock")), []
+    for number in at_work(nodes):
+        with contextlib.suppress(OSError):  # it has ended since
+            if lock in [os.readlink(each) for each in Path(f"/proc/{number}/fd").iterdir()]:
+                found.append(number)
+    return found
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(900)
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
 def test_a_cluster_whose_workers_are_killed_finds_what_this_machine_finds(nodes, tmp_path):
     path = tmp_path / "small.toml"
     path.write_text(SUITE)
@@ -86,8 +99,8 @@ def test_a_cluster_whose_workers_are_killed_finds_what_this_machine_finds(nodes,
         events.append(event)
         # A job may lose three processes before it is given up, so each loses one at most.
         wanted = event.what == "progress" and event.program.name not in killed and len(killed) < 3 and rng.random() < 0.3
-        if wanted and (victims := at_work(nodes)):
-            os.kill(rng.choice(victims), signal.SIGKILL)
+        for number in at_work_on(store.folder(event.program), nodes) if wanted else ():
+            os.kill(number, signal.SIGKILL)
             killed.append(event.program.name)
 
     store = Store(tmp_path / "ray")
@@ -95,8 +108,8 @@ def test_a_cluster_whose_workers_are_killed_finds_what_this_machine_finds(nodes,
     assert cluster.workers == 2
     run(jobs, store, told, cluster)
     whats = [event.what for event in events]
-    assert killed
-    assert whats.count("died") == len(killed)
+    assert 1 <= whats.count("died") <= len(killed)  # one may have ended before the kill
+    assert {event.program.name for event in events if event.what == "died"} <= set(killed)
     assert whats.count("failed") == 0
     done = [event.program.name for event in events if event.what == "done"]
     assert sorted(done) == sorted(job.name for job in jobs)  # each once

@@ -294,12 +294,14 @@ def test_times_of_a_gpu_say_nothing_of_a_core_and_the_other_way_round(folder):
 
 @pytest.mark.slow
 def test_a_run_ends_in_time_and_goes_on(folder, monkeypatch):
-    monkeypatch.setenv("STUDY_SECONDS", "0.3")
+    monkeypatch.setenv("STUDY_SECONDS", "1")
     suite = read("study.toml")
     jobs, store = plan(suite, 1), store_of([suite], folder / "runs")
-    began = time.monotonic()
-    run(jobs, store, lambda event: None, Local(store.path, workers=1), seconds=2.0)
-    assert time.monotonic() - began < 5.0
+    assert len(jobs) == 16
+    begun = []  # when; a busy machine takes long to start a process
+    told = lambda event: begun.append(time.monotonic()) if event.what == "begun" else None  # noqa: E731
+    run(jobs, store, told, Local(store.path, workers=1), seconds=2.0)
+    assert not begun or time.monotonic() - begun[0] < 8.0
     assert store.undone(jobs)
     monkeypatch.setenv("STUDY_SECONDS", "0")
     run(jobs, store, lambda event: None, Local(store.path, workers=1))
@@ -325,9 +327,8 @@ def test_idle_work_has_the_lowest_priority_and_stands_still_while_times_are_meas
             with measuring():
                 assert is_measured()
                 executor.wait(0.0)
-                for _ in range(100):
-                    if state(team[0]) == "T":
-                        break
+                until = time.monotonic() + 60.0
+                while state(team[0]) != "T" and time.monotonic() < until:
                     time.sleep(0.02)
                 seen.append(state(team[0]))
             assert not is_measured()

@@ -76,11 +76,15 @@ def test_idm_by_hand():
 def test_follower_stopper_by_hand():
     """The three regions of Stern et al. 2018, where nobody closes in: below 4.5 m, to 5.25, to 6, and beyond."""
     controller = FollowerStopper(replace(task("flow-ring")), 6.0)
-    for gap, leading, command in ((4.0, 5.0, 0.0), (4.875, 5.0, 2.5), (5.625, 5.0, 5.5), (7.0, 5.0, 6.0), (7.0, 9.0, 6.0)):
-        speed = command - 0.25  # so that half a second's acceleration is within the bounds
-        if speed < 0 or leading < speed:  # else a lower speed of the leader widens the regions
-            continue
-        np.testing.assert_allclose(controller(ring(speed, leading, gap)), [[0.5]], atol=1e-4)
+    for gap, leading, command in (
+        (4.0, 5.0, 0.0), (4.875, 5.0, 2.5), (4.875, 9.0, 3.0), (5.625, 5.8, 5.9), (5.625, 9.0, 6.0), (7.0, 5.9, 6.0),
+        (7.0, 9.0, 6.0),
+    ):  # fmt: skip
+        speed = abs(command - 0.25)  # so that half a second's acceleration is within the bounds
+        assert speed <= leading  # a lower speed of the leader widens the regions
+        np.testing.assert_allclose(controller(ring(speed, leading, gap)), [[2 * (command - speed)]], atol=1e-4)
+    # Half a metre per second slower: 5.25 + 0.5^2 / 2 and 6 + 0.5^2.
+    np.testing.assert_allclose(controller(ring(4.5, 4.0, 5.5)), [[2 * (4 + 2 * 0.125 / 0.875 - 4.5)]], atol=1e-4)
     assert controller(ring(3.0, 3.0, 4.0)) == -1.0
     assert controller(ring(6.0, 4.0, 6.0)) == -1.0  # 4.5 + 2^2 / 3 is not above 6, but 6 + 2^2 is
 

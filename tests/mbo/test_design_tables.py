@@ -403,25 +403,24 @@ def test_few_rows_are_too_few_and_nothing_else_is_wrong():
             Designs.from_frame({"a": list(range(rows)), "y": list(range(rows))}, "y")
 
 
-RNG = np.random.default_rng(1)
 DRAWN = {
-    "normal": RNG.normal, "uniform": RNG.uniform, "log-normal": lambda size: RNG.lognormal(0, 1, size),
-    "log-normal and shifted": lambda size: RNG.lognormal(0, 1, size) - 1, "negative": lambda size: -RNG.lognormal(0, 1, size),
-    "bimodal": lambda size: RNG.choice([0.0, 30.0], size) + RNG.normal(size=size), "t": lambda size: RNG.standard_t(3, size),
-    "logarithmic levels": lambda size: RNG.choice([0.1, 1, 10, 100], size), 
-    "levels": lambda size: RNG.choice([20, 80, 90], size), "mostly zero": lambda size: np.where(np.arange(size), 0, 50),
-    "a rare level": lambda size: np.where(np.arange(size), 20, 800),
-    "with a control": lambda size: np.append(RNG.uniform(50, 60, size - 1), 0),
+    "normal": lambda rng, n: rng.normal(size=n), "uniform": lambda rng, n: rng.uniform(size=n),
+    "log-normal": lambda rng, n: rng.lognormal(0, 1, n), "log-normal and shifted": lambda rng, n: rng.lognormal(0, 1, n) - 1,
+    "negative": lambda rng, n: -rng.lognormal(0, 1, n), "t": lambda rng, n: rng.standard_t(3, n),
+    "bimodal": lambda rng, n: rng.choice([0.0, 30.0], n) + rng.normal(size=n),
+    "logarithmic levels": lambda rng, n: rng.choice([0.1, 1, 10, 100], n), "levels": lambda rng, n: rng.choice([20, 80, 90], n),
+    "mostly zero": lambda rng, n: np.where(np.arange(n), 0, 50), "a rare level": lambda rng, n: np.where(np.arange(n), 20, 800),
+    "with a control": lambda rng, n: np.append(rng.uniform(50, 60, n - 1), 0),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", DRAWN)
 def test_tails_modes_and_levels_are_no_slips(kind):
-    shape = {"size": 30}
-    assert sum(far(np.asarray(DRAWN[kind](**shape), float)) is not None for _ in range(300)) <= 2
+    rng = np.random.default_rng(1)
+    assert sum(far(np.asarray(DRAWN[kind](rng, 30), float)) is not None for _ in range(300)) <= 2
     if kind in ("normal", "uniform"):
-        assert far(np.append(50 + DRAWN[kind](**shape), 500.0)) == 30
-        assert far(np.append(50 + DRAWN[kind](**shape), 5.0)) == 30
+        assert far(np.append(50 + DRAWN[kind](rng, 30), 500.0)) == 30
+        assert far(np.append(50 + DRAWN[kind](rng, 30), 5.0)) == 30
 
 
 def test_a_score_of_0_and_1_is_told():

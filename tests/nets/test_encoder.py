@@ -11,11 +11,14 @@ from deadreckon.nets.encoder import Encoder, patches, shifted
 from deadreckon.policies import portable_pictures
 from tests.marks import slow
 
-RNG = np.random.default_rng(0)
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
 
 
-def test_patches_are_squares_of_pixels():
-    x = RNG.normal(size=(2, 5, 6, 3)).astype(np.float32)
+def test_patches_are_squares_of_pixels(rng):
+    x = rng.normal(size=(2, 5, 6, 3)).astype(np.float32)
     found = np.asarray(jax.jit(patches, static_argnums=1)(x, 4))
     assert found.shape == (2, 2, 2, 48)
     np.testing.assert_array_equal(found[1, 0, 0], x[1, :4, :4].reshape(-1))
@@ -24,8 +27,8 @@ def test_patches_are_squares_of_pixels():
     np.testing.assert_array_equal(found[1, 1, 1], last.reshape(-1))
 
 
-def test_shifts_move_pictures_and_repeat_their_edge():
-    pictures = RNG.integers(0, 256, (64, 7, 9, 2)).astype(np.uint8)
+def test_shifts_move_pictures_and_repeat_their_edge(rng):
+    pictures = rng.integers(0, 256, (64, 7, 9, 2)).astype(np.uint8)
     moved = np.asarray(jax.jit(shifted, static_argnums=2)(pictures, jax.random.key(0), 2))
     padded = np.pad(pictures, ((0, 0), (2, 2), (2, 2), (0, 0)), mode="edge")
     places = set()
@@ -43,10 +46,10 @@ def test_shifts_move_pictures_and_repeat_their_edge():
 @pytest.mark.parametrize(("kind", "shape"), [
     ("impala", (19, 24, 3)), *slow(("patches", (48, 48, 3)), ("drq", (20, 31, 6))),
 ])  # fmt: skip
-def test_numpy_makes_the_same_features(kind, shape):
+def test_numpy_makes_the_same_features(kind, shape, rng):
     noise = lambda leaf: 0.01 * np.asarray(jax.random.normal(jax.random.key(1), leaf.shape))  # noqa: E731
     encoder = jax.tree.map(lambda leaf: np.asarray(leaf) + noise(leaf), Encoder.create(kind, shape, 12, jax.random.key(3)))
-    pictures = RNG.integers(0, 256, (4, *shape)).astype(np.uint8)
+    pictures = rng.integers(0, 256, (4, *shape)).astype(np.uint8)
     arrays = {f"k{i}": np.asarray(k) for i, k in enumerate(encoder.kernels)}
     arrays |= {f"b{i}": np.asarray(b) for i, b in enumerate(encoder.biases)}
     node = {"network": kind, "shape": list(shape), "kernels": [f"@k{i}" for i in range(len(encoder.kernels))],
@@ -60,9 +63,9 @@ def test_numpy_makes_the_same_features(kind, shape):
 
 
 @pytest.mark.parametrize("kind", ["patches", *slow("drq", "impala")])
-def test_features_tell_pictures_apart_and_have_slopes(kind):
+def test_features_tell_pictures_apart_and_have_slopes(kind, rng):
     encoder = Encoder.create(kind, (24, 24, 3), 16, jax.random.key(0))
-    pictures = jnp.asarray(RNG.integers(0, 256, (3, 2, 24, 24, 3)), jnp.uint8)
+    pictures = jnp.asarray(rng.integers(0, 256, (3, 2, 24, 24, 3)), jnp.uint8)
 
     @partial(jax.value_and_grad, has_aux=True)
     def loss(encoder):

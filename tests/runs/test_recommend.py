@@ -219,7 +219,7 @@ def test_estimates_that_are_there_are_the_card_even_if_the_check_hangs(doing, ti
     assert found.judged
     assert found.choice.deploy
     assert "DEPLOY bc seed 0: it is better." in str(found)
-    assert "bc seed 0        2.00 [1.50, 2.50]" in str(found)
+    assert "bc seed 0 2.00 [1.50, 2.50]" in " ".join(str(found).split())
     assert read_json(tmp_path / "out" / "estimates.json")["recommend"]["late"]
     assert "it is better" in (tmp_path / "out" / "report.html").read_text()
 

@@ -157,7 +157,7 @@ def agent_class(name: str) -> "type[Agent]":
     Modules are looked for as Python does, and in the current folder.
 
     Raises:
-        UserError: no agent has this name, or what has it is no agent.
+        UserError: no agent has this name, or the named object is not an agent.
     """
     key = agent_key(name)
     if key in AGENTS:

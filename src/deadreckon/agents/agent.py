@@ -30,19 +30,19 @@ class Agent(eqx.Module):
     The comment behind a field becomes its help on the command line.
 
     Attributes:
-        revision: raised in the class whose code has changed what is learned or how it acts; here for what all agents share
-            (class attribute). Results of suites are told apart by it (see bench/identity.py).
+        revision: raised in the class whose code has changed training or acting; here for the code that all agents share (class
+            attribute). It identifies results of suites (see bench/identity.py).
         supports_discrete: whether it takes `Discrete` actions too, and not continuous ones alone (class attribute).
-        supports_images: whether it learns from pictures too, by an encoder (`training.pictures`; an attribute of the class
+        supports_images: whether it also supports images, by an encoder (`training.pictures`; an attribute of the class
             itself, which subclasses do not inherit: they may learn by other losses).
         supports_history: whether observations may be histories of several steps (`data.history`; class attribute).
         own_history: why it takes none, where it does not (class attribute).
         one_log: whether the sizes of its networks depend on more of a log than the shapes of its columns, so that other logs
             cannot share its program (class attribute).
         by_length: fields left to it (None) that follow from the number of updates (class attribute).
-        online: whether its policy explores by itself, so that it can learn from what it does (class attribute).
+        online: whether it supports online training, because its policy explores (class attribute).
         offline: whether it can learn from a log alone (class attribute).
-        fine_tunes: whether it can go on in a simulator with a log in its replay (class attribute).
+        fine_tunes: whether it can continue in a simulator with a log in its replay (class attribute).
         exploration_noise: standard deviation of the normal noise that is added to its actions in [-1, 1] while it learns by
             acting, for policies that draw nothing (class attribute).
     """
@@ -72,7 +72,7 @@ class Agent(eqx.Module):
         raise NotImplementedError
 
     def representation_loss(self, state: Any, batch: Batch, *, step: Array, key: PRNGKeyArray) -> Array:
-        """What an encoder of pictures learns by, of features in the batch; `key` is that of `update`.
+        """The loss of an encoder of images, of features in the batch; `key` is that of `update`.
 
         Where there are critics it is their loss: an actor takes features as they are (Yarats et al. 2022, section 3.1).
         """
@@ -80,7 +80,7 @@ class Agent(eqx.Module):
 
     @property
     def representation_lr(self) -> Any:
-        """Learning rate of an encoder of pictures: that of what it learns by."""
+        """Learning rate of an encoder of images: that of its loss."""
         return vars(self).get("critic_lr", vars(self).get("lr"))
 
     def policy(self, state: Any) -> NormalizedPolicy:
@@ -123,7 +123,7 @@ class Agent(eqx.Module):
     def fit(self, data: Any, *, out: Any = None, **settings: Any) -> "Run":
         """Learns from a log: `deadreckon.train(self, data, ...)`, in a new folder every time.
 
-        The agent itself holds hyperparameters and stays as it is; what is learned is in the run that is given back.
+        The agent itself holds hyperparameters and does not change; the results of training are in the returned run.
 
         Args:
             data: a `Dataset`, the name of a known log, or a file.
@@ -136,7 +136,7 @@ class Agent(eqx.Module):
         return provided("fit")(self, data, out=out, **settings)
 
     def going_on(self) -> Self:
-        """The agent as it goes on in a simulator after a run on a log: without what was for that run alone."""
+        """The agent that continues in a simulator after a run on a log: without settings for that run alone."""
         return self
 
     def replace(self, **changes: Any) -> Self:

@@ -1,4 +1,4 @@
-"""AWR (Peng et al. 2019; thesis 7.4): regression on what the log's actions brought, and imitation weighted by it.
+"""AWR (Peng et al. 2019; thesis 7.4): regression on the returns of the log's actions, and imitation weighted by it.
 
 No Q-function is learned and no action outside of the log valued. With V fitted to returns of the log, by TD(lambda) within a
 window of consecutive rows, an action counts for the actor by

@@ -131,5 +131,5 @@ class BRAC(Agent):
         return TanhGaussian(state.actor)
 
     def q_value(self, state, observation, action):
-        """The smaller of the two critics; in the value form it holds what is paid later."""
+        """The smaller of the two critics; in the value form it includes later penalties."""
         return minimum(q_values(state.critics, observation, action))

@@ -1,11 +1,11 @@
-"""Cal-QL (Nakamoto et al. 2023): CQL whose values are held down no further than what the log returned, to go on from online.
+"""Cal-QL (Nakamoto et al. 2023): CQL with values not lowered below the log's returns, to continue online.
 
 The conservative term (eq. 5.1) lowers max(Q_j(s, a), V(s)) instead of Q_j(s, a), for actions of the policy,
 
     cql_weight ( log sum_a exp max(Q_j(s, a), V(s)) - Q_j(s, a_log) ),
 
 so that it has no slope where Q_j is below the return of the log from s on, the reference value V(s). Uniform actions are as in
-CQL. The same loss is learned from offline and online; online the returns are those of the agent's own episodes.
+CQL. The loss is the same offline and online; online the returns are those of the agent's own episodes.
 """
 
 from typing import ClassVar
@@ -45,12 +45,12 @@ class CalQL(CQL):
         return agent
 
     def needs(self, spec):
-        """Transitions, and what the episodes returned."""
+        """Transitions, and the returns of the episodes."""
         columns = *BatchSpec.columns, "monte_carlo"
         return BatchSpec(columns, self.batch_size, standardise=self.standardise, gamma=self.discount)
 
     def reference(self, batch: Batch) -> Float[Array, "b"]:
-        """V(s): the return from each row on, in the units that are learned from; -inf where it is not known yet."""
+        """V(s): the return from each row on, in the units of training; -inf if it is not known yet."""
         return self.reward_scale * batch.monte_carlo[:, 0] + self.reward_shift * batch.monte_carlo[:, 1]
 
     def held_down(self, critics, state, batch, key):

@@ -124,7 +124,7 @@ class CQL(ScaledRewards, SAC):
         return jnp.where(state.model.imitates, clone, loss), log_prob
 
     def update(self, state, batch, *, step, key):
-        """SAC's, and where it is asked for the multiplier's."""
+        """SAC's update, and that of the multiplier if there is one."""
         held = state.model._replace(imitates=step < self.warm_start)
         state, metrics = super().update(state._replace(model=held), batch, step=step, key=key)
         if not self.lagrange:

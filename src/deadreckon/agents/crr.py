@@ -1,4 +1,4 @@
-"""CRR (Wang et al. 2020): imitation of the logged actions that are better than what the present policy does.
+"""CRR (Wang et al. 2020): imitation of the logged actions that are better than the current policy's.
 
 Twin critics with squared errors stand for the paper's distributional ones, which `crr_d.py` has.
 """

@@ -81,7 +81,7 @@ class D4PG(Agent):
         return agent
 
     def needs(self, spec):
-        """Rows of `n_step` transitions, with what multiplies the value behind them."""
+        """Rows of `n_step` transitions, with the factor of the value after them."""
         columns = ("observation", "action", "reward", "next_observation", "discount")
         return BatchSpec(columns, self.batch_size, n_step=self.n_step, standardise=self.standardise, gamma=self.discount)
 
@@ -107,7 +107,7 @@ class D4PG(Agent):
         return support(self.v_min, self.v_max, self.atoms)
 
     def target(self, state: State, batch: Batch, key: PRNGKeyArray) -> Float[Array, "b z"]:
-        """The distribution of the rewards and of what the target networks expect behind them, on the atoms."""
+        """The distribution of the rewards plus the target networks' returns after them, on the atoms."""
         action = self.actions(state.target_actor, batch.next_observation, key)
         future = jax.nn.softmax(logits(state.target_critic, batch.next_observation, action))
         return project(future, batch.reward, batch.discount, self.support)

@@ -1,4 +1,4 @@
-"""DAPG (Rajeswaran et al. 2018): natural policy gradients that demonstrations begin and guide (thesis 8.4: DOPE's policies).
+"""DAPG (Rajeswaran et al. 2018): natural policy gradients with demonstrations (thesis 8.4: DOPE's policies).
 
 The policy first clones the demonstrations. Then each block of its own steps gives one step along the natural gradient (Kakade
 2001) of Rajeswaran et al.'s augmented gradient,

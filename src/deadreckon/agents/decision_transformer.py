@@ -4,7 +4,7 @@ A transformer reads (return-to-go, observation, action) of consecutive steps and
 
     L = E[ | pi(R_{t-k..t}, s_{t-k..t}, a_{t-k..t-1}) - a_t |^2 ],   R_t = r_t + r_{t+1} + ... to the episode's recorded end.
 
-It acts by asking for a return at an episode's start and taking from it what it has got since. No value is learned.
+It acts with a target return at an episode's start, from which received rewards are subtracted. No value is learned.
 """
 
 from typing import Annotated, Any, ClassVar, NamedTuple
@@ -24,7 +24,7 @@ from deadreckon.training.hyperparameters import Count, NonNegative, Number, Posi
 
 
 class State(NamedTuple):
-    """Network, optimiser, and what the log's returns are."""
+    """Network, optimiser, and the log's returns."""
 
     net: Sequence
     opt: optax.OptState
@@ -71,7 +71,7 @@ class DecisionTransformer(Agent):
         return BatchSpec(columns, self.batch_size, window=self.context_length, standardise=True, gamma=1.0)
 
     def init(self, spec, key) -> Any:
-        """A fresh network; what the log's returns are is not known yet."""
+        """An initial network; the log's returns are not known yet."""
         net = Sequence.create(spec, self.layers, self.hidden[0], self.heads, key)
         return State(net, init_opt(net), jnp.ones(()), jnp.zeros(()), jnp.ones(()))
 

@@ -1,4 +1,4 @@
-"""FQL (Park et al. 2025): an actor that makes in one step what a flow would, and is moved from it by a critic.
+"""FQL (Park et al. 2025): a one-step actor that imitates a flow and is improved by a critic.
 
 A flow model imitates the log: its field v(s, x, t) is fitted by flow matching, so that following it from noise z at t = 0 to
 t = 1 gives actions like the log's. The actor mu(s, z) is held to where the flow ends from the same noise, and raises the

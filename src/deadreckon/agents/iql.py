@@ -114,7 +114,7 @@ class IQL(ScaledRewards):
         return bellman_loss(state.critics, batch, target)[0]
 
     def policy(self, state):
-        """The actor; greedy is its mean, or its likeliest action."""
+        """The actor; its greedy action is the mean, or the most probable one."""
         return stochastic(state.actor)
 
     def q_value(self, state, observation, action):

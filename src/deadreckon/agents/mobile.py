@@ -37,7 +37,7 @@ class MOBILE(OfflineMBRL):
     samples: Count = static(10)  # next observations sampled from each network
 
     def resolve(self, spec, steps):
-        """Refuses a single network, which has nobody to disagree with, and a floor that would be every target."""
+        """Refuses a single network, which has no disagreement, and a lower limit that would apply to every target."""
         agent = super().resolve(spec, steps)
         if self.elites < 2:
             raise UserError(f"MOBILE.elites must be 2 or more, got {self.elites}")

@@ -1,6 +1,7 @@
 """Model-based value expansion (Feinberg et al. 2018) on top of SAC: targets after H steps in a model (thesis 5.4).
 
-From a real transition, which is t = -1, the present policy goes on for H steps in the model, and every step's Q is held to what
+From a real transition, which is t = -1, the current policy continues for H steps in the model, and every step's Q is fitted to
+what
 comes after it:
 
     1/(H+1) sum_{t=-1}^{H-1} ( Q(s_t, a_t) - [ sum_{k=t}^{H-1} discount^(k-t) r_k + discount^(H-t) V'(s_H) ] )^2

@@ -1,4 +1,4 @@
-"""What agents share that learn from their own last steps alone: what these have been like, values and advantages."""
+"""Shared code of on-policy agents: statistics of their last steps, values and advantages."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple

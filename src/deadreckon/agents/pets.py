@@ -1,8 +1,8 @@
-"""PETS (Chua et al. 2018): no policy is learned; actions are planned in an ensemble, anew at every step (thesis 5.4).
+"""PETS (Chua et al. 2018): no policy is learned; actions are planned in an ensemble, again at every step (thesis 5.4).
 
 The cross-entropy method draws sequences of `horizon` actions, follows each with `particles` rollouts, each in one network all
 along (TS-infinity), and moves its distribution towards the best sequences. The first action of its mean is done; the rest is
-where the next step begins to plan. The reward is the ensemble's, as in MBPO, where PETS was told it.
+where the next step begins to plan. The reward is the ensemble's, as in MBPO, while published PETS knows it.
 """
 
 from typing import Any, ClassVar, NamedTuple, Self

@@ -2,7 +2,7 @@
 
     max E[ min( r A, clip(r, 1 - clip, 1 + clip) A ) ],    r = pi(a|s) / pi_old(a|s)
 
-with advantages by generalised estimation (Schulman et al. 2016). Each block of steps is learned from for a few passes and then
+with advantages by generalised estimation (Schulman et al. 2016). Each block of steps is used for a few passes and then
 forgotten; `online.on_policy` makes it.
 """
 
@@ -38,7 +38,7 @@ class State(NamedTuple):
 
 
 class PPO(Agent):
-    """Clipped policy gradients on what the policy has just done."""
+    """Clipped policy gradients on the policy's last block of steps."""
 
     revision: ClassVar[int] = 1
     online: ClassVar[bool] = True

@@ -30,7 +30,7 @@ class ReBRAC(ScaledRewards, TD3):
     batch_size: Count = static(1024)  # batch size (transitions per update)
 
     def needs(self, spec):
-        """Transitions, and what the log did next."""
+        """Transitions, and the next logged actions."""
         return BatchSpec((*BatchSpec.columns, "next_action", "follows"), self.batch_size, standardise=self.standardise)
 
     def target(self, state, batch, key):

@@ -1,6 +1,6 @@
-"""REM (Agarwal et al. 2020; thesis 7.4): critics with many heads, of which every update fits one random mixture.
+"""REM (Agarwal et al. 2020; thesis 7.4): critics with many heads; every update fits one random mixture of them.
 
-With weights w, uniform numbers divided by their sum, drawn anew for every batch,
+With weights w, uniform numbers divided by their sum, drawn for every batch,
 
     L = E[ ( sum_k w_k Q_k(s, a) - r - discount sum_k w_k Q'_k(s', a') )^2 ].
 

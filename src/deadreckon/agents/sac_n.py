@@ -1,6 +1,7 @@
-"""SAC-N (An et al. 2021): SAC on a fixed log with so many critics that their least holds it to what the log knows.
+"""SAC-N (An et al. 2021): SAC on a fixed log with enough critics that their minimum keeps it close to the log.
 
-The order of steps is temperature, actor, critics, and networks begin as in the public code: biases of hidden layers are 0.1,
+The order of steps is temperature, actor, critics, and networks are initialised as in the public code: biases of hidden layers
+are 0.1,
 last layers are close to zero.
 """
 

@@ -59,7 +59,7 @@ class ScaledRewards(Agent):
         return agent.replace(reward_scale=wanted / (high - low), normalized_return_range=None)
 
     def learned(self, batch: Batch) -> Batch:
-        """A batch with the rewards that are learned from; the training loop applies it to every batch."""
+        """A batch with the scaled rewards of training; the training loop applies it to every batch."""
         return batch._replace(reward=self.reward_scale * batch.reward + self.reward_shift)
 
     def logged_value(self, value: Array) -> Any:

@@ -1,6 +1,6 @@
 """SLBO (Luo et al. 2019): a policy that improves on whole episodes made up by a model, from initial states (thesis 5.4).
 
-By turns a model is fitted to all real steps and the policy learns from what it does in the model, in long rollouts that begin
+By turns a model is fitted to all real steps and the policy is trained on its own rollouts in the model, long ones that begin
 where real episodes do: Algorithm 2 there, with PPO in the place of TRPO and the model's squared errors of one step in the place
 of a norm over two. `online.model_rollouts` makes the episodes.
 """

@@ -1,1 +1,1 @@
-"""The log: columns and spec, readers and writers, the catalogue. Knows no method and no simulator."""
+"""The log: columns and spec, readers and writers, and the catalogue; independent of methods and simulators."""

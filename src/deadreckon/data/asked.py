@@ -1,11 +1,11 @@
-"""What is asked of a table: which column is what, as options of commands and functions say it."""
+"""The roles of a table's columns, as given by options of commands and functions."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 
 class Asked(NamedTuple):
-    """What is asked for: columns, or prefixes that stand for prefix_0, prefix_1, ...; None or nothing where names decide."""
+    """The given roles: columns, or prefixes that stand for prefix_0, prefix_1, ...; None or empty if names decide."""
 
     action: str | Sequence[str] | None = None
     reward: str | None = None

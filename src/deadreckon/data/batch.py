@@ -1,4 +1,4 @@
-"""From columns to minibatches: what a method asks for (`BatchSpec`), what it gets (`Batch`), who gives it (`BatchSource`)."""
+"""From columns to minibatches: the request of a method (`BatchSpec`), the batch (`Batch`) and its source (`BatchSource`)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,11 +19,11 @@ REVISION = 1  # of what batches hold for given rows; raised where their numbers 
 
 
 class Batch(NamedTuple):
-    """A minibatch; fields that were not asked for are None. `b` rows, or `b, window` where windows were asked for.
+    """A minibatch of `b` rows, or `b, window` with windows; fields that were not requested are None.
 
-    Actions are in [-1, 1] (or int32 indices); `terminal` is 1.0 where there is no future. With n-step rows, `reward` is
-    the discounted sum of the steps taken, `next_observation` what follows the last of them, and `discount` what multiplies
-    the value there, zero at terminals; it is the plain discount times `1 - terminal` for one step.
+    Actions are in [-1, 1] (or int32 indices); `terminal` is 1.0 if there is no future. With n-step rows, `reward` is the
+    discounted sum of the steps' rewards, `next_observation` the observation after the last of them, and `discount` the factor
+    of the value there, zero at terminals; for one step it is the discount times `1 - terminal`.
     """
 
     observation: Any = None
@@ -45,15 +45,15 @@ class Batch(NamedTuple):
 
 @dataclass(frozen=True)
 class BatchSpec:
-    """What a method wants in every batch.
+    """The contents of every batch, as a method requests them.
 
     Attributes:
         columns: names of `Batch` fields.
-        batch_size: rows (or windows) a batch.
+        batch_size: rows (or windows) per batch.
         n_step: rewards summed before bootstrapping.
         window: 0 for single rows, else the length of consecutive rows.
-        initial: number of initial observations a batch.
-        standardise: whether observations come with mean 0 and standard deviation 1.
+        initial: number of initial observations per batch.
+        standardise: whether observations have mean 0 and standard deviation 1.
         gamma: discount of `return_to_go`, of `monte_carlo`, of n-step sums and of `discount`.
     """
 
@@ -72,7 +72,7 @@ class BatchSpec:
 
 
 def redrawn(count: int, members: int, seed: int) -> np.ndarray:
-    """(count, members) how often each of `count` things counts for each member of an ensemble: redrawn with replacement.
+    """(count, members) count of each of `count` items for each member of an ensemble: resampled with replacement.
 
     One member alone counts each once.
     """
@@ -83,14 +83,14 @@ def redrawn(count: int, members: int, seed: int) -> np.ndarray:
 
 
 class BatchSource(Protocol):
-    """Rows of which batches are made: a log's (`TransitionSource`), or designs.
+    """The rows from which batches are drawn: a log's (`TransitionSource`), or designs.
 
     Attributes:
-        needs: what every batch holds.
-        fields: per column its shape and dtype, as `take` gives it.
-        initial: (episodes, *shape) initial observations and what goes with them, or None.
+        needs: the contents of every batch.
+        fields: per column its shape and dtype, as returned by `take`.
+        initial: (episodes, *shape) initial observations and their further columns, or None.
         count: rows to draw from.
-        view: the coordinates that the columns are in, where policies have some.
+        view: the coordinates of the columns, if policies have some.
     """
 
     needs: Any
@@ -101,7 +101,7 @@ class BatchSource(Protocol):
 
     @property
     def spec(self) -> Any:
-        """What methods know of the rows before they see them."""
+        """The spec of the rows, for methods."""
         ...
 
     @property
@@ -115,19 +115,19 @@ class BatchSource(Protocol):
 
 
 class TransitionSource:
-    """A log as a method wants it: single rows or windows that `take` fetches by index, on the host.
+    """A log as the source of batches: single rows or windows that `take` fetches by index, on the host.
 
-    Training either keeps `take(everything)` on the device or fetches each batch with it; both see the same numbers.
+    Training either keeps `take(everything)` on the device or fetches each batch with it; the numbers are the same.
 
     Args:
         log: where the rows come from.
-        needs: what every batch holds.
-        extra: (rows, *shape) columns of the method's own, a row for each of the log's; batches hold them in `extra`.
+        needs: the contents of every batch.
+        extra: (rows, *shape) further columns of the method, with a row for each row of the log; batches have them in `extra`.
         initial_extra: (episodes, *shape) likewise, drawn with the initial observations.
 
     Attributes:
         view: the coordinates that the columns are in.
-        count: rows to draw from; where successors are asked for, those whose successor is known.
+        count: rows to draw from; if successors are requested, those whose successor is known.
         fields: per column its shape and dtype, as `take` gives it.
         initial: (episodes, *shape) initial observations and what goes with them, or None.
     """

@@ -1,4 +1,4 @@
-"""Named logs: what is known of them (`entries`), and where they are."""
+"""Named logs: their entries (`entries`) and their files."""
 
 import difflib
 from dataclasses import replace
@@ -23,7 +23,7 @@ def version_of(name: str) -> str:
 
 
 def plain_name(name: str) -> str:
-    """The name of the downloaded copy that an id of Minari's means (`hopper-medium-v2@minari`); other names as they are."""
+    """The name of the downloaded copy for a Minari id (`hopper-medium-v2@minari`); other names unchanged."""
     return f"{TWINS[name]}@{TWIN}" if name in TWINS else name
 
 
@@ -31,7 +31,7 @@ def entry(name: str) -> Entry:
     """The entry of a log, by D4RL's name, that of a copy (`maze2d-umaze-v1@dr1`, `@d4rl`, `@minari`) or its twin's Minari id.
 
     Raises:
-        UserError: no such name, with the nearest if one is near; or no such copy.
+        UserError: no such name, with a similar name if there is one; or no such copy.
     """
     base, _, version = plain_name(name).partition("@")
     if base not in ENTRIES:
@@ -54,7 +54,7 @@ def is_elsewhere(name: str) -> bool:
 
 
 def cached_path(name: str) -> Path:
-    """Where the log `name` is kept, whether it is there or not: a catalogue name means the collected version.
+    """The path of the log `name`, which need not exist: a catalogue name means the collected version.
 
     Raises:
         UserError: the name would lead out of the cache.
@@ -79,19 +79,19 @@ def at_hand(found: Entry) -> list[str]:
 def load(name: Path | str, mmap: bool | None = None, strict: bool = False, **options: Any) -> Dataset:
     """The log `name` from the cache, or the log in the file `name`.
 
-    A plain name such as `hopper-medium-v2` means the first that is there of the log collected by our recipe
-    (`hopper-medium-v2@dr1`), the downloaded original (`@d4rl`) and the downloaded Minari twin (`@minari`); what is given
-    says in its name which it is. The longer names mean that one copy.
+    A plain name such as `hopper-medium-v2` selects the first copy in the cache among the log collected by our recipe
+    (`hopper-medium-v2@dr1`), the downloaded original (`@d4rl`) and the downloaded Minari version (`@minari`); the name of the
+    loaded log includes the version. The longer names select that copy.
 
     Args:
-        name: from the catalogue, or an existing file or folder, or a Minari id, such as `mujoco/hopper/medium-v0`: of a data
-            set that is installed here, else of a twin in the cache.
+        name: from the catalogue, or an existing file or folder, or a Minari id, such as `mujoco/hopper/medium-v0`, of an
+            installed data set or else of a Minari version in the cache.
         mmap: memory-map the columns; see `read`.
         strict: refuse actions out of bounds instead of warning.
-        **options: more that `read` takes.
+        **options: further options of `read`.
 
     Raises:
-        UserError: one line: no such name, or how the log can be had.
+        UserError: one line: no such name, or how to obtain the log.
     """
     text = str(name)
     if text.startswith("minari:") or is_there(name) or (text not in ENTRIES and minaris.installed(text)):

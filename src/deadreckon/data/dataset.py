@@ -22,24 +22,24 @@ from deadreckon.provided import Shown
 class Dataset(Shown):
     """Logged steps in episodes, made by `Dataset.from_arrays`, `from_dict`, `from_frame` or `deadreckon.read`.
 
-    Row `t` holds the observation seen, the action taken there, the reward that followed and how the step ended:
+    Row `t` holds the observation, the action taken there, the reward that followed and how the step ended:
     `terminals` (the task ended, no future) or `timeouts` (only the recording ended). Columns may be memory-mapped.
 
     Attributes:
         observations: (rows, *shape), float32 or uint8.
-        actions: (rows, size) float32 for `Box`, (rows,) int32 for `Discrete`. As logged, also where out of bounds.
+        actions: (rows, size) float32 for `Box`, (rows,) int32 for `Discrete`. As logged, even if out of bounds.
         rewards: (rows,) float32.
         terminals: (rows,) bool.
-        timeouts: (rows,) bool; the last row of the log is one unless it is a terminal.
-        final_observations: (episodes, *shape), what was seen after each episode's last action.
-        final_known: (episodes,) bool, False where the log does not say.
+        timeouts: (rows,) bool; the last row of the log is a timeout unless it is a terminal.
+        final_observations: (episodes, *shape), the observation after each episode's last action.
+        final_known: (episodes,) bool, False if it is not in the log.
         successors: (rows, *shape) or None; only for logs whose next observation is not the following row's.
         extras: further columns of `rows` rows: behaviour log-probabilities, goals, simulator state, ...
         action_space: declared bounds, or the range of the data.
         name: such as `maze2d-umaze-v1@dr1`.
         provenance: where the log comes from.
-        warnings: what was noticed on load, one line each.
-        part_of: where it is a part of another log, what gives the `episode_ids` that its episodes have there.
+        warnings: messages from loading, one line each.
+        part_of: for a part of another log, a function that returns the `episode_ids` of its episodes there.
     """
 
     observations: np.ndarray
@@ -87,11 +87,11 @@ class Dataset(Shown):
             terminals: (rows,) truth values; all false if absent.
             timeouts: (rows,) truth values. If absent, an episode ends at a terminal, at the last row and, where
                 `next_observations` is given, wherever the next row does not continue it.
-            next_observations: (rows, *shape); kept only where they differ from the following row inside an episode.
+            next_observations: (rows, *shape); kept only if they differ from the following row inside an episode.
             final_observations: (episodes, *shape), instead of `next_observations`.
-            final_known: (episodes,) truth values, false where the log does not say; all true if absent.
-            legal: (rows, n) truth values, which discrete actions could be taken, or a function that gives them for observations
-                (rows, numbers). They become the last n numbers of the observations, which all methods and policies obey.
+            final_known: (episodes,) truth values, false for unknown ones; all true if absent.
+            legal: (rows, n) truth values of the legal discrete actions, or a function that returns them for observations (rows,
+                numbers). They become the last n numbers of the observations; all methods and policies take only legal actions.
             next_legal: (rows, n) truth values of `next_observations`, as `legal` of `observations`; see `legal.joined_masks`.
             final_legal: (episodes, n) truth values of `final_observations`, likewise.
             action_space: bounds of the actions; the range of the data if absent.
@@ -99,7 +99,7 @@ class Dataset(Shown):
             provenance: where the columns come from.
             strict: refuse actions out of bounds instead of warning.
             **extras: further columns with `rows` rows; `behavior_log_probs` are the logging policy's log-probabilities of the
-                logged actions, at most 0 where actions are discrete (of continuous ones they are log-densities).
+                logged actions, at most 0 for discrete actions (for continuous ones they are log-densities).
 
         Raises:
             UserError: one line that names the column and the row.
@@ -122,10 +122,10 @@ class Dataset(Shown):
     def from_dict(
         cls, columns: Mapping[str, Any], *, name: str = "arrays", done: str | None = None, strict: bool = False
     ) -> "Dataset":
-        """A mapping of arrays in the layout of another library (`data.formats.layouts`), or under our names, as a log.
+        """A log from a mapping of arrays in another library's layout (`data.formats.layouts`), or under our names.
 
         Args:
-            columns: {name: (rows, ...)}, maybe nested, or the fields of a replay buffer.
+            columns: {name: (rows, ...)}, possibly nested, or the fields of a replay buffer.
             name: of the log.
             done: what `done` or `dones` alone marks: "terminals" (the task ended) or "timeouts"; refused if absent.
             strict: refuse actions out of bounds instead of warning.
@@ -144,14 +144,14 @@ class Dataset(Shown):
     def from_frame(
         cls, frame: Any, *, name: str = "frame", strict: bool = False, source: str = "frame", **mapping: Any
     ) -> "Dataset":
-        """A table of one's own as a log.
+        """A log from a table.
 
         Args:
             frame: a pandas, polars or pyarrow table, or a mapping of column names to sequences of `rows` values.
             name: of the log, used in errors.
             strict: refuse actions out of bounds instead of warning.
             source: kind of table, for the provenance.
-            **mapping: a `schema`, or which column is what (`action`, `reward`, `episode`, ...); see `data.frame.frame_columns`.
+            **mapping: a `schema`, or the roles of columns (`action`, `reward`, `episode`, ...); see `data.frame.frame_columns`.
 
         Raises:
             UserError: one line with the column and the row (counted from 0, as in the table given).
@@ -207,25 +207,25 @@ class Dataset(Shown):
 
     @cached_property
     def fingerprint(self) -> str:
-        """Hex digest of what methods can see of the log: its columns and its action space."""
+        """Hex digest of the log's columns and its action space."""
         return fingerprint(self)
 
     @cached_property
     def episode_ids(self) -> np.ndarray:
-        """(episodes,) uint64 that tell episodes apart and know them again, in any file and part, `episodes.content_ids`."""
+        """(episodes,) uint64 ids that identify episodes by their contents, in any file and part; see `episodes.content_ids`."""
         known = None if self.part_of is None else self.part_of()
         return known if known is not None and len(known) == self.episodes else content_ids(self)
 
     @cached_property
     def usable(self) -> np.ndarray:
-        """(rows,) bool: the successor is known, or the row is terminal and has none that matters."""
+        """(rows,) bool: the successor is known, or the row is terminal and needs none."""
         usable = np.ones(len(self), bool)
         usable[self.ends] = self.final_known | self.terminals[self.ends]
         return usable
 
     @cached_property
     def apart(self) -> np.ndarray:
-        """(rows,) bool: the row is followed by another observation than that of the next row of its episode."""
+        """(rows,) bool: the row's next observation differs from that of the next row of its episode."""
         apart = np.zeros(len(self), bool)
         if self.successors is not None:
             apart[:-1] = breaks(self.observations, self.successors)
@@ -233,7 +233,7 @@ class Dataset(Shown):
 
     @property
     def dropped(self) -> int:
-        """Rows that no method is shown because their successor is unknown."""
+        """Number of rows that are not used for training because their successor is unknown."""
         return int(len(self) - self.usable.sum())
 
     def next_observations_at(self, rows: np.ndarray) -> np.ndarray:
@@ -259,7 +259,7 @@ class Dataset(Shown):
         return returns_to_go(np.asarray(self.rewards), self.ends, self.lengths, discount)
 
     def loaded(self) -> "Dataset":
-        """The same log with its memory-mapped columns read into memory, so that their files may go."""
+        """The same log with its memory-mapped columns read into memory, so that their files can be deleted."""
         ids = self.episode_ids if self.part_of is not None else None
         return replace(self, **in_memory(vars(self)), part_of=None if ids is None else lambda: ids)
 
@@ -295,10 +295,10 @@ class Dataset(Shown):
         return self.select(parts.learning), self.select(parts.held)
 
     def with_action_space(self, space: Box | Discrete, strict: bool = False) -> "Dataset":
-        """The same log under other bounds, such as those of the environment that it will be judged in.
+        """The same log with other bounds, such as those of the environment in which policies will be evaluated.
 
         Raises:
-            UserError: other kinds of actions; or, where `strict`, actions out of bounds, also of the log's own.
+            UserError: other kinds of actions; or, with `strict`, actions out of bounds.
         """
         if space.size != self.action_space.size or type(space) is not type(self.action_space):
             raise UserError(f"{self.name}: actions are {self.action_space}, {space} was asked for")

@@ -1,4 +1,4 @@
-"""A table as it would be read, described column by column: the schema that a user checks, changes and gives back."""
+"""A table as it would be read, described column by column: a schema for the user to check and edit."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -22,18 +22,18 @@ from deadreckon.errors import UserError
 
 
 def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafted:
-    """Drafts the schema of a table, with levels, ranges and what stands for missing values.
+    """Drafts the schema of a table, with levels, ranges and the replacements of missing values.
 
     Args:
         source: the path of a file that holds a table, or a table as `frame_columns` takes it.
         name: of the table, for errors; the path, or "frame".
-        **asked: which column is what, as far as it is known; see `data.frame.frame_columns`.
+        **asked: the known roles of columns; see `data.frame.frame_columns`.
 
     Returns:
-        The schema, and what should be checked.
+        The schema, and messages on what to check.
 
     Raises:
-        UserError: no such file or table, or a column that was asked for does not exist.
+        UserError: no such file or table, or a given column does not exist.
     """
     file = Path(source) if isinstance(source, str | Path) else None
     ways: dict[str, Any] = {}

@@ -1,7 +1,7 @@
 """Downloading known logs, D4RL's originals and their Minari twins, with resume, checksum and progress.
 
-A transfer goes into a hidden part beside the place where the log will be, so that a later one goes on from there. The log gets
-its name only when it is whole and can be read.
+A transfer goes into a hidden part beside the place where the log will be, so that a later one continues from there. The log
+gets its name only when it is complete and can be read.
 """
 
 import contextlib
@@ -43,9 +43,9 @@ class Download:
     Attributes:
         name: such as `hopper-medium-v2@d4rl`.
         path: in the cache.
-        new: whether it came now, or was there before.
+        new: whether it was downloaded now, or was in the cache.
         sha256: of the file that came, which for a twin is Minari's `main_data.hdf5`; None where it was not recorded.
-        vouched: who named a checksum that the file has; None if nobody did.
+        vouched: the source of a checksum that matches the file; None if there is none.
     """
 
     name: str
@@ -66,19 +66,19 @@ def get(
 ) -> Download:
     """Downloads a known log into the cache, where `deadreckon.load` finds it as `NAME@d4rl` or `NAME@minari`.
 
-    Two processes may ask for the same log: the second is refused while the first is at it.
+    If two processes download the same log, the second is refused while the first is running.
 
     Args:
         name: from the catalogue, such as `hopper-medium-v2`, or its twin's id on Minari.
         source: `d4rl` for the original, `minari` for its twin, which others collected and which differs; None: what the name
             says, which is the twin for an id of Minari's, else the original.
-        sha256: what the file's must be, in hexadecimal; for a twin that of its `main_data.hdf5`.
-        force: download it again if it is there.
-        progress: called with the bytes that are there, and the bytes in all or None.
+        sha256: the required checksum, in hexadecimal; for a Minari version that of its `main_data.hdf5`.
+        force: download it again if it is in the cache.
+        progress: called with the bytes received, and the total bytes or None.
         retry: of the transfer.
 
     Raises:
-        UserError: one line: no such log, or what went wrong with which address and how the log can be had instead.
+        UserError: one line: no such log, or the error, the address and another way to obtain the log.
     """
     name, source = plain_name(name), source_of(name, source)
     found = _known(name, source)

@@ -1,6 +1,6 @@
-"""A schema for a table of which little or nothing is said: roles by what was asked for and by names.
+"""A schema for a table with few or no options: roles from the options and from names.
 
-Each choice that may be wrong is told in a line, and can be overruled.
+Each choice that may be wrong is reported in a line, and can be overridden.
 """
 
 import re
@@ -24,7 +24,7 @@ _LEGAL: tuple[Role, ...] = ("legal", "next_legal")
 
 
 class Drafted(NamedTuple):
-    """A schema, and what should be known of it.
+    """A schema, and messages about it.
 
     Attributes:
         schema: of the table.
@@ -45,7 +45,7 @@ def draft(table: pa.Table, asked: Asked, name: str = "frame", needed: bool = Tru
         needed: whether a table without an action or a reward is refused.
 
     Raises:
-        UserError: a column that was asked for does not exist or cannot be what it should.
+        UserError: a given column does not exist or cannot have its role.
     """
     maker = _Maker(table, asked, name)
     maker.asked_for()

@@ -1,4 +1,4 @@
-"""Columns of a table as numbers, as a schema says: levels for texts, means and indicators for what is missing."""
+"""Encodes columns of a table as numbers by a schema: levels for texts, means and indicators for missing values."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -39,7 +39,7 @@ _NATURAL = 100_000  # names of episodes that are put in the order of the numbers
 
 
 class Encoder:
-    """Encodes columns of `table`, and keeps what should be told about it.
+    """Encodes columns of `table`, and keeps messages about it.
 
     Attributes:
         name: of the log, used in errors.

@@ -1,4 +1,4 @@
-"""Which log and which episode is which: numbers made of what they hold, known again in any file and part."""
+"""Identities of logs and episodes: numbers computed from their contents, the same in any file and part."""
 
 import hashlib
 from collections.abc import Iterator
@@ -22,7 +22,7 @@ def index_type(count: int) -> Any:
 
 
 def fingerprint(log: "Dataset") -> str:
-    """Hex digest of what methods can see of a log: its columns and its action space."""
+    """Hex digest of a log's columns and its action space."""
     digest = hashlib.blake2b(repr(log.action_space).encode(), digest_size=16)
     named = {"observations": log.observations, "actions": log.actions, "rewards": log.rewards,
              "terminals": log.terminals, "timeouts": log.timeouts, "final_observations": log.final_observations,
@@ -39,10 +39,10 @@ def fingerprint(log: "Dataset") -> str:
 def content_ids(log: "Dataset") -> np.ndarray:
     """(episodes,) uint64, one for each episode and different from all others in the log.
 
-    It follows from the observations, actions, rewards, ends and what was seen last, and, because episodes may be alike, from
-    how many like it come before in the log. Extra columns do not count: a log is read now with propensities or users and now
-    without, and its episodes are the same. The numbers are the same on every machine and in every version; they are no
-    protection against somebody who wants two episodes to look alike.
+    It follows from the observations, actions, rewards, ends and the final observation, and, because episodes may be equal, from
+    the number of equal ones before it in the log. Extra columns do not count: the episodes are the same whether a log is read
+    with or without propensities or users. The numbers are the same on every machine and in every version; they do not protect
+    against deliberately constructed collisions.
     """
     ids = np.zeros(log.episodes, np.uint64)
     for start in range(0, len(log), _ROWS):
@@ -103,7 +103,8 @@ def continued_returns(
 ) -> np.ndarray:
     """(rows, 2) float64: the discounted rewards from each row on, and the discounted number of steps that give them.
 
-    An episode that was cut (a timeout, or the end of the recording) goes on for ever with its last reward: from the last row
+    An episode that was cut (a timeout, or the end of the recording) continues infinitely with its last reward: from the last
+    row
     on there are 1 / (1 - discount) discounted steps of that reward. Rewards r' = scale r + shift have the return
     scale * first + shift * second.
 

@@ -1,4 +1,4 @@
-"""Tables of one's own: columns are named, encoded and sorted into episodes, as `Dataset.from_arrays` takes them."""
+"""Users' tables: columns are named, encoded and sorted into episodes, for `Dataset.from_arrays`."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -28,14 +28,14 @@ ALONE = "each row is read as an episode of one step; where rows follow each othe
 
 
 class FrameColumns(NamedTuple):
-    """What a table becomes.
+    """The columns of a log made from a table.
 
     Attributes:
         columns: by `Dataset.from_arrays` names, (rows, ...) each, in the order of episodes and time.
         extra: for the provenance: the schema, names of the observation's dimensions, levels of categories,
             and what each column held (`data.held`).
-        warnings: what was noticed, one line each.
-        action_space: that the schema gives, or None.
+        warnings: messages, one line each.
+        action_space: from the schema, or None.
     """
 
     columns: dict[str, Any]
@@ -48,19 +48,19 @@ def frame_columns(
     frame: Any, *, schema: Schema | Mapping[str, Any] | Path | str | None = None, name: str = "frame",
     dates: str | None = None, **asked: Any,
 ) -> FrameColumns:  # fmt: skip
-    """The columns of a log that a table holds; `Dataset.from_frame` makes the log of them.
+    """The columns of a log from a table; `Dataset.from_frame` makes the log of them.
 
     Texts and categories among the observations become one 0/1 column per level (levels in
-    `provenance.extra`); missing numbers become the column's mean, and a 0/1 column `<name>_missing` tells where.
+    `provenance.extra`); missing numbers become the column's mean, and a 0/1 column `<name>_missing` marks them.
 
     Args:
         frame: a pandas, polars or pyarrow table, or a mapping of column names to sequences of `rows` values.
-        schema: what each column is, as a `Schema`, its JSON values or the path of its TOML file. It says all, so that the
-            other options are refused beside it; columns that it does not have are left out.
+        schema: what each column is, as a `Schema`, its JSON values or the path of its TOML file. It is complete, so the other
+            options are refused beside it; columns that it does not have are left out.
         name: of the log, used in errors.
         dates: how texts such as 03/04/2024 are read: `iso` (as texts), `day-first` or `month-first`; None: by the rules of
             text files.
-        **asked: without a schema, which column is what:
+        **asked: without a schema, the roles of columns:
 
             - action: one column (integers, texts or categories: discrete; floats: continuous), several, or a prefix such as
               `action` that stands for action_0, action_1, ..., also among several. By its name if absent.
@@ -71,24 +71,24 @@ def frame_columns(
               observations, each row is an episode of one terminal step (a bandit); otherwise, without `episode`, all rows are
               one stream that `terminal` and `timeout` cut, or the next observations where `timeout` is absent.
             - observations: columns, or prefixes; if absent, all that have no other part to play.
-            - next_observations: columns, or prefixes, of the observation after the action, one for each observation and in
-              their order, unless their names (`next_x`, `x_next`, ...) say of which. By their names if absent.
-            - ignore: columns, or prefixes, that are no observations.
+            - next_observations: columns, or prefixes, of the observation after the action, one for each observation and in the
+              same order, unless their names (`next_x`, `x_next`, ...) identify them. By their names if absent.
+            - ignore: columns, or prefixes, that are not observations.
             - terminal: column of truth values: the task ended here.
             - timeout: column of truth values: only the recording ended here. The last row of an episode that is not a
               terminal is always one.
             - propensity: column of the logging policy's probability of the logged action, in (0, 1], or of its density above 0
               where actions are continuous; its logarithm is kept as the extra `behavior_log_probs`.
-            - keep: columns, or prefixes, that are no observations unless `observations` names them, but stay beside the log
-              as extras. Texts and times become integer codes, up to 1,000 levels of each in `provenance.extra`.
-            - group: column, such as a user or a site, that is kept and by whose values episodes are held out together.
+            - keep: columns, or prefixes, that are not observations unless `observations` names them, but are kept beside the
+              log as extras. Texts and times become integer codes, up to 1,000 levels of each in `provenance.extra`.
+            - group: column, such as a user or a site, that is kept; episodes with the same value are held out together.
             - cost: columns of numbers that are neither observation nor reward, kept as extras.
             - legal: which discrete actions could be taken: a column of lists or of texts such as a|b, a 0/1 column for each
               action (or their beginning: legal for legal_a, legal_b), or, in `Dataset.from_frame`, a function of the
               observations (rows, numbers) that gives (rows, actions) truth values in the order of the actions' levels.
-            - next_legal: likewise in the next observations; without it, as the following row has it.
+            - next_legal: likewise in the next observations; without it, that of the following row.
             - weight: column of numbers that is kept as an extra.
-            - kinds: {column: "number", "integer", "category" or "flag"} where the kind by the values is wrong.
+            - kinds: {column: "number", "integer", "category" or "flag"} if the kind found from the values is wrong.
 
     Raises:
         UserError: one line with the column and the row (counted from 0, as in the table given).

@@ -1,7 +1,8 @@
-"""Histories: the last steps of an episode as one observation, for worlds whose single observations do not tell the state.
+"""Histories: the last steps of an episode as one observation, for partially observed environments.
 
 A history of K steps is the row o_{t-K+1}, a_{t-K+1}, ..., o_{t-1}, a_{t-1}, o_t: K observations, and between them the actions
-taken, continuous ones scaled to [-1, 1], discrete ones one-hot. The state of a partially observed world is inferred from both
+taken, continuous ones scaled to [-1, 1], discrete ones one-hot. The state of a partially observed environment is inferred from
+both
 (Kaelbling, Littman and Cassandra, 1998, section 3). The newest observation is last, so that the end of a row is the history of
 fewer steps. Before an episode's start its first observation is repeated, and actions are zeros.
 """
@@ -18,7 +19,7 @@ from deadreckon.errors import UserError
 
 
 def stacked(log: Dataset, steps: int, view: Normalizer | None = None) -> Dataset:
-    """A log whose observations are histories, which are made of its columns whenever rows are taken.
+    """A log whose observations are histories, computed from its columns when rows are read.
 
     Args:
         log: with flat observations.
@@ -56,7 +57,7 @@ def beginning(observation: Any, action_size: int, steps: int) -> Any:
 
 
 class Histories:
-    """(rows, history_size) float32 histories of a log, made when they are asked for: the log is not copied `steps` times.
+    """(rows, history_size) float32 histories of a log, computed when they are read: the log is not copied `steps` times.
 
     Like a memory-mapped column it has a shape and is read by indices of rows.
     """

@@ -1,4 +1,4 @@
-"""What a log is made of, in numbers, and what a practitioner should know before learning from it."""
+"""The contents of a log in numbers, and warnings for a practitioner before training on it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -48,8 +48,8 @@ class Info:
         observation_scales: smallest and largest standard deviation among those that do.
         duplicate_rows: rows that repeat an earlier one (observation, action, reward), in a sample if the log is long.
         duplicates_together: share of these that follow one another as the earlier ones do.
-        sampled: rows that were looked at for duplicates and distinct rewards.
-        own_successors: rows inside an episode whose next observation is not the following row's.
+        sampled: rows that were checked for duplicates and distinct rewards.
+        own_successors: rows inside an episode whose next observation differs from the following row's.
         fingerprint: of the log.
     """
 
@@ -129,18 +129,18 @@ def describe(log: Dataset) -> Info:
 
 
 def warnings_for(log: Dataset, info: Info | None = None) -> tuple[str, ...]:
-    """What should be known before learning from `log`, one line of advice each, those of the door first.
+    """Warnings before training on `log`, one line of advice each, those from loading first.
 
     Args:
-        log: to be looked at.
-        info: what `describe` gave, if it was called already.
+        log: the log.
+        info: the result of `describe`, if it was called already.
     """
     info = info or describe(log)
     return (*log.warnings, *_ends(log, info), *_rewards(log, info), *_columns(log, info))
 
 
 def render(info: Info, warnings: tuple[str, ...] = ()) -> str:
-    """`info` as plain text, one line a fact, and then the warnings."""
+    """`info` as plain text, one line per fact, followed by the warnings."""
     scale = f"{info.observation_scales[0]:.3g} .. {info.observation_scales[1]:.3g}"
     facts = {
         "log": f"{info.name} ({info.source}, fingerprint {info.fingerprint})",

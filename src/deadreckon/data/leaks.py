@@ -1,8 +1,8 @@
 """Suspected leaks: columns that hold the reward, the action or the next observation of their row, and late rewards.
 
-Columns are looked at where they are known, in a sample of whole episodes. A suspicion is told where chance gives what was
-found with probability `LEVEL` at most, over all columns together (Bonferroni). Honest tables can still have what is told: a
-reward that is by definition a state, an action that a rule without chance takes from one column. The lines say so.
+Columns are checked where they are known, in a sample of whole episodes. A suspicion is reported if chance explains the finding
+with a probability of at most `LEVEL`, over all columns together (Bonferroni). Correct tables can still have such findings: a
+reward that is by definition a state, or an action that a deterministic rule takes from one column. The lines say so.
 """
 
 import math
@@ -35,9 +35,9 @@ class _Sample:
 
 
 def leaks(log: Dataset) -> tuple[str, ...]:
-    """What looks like a leak in `log`, one line each, with columns and numbers.
+    """Possible leaks in `log`, one line each, with columns and numbers.
 
-    Observations of more than one axis (images) are not looked at, and of many columns the first `COLUMNS`.
+    Observations with more than one axis (images) are not checked, and of many columns only the first `COLUMNS`.
     """
     if len(log.spec.observation_shape) > 1 or len(log) < LEAST:
         return ()

@@ -1,7 +1,8 @@
-"""Which discrete actions are legal where: as the last numbers of observations, so that whatever sees an observation sees them.
+"""Masks of legal discrete actions, as the last numbers of observations, so that everything with an observation has them.
 
-A log with `Discrete(n, masked=True)` has n numbers at the end of every observation, 1 where an action may be taken and else 0.
-Networks give illegal actions `nets.mlp.ILLEGAL`, so that maxima, softmaxes, draws and targets obey without knowing of masks.
+A log with `Discrete(n, masked=True)` has n numbers at the end of every observation, 1 if an action is legal and otherwise 0.
+Networks give illegal actions `nets.mlp.ILLEGAL`, so that maxima, softmaxes, samples and targets exclude them without further
+code.
 """
 
 from collections.abc import Callable, Mapping
@@ -18,7 +19,7 @@ from deadreckon.errors import UserError
 def joined_masks(
     log: str, columns: Mapping[str, Any], space: Box | Discrete | None
 ) -> tuple[dict[str, Any], Box | Discrete | None]:
-    """Columns without masks of their own, which are the last numbers of the observations instead, and the masked action space.
+    """Columns without separate masks, which become the last numbers of the observations, and the masked action space.
 
     Where `next_observations` are given without `next_legal`, what is legal in a next observation is known where the next row
     continues; elsewhere an episode's last row has no known successor, unless it is a terminal. The same holds of

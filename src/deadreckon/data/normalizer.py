@@ -1,4 +1,4 @@
-"""How methods see a log: actions in [-1, 1] and, where they ask for it, standardised observations."""
+"""The coordinates of a log for methods: actions in [-1, 1] and, if requested, standardised observations."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -20,7 +20,7 @@ class Normalizer:
     Works on numpy and JAX arrays alike. For discrete actions the action maps are the identity.
 
     Attributes:
-        mean, std: of the observations, arrays of the observation's shape; None where they are passed as they are.
+        mean, std: of the observations, arrays of the observation's shape; None if observations are not changed.
         low, high: (size,) action bounds; None for discrete actions.
     """
 
@@ -31,7 +31,7 @@ class Normalizer:
 
     @classmethod
     def of(cls, spec: Spec, standardise: bool = False) -> "Normalizer":
-        """That of a log with this spec."""
+        """The normalizer of a log with this spec."""
         mean = std = low = high = None
         if standardise and spec.observation_dtype != "uint8":
             mean = np.asarray(spec.observation.mean, np.float32)
@@ -43,7 +43,7 @@ class Normalizer:
         return cls(mean, std, low, high)
 
     def observe(self, observations: Any) -> Any:
-        """Raw observations as methods see them."""
+        """Raw observations in the coordinates of methods."""
         return observations if self.mean is None else (observations - self.mean) / self.std
 
     def to_unit(self, actions: Any) -> Any:
@@ -59,14 +59,14 @@ class Normalizer:
         return 2.0 * (actions - self.low) / (self.high - self.low) - 1.0
 
     def from_unit(self, actions: Any) -> Any:
-        """Actions in [-1, 1] as the environment takes them."""
+        """Actions in [-1, 1], converted to the environment's."""
         if self.low is None:
             return actions
         return self.low + 0.5 * (actions + 1.0) * (self.high - self.low)
 
     @property
     def log_scale(self) -> float:
-        """What to subtract from a log-density over [-1, 1] to have it over the environment's actions."""
+        """The number to subtract from a log-density over [-1, 1] for one over the environment's actions."""
         return 0.0 if self.low is None or self.high is None else float(np.log(0.5 * np.subtract(self.high, self.low)).sum())
 
     def log_scale_within(self, unit: np.ndarray) -> np.ndarray:

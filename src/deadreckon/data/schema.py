@@ -1,4 +1,4 @@
-"""What each column of a table is: its role, kind, levels, unit, range, and how missing values are filled; also as TOML."""
+"""The schema of a table: role, kind, levels, unit, range and fill value of each column; also as TOML."""
 
 import json
 import math
@@ -57,11 +57,11 @@ class SchemaValues(TypedDict):
 
 @dataclass(frozen=True)
 class Column:
-    """What one column of a table is.
+    """The description of one column of a table.
 
     Attributes:
         name: of the column in the table.
-        role: what it is for; `ignore` leaves it out, `keep` stores it beside the log.
+        role: its use; `ignore` leaves it out, `keep` stores it beside the log.
         kind: how its values are read. An observation of kind category becomes one 0/1 number per level, of kind flag one;
             an action of kind integer, category or flag is discrete, of kind number continuous.
         levels: of a category, or of a discrete action's integers, in the order of their codes; None: those that the table has.
@@ -69,12 +69,12 @@ class Column:
         low: smallest value possible; of a continuous action the lower bound. None: not known.
         high: largest value possible; see `low`.
         fill: number that stands for missing values; None: the mean of the table.
-        marked: whether a further 0/1 number says where the value was missing; None: where the table misses some.
+        marked: whether a further 0/1 number marks missing values; None: if the table has missing values.
         keep: whether it is kept beside the log as an extra, too; columns of the role keep, group, cost and weight always are.
         of: of a next observation, the name of the observation that it is the next value of; of a flag of the role legal (or
             next_legal), the action that it is for. A category of that role lists actions: a list, or a text such as a|b.
-        reason: why the column was given this role and kind.
-        doubt: what should be checked by somebody who knows the table; empty where nothing.
+        reason: of this role and kind.
+        doubt: what somebody who knows the table should check; empty if nothing.
     """
 
     name: str
@@ -127,7 +127,7 @@ class Column:
                 raise UserError(f"{where}: {key} must be a text, got {getattr(self, key)!r}")
 
     def told(self) -> dict[str, Any]:
-        """What is said of the column, as JSON values, without its name, reason and doubt and what has its default."""
+        """The column as JSON values, without its name, reason and doubt and without defaults."""
         silent = ("name", "reason", "doubt")
         given = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in silent}
         # By identity: a range that begins at 0, or a fill of 0, is equal to False. `marked` has None as its default.
@@ -141,7 +141,7 @@ class Schema:
     """The columns of a table, and how its file is written.
 
     Attributes:
-        columns: what each is. Observations, and actions, are dimensions in this order.
+        columns: the description of each. Observations, and actions, are dimensions in this order.
         table: the `path` of the table's file, relative to the schema's, and options of its reader.
     """
 
@@ -181,7 +181,7 @@ class Schema:
         """The table that the schema in the file `path` names, which lies in the same folder or below it.
 
         Raises:
-            UserError: it names none, or one elsewhere.
+            UserError: it names none, or one in another folder.
         """
         name = self.table.get("path")
         if not isinstance(name, str) or not name:
@@ -194,11 +194,11 @@ class Schema:
             raise UserError(f"{text}; give the table itself and --schema {path}") from error
 
     def options(self) -> dict[str, Any]:
-        """How the table's file is read: what stands in [table] beside its path."""
+        """The options for reading the table's file: the entries of [table] except its path."""
         return {key: value for key, value in self.table.items() if key != "path"}
 
     def read_as(self, options: Mapping[str, Any] | None) -> "Schema":
-        """The same columns in a table that is read in another way; dates are in the same order unless it says one."""
+        """The same columns for a table that is read with other options; dates keep their order unless one is given."""
         if options is None:
             return self
         dates = {key: value for key, value in self.table.items() if key == "dates"}
@@ -266,7 +266,7 @@ class Schema:
 
     @classmethod
     def load(cls, path: Path | str) -> "Schema":
-        """Reads a schema that `save` or somebody else wrote.
+        """Reads a schema from a TOML file.
 
         Raises:
             UserError: one line with the file and what is wrong in it.

@@ -1,4 +1,4 @@
-"""What a log looks like from outside: spaces, ranges and statistics, and nothing of its rows."""
+"""The spec of a log: spaces, ranges and statistics, without its rows."""
 
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
@@ -36,7 +36,7 @@ class Discrete:
     """Actions 0 .. n-1.
 
     Attributes:
-        n: how many there are.
+        n: number of actions.
         masked: whether not all of them are legal everywhere: the last `n` numbers of every observation are then 1 for those
             that are and 0 for the others (see `data.legal`).
     """
@@ -88,7 +88,7 @@ class Statistics:
 
 @dataclass(frozen=True, eq=False)
 class Spec:
-    """The shape of a log, all that a method may know before it sees rows.
+    """The spec of a log, which methods use before they receive rows.
 
     Attributes:
         observation_shape: shape of one observation.
@@ -118,7 +118,7 @@ class Spec:
 
     @classmethod
     def empty(cls, observation_shape: tuple[int, ...], action: Box | Discrete, name: str) -> "Spec":
-        """The spec of a log that has yet to be collected; its statistics say nothing (mean 0, deviation 1)."""
+        """The spec of a log that has yet to be collected; its statistics are placeholders (mean 0, deviation 1)."""
         nothing = lambda shape: Statistics(np.zeros(shape), np.ones(shape), np.zeros(shape), np.zeros(shape))  # noqa: E731
         actions = nothing(() if isinstance(action, Discrete) else (action.size,))
         columns = nothing(observation_shape), actions, nothing(())
@@ -141,7 +141,7 @@ class Spec:
 
     @property
     def mask_size(self) -> int:
-        """How many of an observation's last numbers say which actions are legal; 0 where all are."""
+        """Number of an observation's last numbers that mark legal actions; 0 if all are legal."""
         return self.action.n if isinstance(self.action, Discrete) and self.action.masked else 0
 
 

@@ -1,4 +1,4 @@
-"""Which episodes per method learns from and which are kept to judge by: whole episodes, or whole clusters of them."""
+"""Divides episodes into training and held-out ones: whole episodes, or whole clusters of them."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,10 +15,10 @@ RANDOM, TIME = "random", "time"
 
 
 class Parts(NamedTuple):
-    """Two disjoint parts of a log, all its episodes together.
+    """Two disjoint parts of a log, which together have all its episodes.
 
     Attributes:
-        learning: (learning,) indices of episodes to learn from, ascending.
+        learning: (learning,) indices of training episodes, ascending.
         held: (held,) indices of episodes that are held out, ascending.
     """
 
@@ -28,12 +28,12 @@ class Parts(NamedTuple):
 
 @dataclass(frozen=True)
 class Holdout:
-    """Episodes that no method learns from, so that policies can be judged on them.
+    """Episodes that are held out from training, so that policies can be evaluated on them.
 
     Attributes:
         share: of the episodes, between 0 and 1.
         by: "random", "time" (the latest: rows are in the order of time), or a column of the log's extras, such as a user or a
-            site, which is held out whole or not at all.
+            site, each value of which is held out as a whole or not at all.
         seed: of the draw.
     """
 
@@ -42,7 +42,7 @@ class Holdout:
     seed: int = 0
 
     def parts(self, log: "Dataset") -> Parts:
-        """The episodes of `log` to learn from and to hold out.
+        """The training episodes and the held-out episodes of `log`.
 
         Raises:
             UserError: a share that is not between 0 and 1, fewer than two episodes or clusters, or a column that is unknown or
@@ -78,11 +78,11 @@ class Holdout:
 
 @dataclass(frozen=True)
 class Fold:
-    """One part of several that are held out in turn, in the place of a `Holdout`.
+    """One part of several that are held out in turn, used like a `Holdout`.
 
     Attributes:
         fold: which, 0 .. folds - 1.
-        folds: how many.
+        folds: number of folds.
         by: see `Holdout`.
         seed: of the draw.
     """
@@ -103,7 +103,7 @@ class Fold:
 
 
 def group_of(log: "Dataset") -> str | None:
-    """The extra column, such as a user, whose values tell which episodes belong together; None where there is none."""
+    """The extra column, such as a user, whose values define which episodes belong together; None if there is none."""
     found = log.provenance.extra.get("group")
     return found if found in log.extras else None
 

@@ -1,4 +1,4 @@
-"""What became of every column of a log: role, kind, levels or range, missing cells, and the dimensions that it is now."""
+"""The use of every column of a log: role, kind, levels or range, missing cells, and its dimensions in the log."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,9 +26,9 @@ class Told:
         role: as in a schema, or "not in the schema".
         kind: as in a schema.
         holds: levels or range, with the unit.
-        missing: cells without a value in the table, or None where nobody counted them.
-        becomes: what the log makes of it.
-        dimensions: indices of the (flattened) observation, or of the action, that it is; empty for other roles.
+        missing: cells without a value in the table, or None if they were not counted.
+        becomes: its form in the log.
+        dimensions: its indices in the (flattened) observation, or in the action; empty for other roles.
         marked: whether the last of these says where cells are missing.
     """
 

@@ -1,7 +1,7 @@
 """Transfers of files over http that survive a broken connection and a killed process, with checksums and progress.
 
-A transfer goes into a part, with what the server said of the file beside it; whatever breaks or kills it, the next one goes on
-from there.
+A transfer goes into a part, with the server's information about the file beside it; after any interruption, the next transfer
+continues from there.
 """
 
 import hashlib
@@ -28,10 +28,10 @@ _LONGEST = 30.0  # seconds between two tries, at most
 
 @dataclass(frozen=True)
 class RetryPolicy:
-    """How long a transfer is kept up.
+    """The retries of a transfer.
 
     Attributes:
-        tries: without a single further byte, before it is given up.
+        tries: number of tries without a single further byte before giving up.
         timeout: seconds without an answer that end a try.
         sleep: waits for some seconds.
     """
@@ -43,7 +43,7 @@ class RetryPolicy:
 
 @dataclass(frozen=True)
 class Received:
-    """What is known of a file that came whole: address, checksum, size in bytes, and who vouched for the checksum."""
+    """A completely received file: address, checksum, size in bytes, and the source of a matching checksum."""
 
     url: str
     sha256: str

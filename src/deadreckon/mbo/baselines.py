@@ -1,4 +1,4 @@
-"""What any designer has to beat: the best designs of the data, as they are or moved a little, and designs at random."""
+"""Baselines for designers: the best designs of the data, unchanged or with small errors, and random designs."""
 
 from typing import ClassVar
 
@@ -12,7 +12,7 @@ from deadreckon.training.hyperparameters import Count, NonNegative, static
 
 
 class BestOfData(Designer):
-    """The designs of the data with the highest scores, as they are."""
+    """The designs of the data with the highest scores, unchanged."""
 
     revision: ClassVar[int] = 1
     equal_rows: ClassVar[bool] = False  # nothing is fitted
@@ -22,7 +22,7 @@ class BestOfData(Designer):
         """Those that satisfy the rules, the same for every seed.
 
         Raises:
-            UserError: the data has fewer such designs than are asked for.
+            UserError: the data has fewer such designs than requested.
         """
         data, n = setting.data, setting.n
         rows = data.best(len(data))

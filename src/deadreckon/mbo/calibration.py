@@ -1,4 +1,4 @@
-"""What a model's predictions are worth on designs that it has not seen.
+"""Calibration of a model's predictions on held-out designs.
 
 From predictions m with standard deviations s out of fold, and the scores y that were observed, a new score is said to be
 

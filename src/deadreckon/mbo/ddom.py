@@ -33,7 +33,7 @@ def variance_left(t: Array) -> Array:
 
 
 def inputs(x: Float[Array, "b z"], t: Float[Array, "b"], y: Float[Array, "b"], told: Float[Array, "b"]) -> Float[Array, "b i"]:
-    """What the network sees: the noisy design, the time as waves, and the score where it is told."""
+    """The network's inputs: the noisy design, the time as waves, and the score if it is given."""
     angle = t[:, None] * 2.0 ** jnp.arange(WAVES) * jnp.pi / 2
     return jnp.concatenate([x, jnp.sin(angle), jnp.cos(angle), (told * y)[:, None], told[:, None]], -1)
 
@@ -99,7 +99,7 @@ class DDOM(Designer):
     sampling_steps: Count = static(200)  # diffusion steps from noise to a design
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
-        """Designs drawn for the highest score of the data, which is what the method believes of them."""
+        """Designs drawn for the highest score of the data, which is the method's prediction for them."""
         data, view = setting.data, setting.data.coordinates
         learner = Denoiser(self.lr, 1, self.hidden, 1, "swish", self.batch_size)
         weight = counts(data.y, self.bins, self.smoothing, self.temperature)[:, None]

@@ -48,7 +48,7 @@ class Proposals(Shown):
     Attributes:
         method: the designer.
         x: (n, variables) as the data holds them; see `Designs.decode` for a table.
-        predicted: (n,) what the method believes that they score; NaN where it believes nothing.
+        predicted: (n,) the method's predictions of their scores; NaN if it has none.
         predicted_std: (n,) standard deviation of a new measurement, noise included, or of the true score (`noisy`); NaN
             likewise.
         seed: random seed.
@@ -61,7 +61,7 @@ class Proposals(Shown):
             data, so it is multiplied as deviations of rows are. None where the method does not tell it from noise.
         noisy: whether `predicted_std` is of a measurement, noise included.
         beyond: deviation of the noise that one measurement has beyond that of a usual row, where rows are means of several.
-        minimise: whether the score was turned around, as in `Designs`: `predicted` is then minus what the table would hold.
+        minimise: whether the score was negated, as in `Designs`: `predicted` is then minus the value of the table.
     """
 
     method: str
@@ -107,7 +107,7 @@ class Proposals(Shown):
         return self.quality is not None and not self.quality.skilled
 
     def calibrated(self, quality: Quality) -> "Proposals":
-        """The same as scores of unseen designs have shown predictions to be worth, those of the model too.
+        """The same proposals with predictions calibrated on scores of unseen designs, also those of the model.
 
         Scores that calibrate have the noise of a row; what one measurement has beyond that (`beyond`) is added. Deviations of
         true scores, which nobody has seen, are multiplied as those of rows are.
@@ -174,8 +174,8 @@ class Designer(eqx.Module):
     """Hyperparameters in, proposals out.
 
     Attributes:
-        revision: raised in the class whose code has changed what is proposed; here for what all designers share (class
-            attribute). Results of suites are told apart by it (see bench/identity.py).
+        revision: raised in the class whose code has changed the proposals; here for the code that all designers share (class
+            attribute). It identifies results of suites (see bench/identity.py).
     """
 
     revision: ClassVar[int] = 1
@@ -204,8 +204,8 @@ class Designer(eqx.Module):
             data: scored designs, all that is looked at.
             n: how many to propose.
             seed: random seed.
-            out: folder of checkpoints, from which a killed fit goes on; None keeps nothing.
-            watch: called with what is fitted, the updates done and those in all.
+            out: folder of checkpoints, from which a killed fit resumes; None: no checkpoints.
+            watch: called with the name of the fit, the updates done and the total.
             distinct: whether proposals are made different and satisfy the rules of the data (`mbo.batch`); False: they are the
                 method's own, as in published comparisons.
             repeat: whether designs of the data may be proposed.
@@ -213,7 +213,7 @@ class Designer(eqx.Module):
                 predicts the rest, which gives `Proposals.quality` and calibrated deviations.
 
         Raises:
-            UserError: settings that no designer can work with, a fit that diverged, or fewer designs than are asked for.
+            UserError: invalid settings, a fit that diverged, or fewer designs than requested.
         """
         asked = {"distinct": distinct, "repeat": repeat, "validate": validate}
         return self.propose_many(data, n, seeds=[seed], out=out, watch=watch, **asked)[0]

@@ -44,11 +44,11 @@ class Designs(Shown):
 
     Attributes:
         x: (rows, variables) float32; of a categorical variable the index of its level.
-        y: (rows,) float64, what is to be made large.
+        y: (rows,) float64, the score to maximise.
         variables: one a column of `x`.
         name: of the data, used in errors and tables.
         target: name of the score.
-        minimise: whether the score was turned around: `y` is then minus what the table held.
+        minimise: whether the score was negated: `y` is then minus the value of the table.
         rules: that proposals must satisfy; the data need not.
         replicates: (rows,) how many measurements a row is the mean of; None: one each.
         std_error: (rows,) standard error of `y`; None: not known.

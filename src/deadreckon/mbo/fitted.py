@@ -1,4 +1,4 @@
-"""The fitted model that proposals rest on: what it says of any design, without being fitted again."""
+"""The fitted model behind proposals: its predictions for any design, without fitting again."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

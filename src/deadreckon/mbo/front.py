@@ -39,10 +39,10 @@ class Front:
 
     Attributes:
         data: (targets,) the same designs with the scores of each target.
-        made: (targets,) the same proposals with what is predicted of each target.
+        made: (targets,) the same proposals with the predictions for each target.
         reference: (targets,) the point from which hypervolumes are measured.
         before: hypervolume of the data's scores, as they were measured, of rows that satisfy the rules; of all where none does.
-        gain: what the proposals' true scores are expected to add to the hypervolume of the data's true scores.
+        gain: expected increase of the hypervolume of the data's true scores by the proposals' true scores.
     """
 
     data: tuple[Designs, ...]
@@ -147,11 +147,11 @@ def propose_front(
         seed: random seed.
         reference: (targets,) point from which hypervolumes are measured, as the table has the scores; None: `reference_of`.
         repeat: whether designs of the data may be proposed.
-        watch: called with what is fitted, the targets done and those in all.
+        watch: called with the name of the fit, the targets done and the total.
 
     Raises:
         UserError: fewer than two targets, a seed that is none, a reference point of another size or without finite numbers, or
-            fewer designs than are asked for.
+            fewer designs than requested.
     """
     data, gp = tuple(data), GP()
     check_asked(n, [seed])

@@ -75,7 +75,7 @@ class GP(Designer):
         return data.part(np.concatenate([best, drawn]))
 
     def quality(self, setting: DesignInput) -> Quality | None:
-        """What its predictions are worth; None where that is not looked at, or where the designs are too few.
+        """The quality of its predictions; None if it is not tested, or if there are too few designs.
 
         Where not all designs are used, those that are were chosen by their scores, and are better than others by their noise
         too: they would not show how far. So it is judged on designs that are drawn from all.

@@ -1,4 +1,4 @@
-"""Learning online: experience that agents make for themselves, in simulators and in learned models of these."""
+"""Online training: the agents' own experience, in simulators and in learned models of them."""
 
 from deadreckon.online.exploration import Exploration
 from deadreckon.online.rows import episodes_log, replay_log

@@ -1,4 +1,4 @@
-"""Experience that an agent makes for itself: its policy acts in copies of a task, by turns with its updates."""
+"""The agent's own experience: its policy acts in copies of a task, alternating with its updates."""
 
 import warnings
 from collections.abc import Sequence
@@ -64,15 +64,15 @@ class Exploration:
 
     Args:
         task: where.
-        agent: one of the lanes; it says what batches hold.
+        agent: one of the lanes; it defines the contents of batches.
         seeds: one per lane.
         updates: in the whole run.
-        settings: how acting and learning take turns.
-        paths: of the replay files, one per lane; none keeps rows in memory alone.
+        settings: of the alternation of acting and updates.
+        paths: of the replay files, one per lane; none: rows are kept only in memory.
         threads: to simulate with.
 
     Raises:
-        UserError: a task or an agent that cannot learn online.
+        UserError: a task or an agent that does not support online training.
     """
 
     revision: ClassVar[int] = 1

@@ -1,4 +1,4 @@
-"""Experience beside a log: every batch has a declared share of logged rows, and what agents do themselves is the rest."""
+"""Experience beside a log: every batch has a given share of logged rows; the rest is the agents' own experience."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,14 +26,14 @@ from deadreckon.training.sources import packed_rows
 
 
 class MixedReplay(Exploration):
-    """The rows that agents make in a task, in the coordinates of a log, and the log.
+    """The agents' rows from a task, in the coordinates of a log, and the log.
 
-    Rows in the files are as in `Exploration`; learners see them without the time-out, and where they ask for `monte_carlo` with
-    the returns of episodes, which are -inf until an episode has ended.
+    Rows in the files are as in `Exploration`; learners receive them without the timeout, and, if they request `monte_carlo`,
+    with the returns of episodes, which are -inf until an episode has ended.
 
     Args:
-        log: what stands beside the experience; observations are standardised by it, and actions have its bounds.
-        share: of each batch that is of the log.
+        log: beside the experience; observations are standardised by it, and actions have its bounds.
+        share: of logged rows in each batch.
 
     Raises:
         UserError: as `Exploration`; a log of other sizes or of wider bounds than the task; a share that is no whole number of
@@ -165,7 +165,7 @@ class Returns:
 
 
 def check_agent(agent: Agent) -> None:
-    """Refuses an agent that cannot go on with a log in its replay.
+    """Refuses an agent that cannot continue with a log in its replay.
 
     Raises:
         UserError: names those that can.

@@ -1,4 +1,4 @@
-"""How acting and learning take turns in an online run."""
+"""The alternation of acting and updates in an online run."""
 
 import math
 from dataclasses import dataclass
@@ -16,10 +16,10 @@ _UPDATES = "the number of updates for each environment step"
 
 @dataclass(frozen=True)
 class Online:
-    """How acting and learning take turns.
+    """The alternation of acting and updates.
 
     Attributes:
-        copies: environments a seed, stepped together with one call of the policy.
+        copies: environments per seed, stepped together with one call of the policy.
         explore: environment steps of uniform actions before the first update; 0 only with a log.
         updates_per_step: updates per environment step after that (the update-to-data ratio).
         block: environment steps between two blocks of updates; the policy does not change in between.
@@ -53,7 +53,7 @@ class Online:
 
     @property
     def updates_per_block(self) -> int:
-        """Updates between two turns of acting."""
+        """Updates between two blocks of acting."""
         return round(self.block * self.updates_per_step)
 
     def updates(self, steps: int) -> int:

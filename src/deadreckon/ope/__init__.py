@@ -1,4 +1,4 @@
-"""Off-policy evaluation: what policies are worth, from a log alone (thesis chapter 8)."""
+"""Off-policy evaluation: the values of policies from a log alone (thesis chapter 8)."""
 
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput

@@ -1,7 +1,7 @@
-"""What an estimate of one policy rests on, and why that may be too little for any interval to be believed.
+"""The data that an estimate of one policy is based on, and whether it is enough for a valid interval.
 
-Weights of few episodes say little about the episodes that the log happens not to show. What is asked of an estimate of all
-judged episodes is asked of an estimate of a part of them, too, such as a group.
+Weights of few episodes say little about episodes that are not in the log. The requirements for an estimate on all evaluated
+episodes also apply to an estimate on a part of them, such as a group.
 """
 
 from typing import NamedTuple
@@ -25,11 +25,11 @@ MORE = "; record more episodes, or evaluate a policy closer to the behaviour pol
 
 
 class Basis(NamedTuple):
-    """What an estimate of one policy rests on.
+    """The data that an estimate of one policy is based on.
 
     Attributes:
-        units: episodes or clusters that there are; None: not known.
-        ess: episodes that its weights amount to; infinite where nothing is weighted.
+        units: number of episodes or clusters; None: not known.
+        ess: effective number of episodes of its weights; infinite if there are no weights.
         diagnostics: of the policy, by name; see `Estimates.diagnostics`.
     """
 
@@ -39,14 +39,14 @@ class Basis(NamedTuple):
 
     @classmethod
     def of(cls, found: Estimates, which: int) -> "Basis":
-        """Of one of the policies of an estimate."""
+        """The basis of one of the policies of an estimate."""
         units = found.units if found.influence is None else len(found.influence)
         told = {name: float(each[which]) for name, each in found.diagnostics.items()}
         return cls(units, np.inf if found.ess is None else float(found.ess[which]), told)
 
     @classmethod
     def of_weights(cls, case: OPEInput, log_ratios: np.ndarray, some: np.ndarray, *, whole: bool) -> "Basis":
-        """Of a mean over a part of a case's judged episodes, weighted by one policy's ratios.
+        """The basis of a mean over a part of a case's evaluated episodes, weighted by one policy's ratios.
 
         Args:
             case: log and policies.
@@ -73,20 +73,20 @@ class Basis(NamedTuple):
 
     @property
     def rest(self) -> tuple[float, str]:
-        """What the weights amount to, episodes or clusters, whichever are fewer, and in words; infinite of no weights."""
+        """The effective number of episodes or clusters, whichever is smaller, and a description; infinite without weights."""
         clusters = self.diagnostics.get("effective clusters", np.inf)
         return min(self.ess, clusters), f"{clusters:.1f} clusters" if clusters < self.ess else f"{self.ess:.1f} episodes"
 
     @property
     def overlaps(self) -> bool:
-        """Whether nothing is weighted, or the weights rest on enough episodes, and on enough clusters."""
+        """Whether there are no weights, or the weights are based on enough episodes and enough clusters."""
         return self.rest[0] >= FEW
 
     @property
     def lost(self) -> list[str]:
-        """Why weights miss so much of a policy that no interval by the episodes that are there covers its value, a phrase each.
+        """Reasons why the weights miss so much of a policy that no interval covers its value, one phrase each.
 
-        In dm_control's cheetah-run and fish-swim, where weights rest on one episode, 4 of 13 such intervals covered it.
+        In dm_control's cheetah-run and fish-swim, where weights are based on one episode, 4 of 13 such intervals covered it.
         """
         own, told = [], self.diagnostics
         if not self.overlaps:
@@ -110,7 +110,7 @@ class Basis(NamedTuple):
 
     @property
     def unreliable(self) -> list[str]:
-        """Why no interval of the estimate can be believed, a phrase each."""
+        """Reasons why no interval of the estimate is valid, one phrase each."""
         own, told = [], self.diagnostics
         if self.units is not None and self.units < UNITS:
             own.append(

@@ -1,10 +1,11 @@
-"""The policy that made the log, learned out of fold: propensities of rows come from models that have not seen their episode.
+"""The behaviour policy, fitted out of fold: propensities of rows come from models not trained on their episode.
 
-A model that has seen a row takes its action for likelier than it is: weights shrink, and importance sampling with them. So each
-fold has models of its own, a network and a linear one, which learn from the other folds and from all episodes that are not
-judged, and stop where their loss on a tenth of these, which do not teach them, is least; the one whose loss is less is taken,
-for a network needs more rows than a log often has. Its temperature is then set on that tenth too (Guo et al. 2017), shifts make
-each action as frequent as it is, and a few rows' worth of the actions' shares is mixed in. All folds are lanes of one program.
+A model that was trained on a row overestimates the probability of its action, which makes the weights too small. So each fold
+has its own models, a network and a linear one. They are trained on the other folds and on all episodes that are not evaluated,
+except for a tenth of these, on which training stops where the loss is smallest. The model with the smaller loss is used,
+because a network needs more rows than a log often has. Its temperature is then fitted on that tenth as well (Guo et al. 2017),
+shifts give each action its logged frequency, and a few rows' worth of the actions' shares is mixed in. All folds are lanes of
+one program.
 """
 
 import dataclasses
@@ -43,7 +44,7 @@ class State(NamedTuple):
 
 
 class Folds(eqx.Module):
-    """What is trained: a network and a linear model for each fold, by maximum likelihood."""
+    """The learner: a network and a linear model for each fold, by maximum likelihood."""
 
     model: BehaviorModel
     folds: int = eqx.field(static=True)
@@ -53,7 +54,7 @@ class Folds(eqx.Module):
         return BatchSpec(columns=("observation", "action"), batch_size=self.model.batch_size, standardise=True)
 
     def init(self, spec, key):
-        """Fresh models."""
+        """Initial models."""
         make = models.Clipped.create if self.model.clipped else create_actor
         shapes = dict.fromkeys((self.model.hidden, ()))
         # Networks and linear models share a key: they are of other shapes, and only their losses are ever compared.
@@ -61,7 +62,7 @@ class Folds(eqx.Module):
         return State(nets, init_opt(nets), tuple(Best.begin(each, (self.folds,)) for each in nets))
 
     def update(self, state: State, batch: Batch, *, step, key):
-        """One step of maximum likelihood for every fold, on the rows that are not its own."""
+        """One step of maximum likelihood for every fold, on the rows outside the fold."""
         assert batch.extra is not None
         weight, check = batch.extra["weight"].T, batch.extra["check"].T
 
@@ -77,11 +78,11 @@ class Folds(eqx.Module):
 
 
 class Behavior(NamedTuple):
-    """The behaviour policy on the judged rows, by models that have not seen their episodes.
+    """The behaviour policy on the evaluated rows, by models that were not trained on their episodes.
 
     Attributes:
         log_probs: (rows,) log-probabilities of the logged actions, or log-densities.
-        chances: (rows, actions) probabilities of all actions; None where they are continuous.
+        chances: (rows, actions) probabilities of all actions; None for continuous actions.
     """
 
     log_probs: np.ndarray
@@ -89,12 +90,12 @@ class Behavior(NamedTuple):
 
 
 def out_of_fold(case: OPEInput, model: BehaviorModel, folds: int, *, clipped: bool = False) -> Behavior:
-    """Propensities of a case's rows; made once.
+    """Propensities of a case's rows; computed once.
 
     Args:
         case: log and policies.
         model: size of the networks and of the fit.
-        folds: into which the judged episodes are parted.
+        folds: number of parts of the evaluated episodes.
         clipped: whether the model has probabilities at the bounds of continuous actions; see `OPEInput.clips`.
     """
     model = dataclasses.replace(model, clipped=clipped)
@@ -102,9 +103,10 @@ def out_of_fold(case: OPEInput, model: BehaviorModel, folds: int, *, clipped: bo
 
 
 def masks(case: OPEInput, fold: np.ndarray, whole: OPEInput) -> tuple[np.ndarray, np.ndarray]:
-    """(episodes of the whole log, folds) of 0 and 1: which episodes teach the model of a fold, and which tell it when to stop.
+    """(episodes of the whole log, folds) of 0 and 1: the training episodes of each fold's model, and those of its early
+    stopping.
 
-    Clusters stay whole. With few of them there is none to spare: those that teach say when to stop, too.
+    Clusters stay whole. With few clusters, the training episodes also decide when to stop.
     """
     count = int(fold.max()) + 1
     of_all = np.full(whole.data.episodes, -1)

@@ -1,4 +1,4 @@
-"""A model of the behaviour policy, where the log does not tell its propensities."""
+"""A model of the behaviour policy, for logs without propensities."""
 
 from typing import ClassVar
 
@@ -15,8 +15,8 @@ from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, host,
 class BehaviorModel(eqx.Module):
     """The behaviour policy, a tanh-Gaussian or categorical network by maximum likelihood (thesis 8.5).
 
-    Beside policies that are clipped Gaussians it is one itself: what these have at the bounds are probabilities, which no
-    density may divide.
+    If the policies are clipped Gaussians, so is the model: these have probabilities at the bounds, which cannot be divided by a
+    density.
     """
 
     revision: ClassVar[int] = 1

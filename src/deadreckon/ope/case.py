@@ -1,4 +1,4 @@
-"""What every estimator is asked: a log, policies, and all that estimators share about them."""
+"""The input of every estimator: a log, policies, and the computations that estimators share."""
 
 import dataclasses
 import hashlib
@@ -38,9 +38,9 @@ WEIGHTLESS = "need importance weights, which are degenerate for deterministic po
 
 @dataclass(frozen=True)
 class CrossFitted:
-    """A policy that was learned once for each fold, judged on each episode as the one that has not learned from it.
+    """A policy that was trained once per fold, evaluated on each episode by the one that was not trained on it.
 
-    Its value is that of the mixture which draws one of the policies for each episode, where folds are equally large.
+    Its value is that of the mixture which draws one of the policies for each episode, if folds are equally large.
 
     Attributes:
         policies: one per fold.
@@ -52,30 +52,31 @@ class CrossFitted:
 
 
 class OPEInput(Fits):
-    """A log, the policies to judge by it, and all that estimators share about them, each made when first asked for.
+    """A log, the policies to evaluate, and the computations that estimators share, each made on first use.
 
     Args:
         data: the log.
         policies: a policy, a policy file, a run, or a sequence of these.
         names: of the policies.
-        logged: judge the behaviour policy too, as the last and under the name `LOGGED`: at each row it does what was logged.
-        held: (n,) indices of the episodes that policies are judged on; None: all. The other episodes of `data`, which may have
-            taught the policies, only help to fit what doubly robust estimators need.
+        logged: also evaluate the behaviour policy, as the last one and under the name `LOGGED`: at each row it takes the logged
+            action.
+        held: (n,) indices of the episodes that policies are evaluated on; None: all. The other episodes of `data`, on which the
+            policies may have been trained, are only used to fit the models of doubly robust estimators.
         clusters: (episodes of `data`,) integers that are equal for episodes of one cluster, such as a user; None: each episode
-            is one. Clusters are redrawn as one wherever intervals are made.
-        noise: given to deterministic policies where weights need a density; None: their weights are zero; see `Actor`.
+            is one. Clusters are resampled as a whole for all intervals.
+        noise: added to deterministic policies if weights need a density; None: their weights are zero; see `Actor`.
         **options: `discount`, `horizon` (see `Estimand.of`), `greedy`, `seed`, `out` and `watch`; see
             `ope.settings.EstimateSettings`.
 
     Attributes:
         settings: the same as one object.
-        log: all episodes, cut to the horizon; its observations are histories where policies act on these (`ope.histories`), and
-            features where they are pictures (`ope.pictures`).
-        data: those that are judged, cut to the horizon.
+        log: all episodes, cut to the horizon; its observations are histories if policies act on these (`ope.histories`), and
+            features if they are images (`ope.pictures`).
+        data: the evaluated episodes, cut to the horizon.
         estimand: what is estimated.
 
     Raises:
-        UserError: a log or policies that no estimator can work with.
+        UserError: a log or policies that no estimator can use.
     """
 
     def __init__(
@@ -146,13 +147,13 @@ class OPEInput(Fits):
 
     @property
     def count(self) -> int:
-        """Policies that are judged, the log's own among them where it is."""
+        """Number of evaluated policies, including the behaviour policy if it is one of them."""
         return len(self.names)
 
     @cached_property
     def units(self) -> np.ndarray:
         """(episodes of `data`,) unit of each episode, 0 .. n - 1: its cluster, or a random group of clusters where there are
-        more than `GROUPS`. Units are what is redrawn and what influence functions are summed over."""
+        more than `GROUPS`. Units are resampled, and influence functions are summed over them."""
         count = int(self.cluster.max()) + 1
         mixed = generator(self.seed, "units").permutation(np.arange(count) % min(count, GROUPS))
         return mixed[self.cluster]
@@ -164,16 +165,16 @@ class OPEInput(Fits):
 
     @cached_property
     def clustered(self) -> bool:
-        """Whether some of the judged episodes are of one cluster."""
+        """Whether some of the evaluated episodes are of one cluster."""
         return int(self.cluster.max()) + 1 < len(self.cluster)
 
     @cached_property
     def episodes(self) -> Episodes:
-        """The shape of the judged episodes, as weighted sums need it."""
+        """The shape of the evaluated episodes, as weighted sums need it."""
         return Episodes(self.data, self.discount, self.seed, self.units)
 
     def episodes_of(self, part: np.ndarray) -> Episodes:
-        """The same of a part (episodes,) of them, bool: how likely one is cut off is told by its episodes alone."""
+        """The same for a part (episodes,) of them, bool: the probability of a cut-off is estimated from its episodes alone."""
         units = np.unique(self.units[part], return_inverse=True)[1]
         return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)
 
@@ -189,7 +190,7 @@ class OPEInput(Fits):
 
     @cached_property
     def followed(self) -> np.ndarray:
-        """(rows,) whether what follows the row is known, also where the horizon ends the episode, or the task ended there; or
+        """(rows,) whether what follows the row is known, including rows at which the horizon or the task ends the episode; or
         nothing that follows a row counts."""
         return np.ones(len(self.data), bool) if self._alone else self._uncut[1]
 
@@ -199,8 +200,8 @@ class OPEInput(Fits):
 
     @cached_property
     def shown(self) -> np.ndarray:
-        """(rows,) whether it is known what the behaviour policy did next: the log shows it, or how often it does so there, or
-        nothing comes next."""
+        """(rows,) whether the behaviour policy's next action is known: the log shows it, or its frequency there, or there is no
+        next row."""
         return ~(self.data._is_end | self._apart) | self.ended | (self._habits is not None) | self._alone
 
     @cached_property
@@ -213,25 +214,25 @@ class OPEInput(Fits):
 
     @cached_property
     def complete(self) -> bool:
-        """Whether the log shows the return of each episode: all are over at the same step, if not before, and hardly anything
-        of what is asked for lies beyond."""
+        """Whether the log shows the return of each episode: all end at the same step or earlier, and hardly any of the
+        estimand's discounted time lies beyond."""
         return self.episodes.even and self.beyond <= TAIL
 
     @cached_property
     def beyond(self) -> float:
-        """Share of the discounted time that is asked for and lies beyond the ends of the recording, in the log's episodes."""
+        """Share of the estimand's discounted time that lies beyond the ends of the recording, in the log's episodes."""
         return self._beyond(self.data.lengths, np.asarray(self.data.terminals)[self.data.ends])
 
     @cached_property
     def cut_ahead(self) -> float:
-        """The same in those of them that are cut off; 0 where none is."""
+        """The same share in the episodes that are cut off; 0 if there are none."""
         cut = ~np.asarray(self.data.terminals)[self.data.ends]
         return float(self._ahead[self.data.lengths[cut] - 1].mean()) if cut.any() else 0.0
 
     def beyond_of(self, log_rho: np.ndarray, part: Episodes | None = None) -> float:
-        """`beyond` in a policy's episodes, whose weights tell how many of them end before they would be cut off; at least
-        `beyond`. An estimate, of which nobody says how certain it is: weights that rest on few episodes may miss those that
-        are cut off, and are told of by themselves.
+        """`beyond` in a policy's episodes, whose weights estimate how many of them end before they would be cut off; at least
+        `beyond`. The uncertainty of this estimate is not known: weights based on few episodes may miss those that are cut off,
+        and are reported separately.
 
         Args:
             log_rho: (rows,) logarithms of the products of its ratios along each episode; see `Episodes.cumulate`.
@@ -243,7 +244,7 @@ class OPEInput(Fits):
         return self._at_least(part, part.going_on(log_rho))
 
     def beyond_if(self, going_on: np.ndarray) -> float:
-        """The same of a policy of whose episodes the share `going_on` (steps,) goes on after each step."""
+        """The same for a policy whose episodes continue after each step with the share `going_on` (steps,)."""
         return self._at_least(self.episodes, going_on)
 
     def _at_least(self, part: Episodes, going_on: np.ndarray) -> float:
@@ -293,10 +294,10 @@ class OPEInput(Fits):
         return dealt[self.cluster]
 
     def teaching(self, rows: int | None = None) -> "OPEInput | None":
-        """The episodes that are not judged, as a case with the same policies; None where all are.
+        """The episodes that are not evaluated, as a case with the same policies; None if all are.
 
         Args:
-            rows: of them; where there are more, a random part of the episodes with about so many. None: all.
+            rows: at most about this many, from a random part of the episodes. None: all.
         """
         others = np.setdiff1d(np.arange(self.given.episodes), self.held)
         if rows is not None and (lengths := self.given.lengths[others]).sum() > rows:
@@ -338,7 +339,7 @@ class OPEInput(Fits):
 
         Args:
             rewards: (rows of the whole log,).
-            shared: names of what was made `once` and does not depend on rewards.
+            shared: names of results of `once` that do not depend on rewards.
         """
         log = dataclasses.replace(self.given, rewards=rewards)
         found = self._again(log, self.policies, self.held)
@@ -347,18 +348,18 @@ class OPEInput(Fits):
 
     @cached_property
     def span(self) -> float:
-        """What a return is divided by to be on the scale of a reward."""
+        """The divisor that brings a return to the scale of a reward."""
         return self.estimand.span(self.data)
 
     @cached_property
     def timed(self) -> Dataset:
-        """`data` as critics see it: where only so many steps count, observations tell how many have passed (0 to 1)."""
+        """`data` as critics use it: with a horizon, observations include the elapsed share of it (0 to 1)."""
         return _timed(self.data, self.estimand.horizon)
 
     # ---- what policies do -------------------------------------------------------------------------------------------
 
     def next_actions(self, samples: int) -> np.ndarray:
-        """(rows, policies, ...) table of what the policies do after each row; see `Actor.table`."""
+        """(rows, policies, ...) table of the policies' actions after each row; see `Actor.table`."""
         # Where nobody knows what the log's policy would have done after an episode's last row, its last action stands in.
         rows = np.arange(len(self.data))
         after = np.where(self.data._is_end, rows, rows + 1)
@@ -377,18 +378,18 @@ class OPEInput(Fits):
         return {"known": np.where(np.arange(self.count) == self.count - 1, shown[:, None], True).astype(np.float32)}
 
     def initial_actions(self, samples: int) -> np.ndarray:
-        """(episodes, policies, ...) table of what the policies do at the initial observations."""
+        """(episodes, policies, ...) table of the policies' actions at the initial observations."""
         starts = self.data.starts
         if self.data.spec.discrete and len(starts) == len(self.data):  # the same rows, whose probabilities are no draws
             return self.current_actions(samples)
         return self._table("initial", np.asarray(self.data.observations[starts]), samples, starts)
 
     def current_actions(self, samples: int) -> np.ndarray:
-        """(rows, policies, ...) table of what the policies do at each row."""
+        """(rows, policies, ...) table of the policies' actions at each row."""
         return self._table("current", self.data.observations, samples, np.arange(len(self.data)))
 
     def final_actions(self, samples: int) -> np.ndarray:
-        """(episodes, policies, ...) table of what the policies do at the final observations."""
+        """(episodes, policies, ...) table of the policies' actions at the final observations."""
         return self._table("final", self.data.final_observations, samples, self.data.ends)
 
     def _table(self, name: str, observations: Any, samples: int, rows: np.ndarray) -> np.ndarray:
@@ -431,17 +432,17 @@ class OPEInput(Fits):
     def inflation(self) -> np.ndarray:
         """(policies, with the behaviour policy,) by which errors are multiplied: sqrt(2) of cross-fitted policies, else one.
 
-        Folds judge each other's policies. Where one fold by chance likes an action, the other's policy takes it, and the
-        other way round, so that their errors are the same twice and not independent: with t_k the chance of fold k, the
-        estimate is sum_{k != l} t_k t_l, whose variance is twice the sum of those of its folds. No estimate of that from one
-        cross-fit is unbiased (Bengio and Grandvalet 2004), so the most of it is taken.
+        Each fold evaluates the policies of the others. If an action looks good in one fold by chance, the other's policy takes
+        it, and vice versa, so their errors are equal and not independent: with t_k the chance of fold k, the estimate is sum_{k
+        != l} t_k t_l, whose variance is twice the sum of those of its folds. No estimate of that from one cross-fit is unbiased
+        (Bengio and Grandvalet 2004), so the upper limit is used.
         """
         crossed = np.bincount(self.owner, minlength=len(self.policies)) > 1
         return np.where(np.append(crossed, [False] * int(self.logged)), np.sqrt(2.0), 1.0)
 
     @cached_property
     def degenerate(self) -> np.ndarray:
-        """(policies,) whether importance weights mean nothing; see `Actor.degenerate`."""
+        """(policies,) whether importance weights are degenerate; see `Actor.degenerate`."""
         return np.bincount(self.owner, self.actor.degenerate, len(self.policies)) > 0
 
     def _acting(self, episodes: np.ndarray) -> list[np.ndarray]:
@@ -452,12 +453,12 @@ class OPEInput(Fits):
     def behavior_log_probs(
         self, kind: Literal["auto", "logged", "learned"], model: BehaviorModel, *, clipped: bool = False
     ) -> np.ndarray:
-        """(rows,) log-probabilities of the logged actions under the policy that made the log.
+        """(rows,) log-probabilities of the logged actions under the behaviour policy.
 
         Args:
-            kind: `logged` takes the log's column `behavior_log_probs`, `learned` fits `model`, `auto` fits it where there is
-                no such column.
-            model: how it is learned.
+            kind: `logged` takes the log's column `behavior_log_probs`, `learned` fits `model`, `auto` fits it if there is no
+                such column.
+            model: settings of its fit.
             clipped: whether the model has probabilities at the bounds of continuous actions; see `clips`.
         """
         column = self.data.extras.get("behavior_log_probs")
@@ -476,7 +477,7 @@ class OPEInput(Fits):
         return np.bincount(self.owner, own, len(self.policies)) > 0
 
     def behavior(self, model: BehaviorModel) -> Actor:
-        """A model of the policy that made the log, which draws its actions; made once."""
+        """A model of the behaviour policy, which samples its actions; made once."""
         return self._behavior(dataclasses.replace(model, clipped=bool(self.clips.any())))
 
     def _behavior(self, model: BehaviorModel) -> Actor:
@@ -497,7 +498,7 @@ class OPEInput(Fits):
         return hashlib.blake2b(np.ascontiguousarray(done).tobytes(), digest_size=16).hexdigest()
 
     def redrawn(self, members: int) -> np.ndarray:
-        """(episodes, members) how often each episode counts for each member of an ensemble: redrawn with replacement.
+        """(episodes, members) count of each episode for each member of an ensemble: resampled with replacement.
 
         One member alone counts every episode once.
         """
@@ -505,10 +506,10 @@ class OPEInput(Fits):
 
 
 def check_order(log: Dataset) -> None:
-    """Refuses logs that do not show what their own policy did next, of which nobody knows the value then.
+    """Refuses logs that do not show their behaviour policy's next actions, because its value is then not known.
 
     Raises:
-        UserError: most rows are followed by another observation than that of the next row, and observations are many.
+        UserError: for most rows the next observation differs from that of the next row, and there are many observations.
     """
     inside, apart = len(log) - log.episodes, int(log.apart.sum())
     if 2 * apart > inside and Table.of(log) is None:

@@ -1,9 +1,9 @@
-"""What something that was not recorded could do to gains, if it made both the logged actions and the rewards.
+"""The possible effect of an unrecorded variable on gains, if it influenced both the logged actions and the rewards.
 
 The marginal sensitivity model (`ope/sensitivity.py`) lets the odds of each logged action be off by a factor between 1 / Gamma
-and Gamma. The logged return of an episode is not touched by that; the policy's is, within the box of weights. Of one-step
-episodes only what a critic does not explain is uncertain, r - Q(s, a), with critics out of fold; of longer ones it is the
-return of whole episodes, whose boxes grow with every step.
+and Gamma. The logged return of an episode does not depend on this; the policy's does, within the box of weights. For one-step
+episodes only the residual of a critic is uncertain, r - Q(s, a), with critics out of fold; for longer ones it is the return of
+whole episodes, whose boxes grow with every step.
 
 The bounds are estimates themselves. The threshold of the extreme weights is where the ratio of sums is extreme, so to first
 order it adds no variance, and the influence of an episode on a bound is that of a ratio with these weights:
@@ -31,12 +31,13 @@ class Confounding:
 
     Args:
         case: log and policies.
-        model: how the behaviour policy is learned where propensities were not logged.
+        model: settings of the behaviour model, if propensities were not logged.
         alpha: share of logs for which one of the intervals may miss.
         wider: added at both ends; see `select.Choice`.
 
     Attributes:
-        lost: for each policy why its weights of whole episodes rest on too little for any bound, a phrase each.
+        lost: for each policy the reasons why its weights of whole episodes are based on too little for any bound, one phrase
+            each.
 
     Raises:
         UserError: weights that mean nothing, or episodes that are cut off at different steps.

@@ -1,11 +1,11 @@
-"""How much of what a policy does lies within what the log shows; of the rest an estimate is extrapolation.
+"""The share of a policy's actions that the log covers; for the rest an estimate is extrapolation.
 
-A model of the policy that made the log tells how likely an action is where it is taken. An action is covered unless that is
-less than for all but the least likely 1 % of the log's own actions. This bound comes from episodes that the model has not seen,
-and so holds for new ones of the behaviour policy however well the model fits (split conformal prediction: Vovk et al. 2005, Lei
-et al. 2018); exactly if rows were independent, roughly where they come in episodes, of which it takes more than a few.
+A model of the behaviour policy gives the likelihood of an action in its state. An action is covered unless its likelihood is
+below the 1 % quantile of those of the logged actions. This bound comes from episodes that the model was not trained on, and so
+holds for new episodes of the behaviour policy, regardless of the model's fit (split conformal prediction: Vovk et al. 2005, Lei
+et al. 2018). It is exact if rows are independent, and approximate for rows in episodes, if there are more than a few.
 
-Actions are looked at in states of the log alone: a policy that is covered may still lead to states that the log never saw.
+Actions are checked only in states of the log: a covered policy may still lead to states that are not in the log.
 """
 
 import dataclasses
@@ -40,11 +40,11 @@ def coverage(case: OPEInput, model: BehaviorModel = MODEL) -> Float[np.ndarray, 
 
     Args:
         case: log and policies.
-        model: how the policy that made the log is learned.
+        model: settings of the behaviour model.
 
     Returns:
-        (policies,) of 0 .. 1, without the behaviour policy, which has 0.99; NaN where the log is too short to tell: the
-        bound takes a hundred rows of five episodes, which must not be more than half of all rows.
+        (policies,) of 0 .. 1, without the behaviour policy, which has 0.99; NaN if the log is too short: the bound needs a
+        hundred rows from five episodes, which must be at most half of all rows.
     """
     return case.once(("coverage", model), lambda: _coverage(case, model))
 

@@ -1,4 +1,4 @@
-"""The whole way from a case to a decision: which estimators, what they say, what can be checked, and the rule."""
+"""From a case to a decision: the choice of estimators, the estimates, the checks, and the rule."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -37,14 +37,14 @@ MOST = 100.0  # factor of odds up to which the tipping point is searched
 
 
 class Decision(NamedTuple):
-    """What `decide` answers.
+    """The result of `decide`.
 
     Attributes:
         estimates: one per estimator.
         support: of the policies in the log.
         choice: by the first of the estimates.
-        more: of the chosen policy, as JSON values: `confounding`, and where asked for `guarantee`, `groups` and `tail`; of all
-            policies `costs`, where the log has some.
+        more: for the chosen policy, as JSON values: `confounding`, and, if requested, `guarantee`, `groups` and `tail`; for all
+            policies `costs`, if the log has some.
     """
 
     estimates: list[Estimates]
@@ -67,14 +67,14 @@ def decide(
     Args:
         case: log and policies, with the behaviour policy.
         estimators: names, `Estimator` objects or functions, the first of which decides; or "auto", see `automatic`.
-        seen: for each policy why its estimate is not of fresh episodes, or None where it is; None: all are fresh.
+        seen: for each policy the reason why its estimate is not of fresh episodes, or None if it is; None: all are fresh.
         alpha: share of logs for which one of the intervals may miss.
-        groups: tell the gain in each of these groups of episodes.
+        groups: also estimate the gain in each of these groups of episodes.
         **options: `accept_model_based`, `cost_limit` (see `ope.costs`), `model`, `guarantee` (see `ope.guarantee`),
             `return_range`, `confounding` and `tail`; see `ope.settings.DecisionSettings`.
 
     Raises:
-        UserError: input that does not fit, or that what is asked for cannot be known from.
+        UserError: invalid input, or a request that the log cannot answer.
     """
     settings = DecisionSettings.of(options)
     model, accept_model_based = settings.model, settings.accept_model_based
@@ -121,7 +121,7 @@ def decide(
 
 
 def check(case: OPEInput, settings: DecisionSettings, groups: Groups | None) -> None:
-    """Refuses what cannot be asked of a case, before anything is fitted or looked at; arguments as of `decide`.
+    """Refuses requests that a case cannot answer, before anything is fitted or a look is counted; arguments as for `decide`.
 
     Raises:
         UserError: in one line.
@@ -210,7 +210,7 @@ def _tail(
 
 
 def automatic(case: OPEInput, model: BehaviorModel = PROPENSITIES, accept_model_based: bool = False) -> list[Estimator]:
-    """Estimators for a case, the first to decide by; chosen by its design alone and never by a reward.
+    """Estimators for a case, of which the first decides; chosen by the case's design alone and never by rewards.
 
     - All policies are deterministic with continuous actions, or do not tell their probabilities: weights are degenerate or not
       known, and what is left is model-based (`fqe`); of cross-fitted policies nothing, as critics of all folds know what taught

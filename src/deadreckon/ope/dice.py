@@ -8,7 +8,7 @@ where a_0 and a' are the policy's, g is the discount, and E_log[zeta r] / (1 - g
 GenDICE and BestDICE (`PRESETS`).
 
 Where episodes end, Q(s', a') is zero, and the occupancy of the log's states sums to less than one: the constraint of lambda is
-then E_log[zeta (1 - g (1 - terminal))] = 1 - g, which every occupancy meets, and which is E_log[zeta] = 1 where nothing ends.
+then E_log[zeta (1 - g (1 - terminal))] = 1 - g, which every occupancy satisfies, and which is E_log[zeta] = 1 if nothing ends.
 """
 
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -67,11 +67,11 @@ class Saddle(eqx.Module):
     policies: int = eqx.field(static=True)
 
     def needs(self, spec):
-        """Transitions and as many initial states, each with what the policies do there and the members' weights."""
+        """Transitions and as many initial states, each with the policies' actions and the members' weights."""
         return BatchSpec(batch_size=self.settings.batch_size, initial=self.settings.batch_size, standardise=True)
 
     def init(self, spec, key):
-        """Fresh networks."""
+        """Initial networks."""
         kq, kz = keys(key, "q", "zeta")
         members = self.settings.members
         q, zeta = (create(spec, self.settings.hidden, members, self.policies, k) for k in (kq, kz))
@@ -158,7 +158,7 @@ class DICE(Estimator):
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         fields = {name: getattr(self, name) for name in PRESETS["best"]}
         return next((f"{name.capitalize()}DICE" for name, preset in PRESETS.items() if preset == fields), "DICE")
 
@@ -190,7 +190,7 @@ def occupancy_rows(case: OPEInput, learner: Any, members: int, samples: int, ini
 
 
 def mass(terminal: Any, discount: Any) -> Any:
-    """What each row adds to the mass of an occupancy, whose mean under its ratios is one: 1, and at an end what never comes."""
+    """Each row's share of an occupancy's mass, whose mean under its ratios is one: 1, or 1 / (1 - discount) at a terminal."""
     return (1.0 - discount * (1.0 - terminal)) / (1.0 - discount)
 
 

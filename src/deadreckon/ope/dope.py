@@ -1,7 +1,7 @@
-"""The DOPE protocol (thesis 8.3-8.5): logs and policies whose true values are known, and how near estimators come to them.
+"""The DOPE protocol (thesis 8.3-8.5): estimates for logs and policies whose true values are known, and their errors.
 
-The policies are the snapshots that come with the package, drawing their actions; their true discounted returns are stored
-beside them (`policies/library.py`). The logs are the package's own (`hopper-medium-v2@dr1`).
+The policies are the snapshots in the package, with sampled actions; their true discounted returns are stored beside them
+(`policies/library.py`). The logs are the package's own (`hopper-medium-v2@dr1`).
 """
 
 import dataclasses
@@ -56,7 +56,7 @@ class Result:
         truth, errors: (policies,) true discounted returns and their standard errors.
         estimates: (policies,).
         low, high: (policies,) intervals.
-        seconds: it took.
+        seconds: the time it took.
         warnings: of the estimator.
         settings: of the estimator, as text.
     """
@@ -75,7 +75,7 @@ class Result:
     settings: str
 
     def metrics(self, **options: Any) -> Metrics:
-        """Absolute error, rank correlation and regret; see `metrics.compare`. Redrawn once for all tables that ask."""
+        """Absolute error, rank correlation and regret; see `metrics.compare`. Resampled once for all tables."""
         key = tuple(sorted(options.items()))
         if key not in self._compared:
             self._compared[key] = compare(self.estimates, self.truth, **options)
@@ -86,7 +86,7 @@ class Result:
         return {}
 
     def risks(self, k: int = TRIED) -> tuple[float, float, float]:
-        """SharpeRatio@k against the behaviour policy; type I and II error rates of deploying what seems no worse than it."""
+        """SharpeRatio@k against the behaviour policy; type I and II errors of deploying what seems no worse than it."""
         sharpe = sharpe_ratio(self.estimates, self.truth, self.behavior, k)
         return sharpe, *error_rates(self.estimates, self.truth, self.behavior)
 
@@ -106,7 +106,7 @@ class DopeOptions(FitOptions, total=False):
 
 
 def estimator_revisions(estimator: Estimator) -> dict[str, Any]:
-    """Of the code that decides an estimator's results beside how its fits are trained; see `training/revisions.py`."""
+    """Revisions of an estimator's code, without those of the training of its fits; see `training/revisions.py`."""
     return {"method": revisions(estimator), "intervals": interval.REVISION, "protocol": REVISION}
 
 
@@ -118,7 +118,7 @@ def evaluate_log(
     Args:
         data: the log.
         task: whose policies.
-        estimators: names, `Estimator` objects, or functions `fn(data, policies, discount) -> values`; or one alone.
+        estimators: names, `Estimator` objects, or functions `fn(data, policies, discount) -> values`; or a single one.
         **options: `seed`, `out`, `watch` and `told`; see `DopeSettings`. Results in `out` are identified by log, estimator,
             seed and the revisions of their code: those of other revisions are computed again.
 
@@ -209,7 +209,7 @@ class Shown(NamedTuple):
 
 
 def shown_metrics(results: Sequence[Result]) -> list[Shown]:
-    """What the thesis shows: errors, rank correlations and regret@1, and on tasks of dm_control regret@5 too (Table E.3)."""
+    """The thesis's metrics: error, rank correlation and regret@1, on tasks of dm_control also regret@5 (Table E.3)."""
     metrics = [Shown(metric, 1, title) for metric, title in METRICS.items()]
     if any(of_unplugged(r.log) for r in results):
         metrics.append(Shown("regret", TRIED, METRICS["regret"].replace("@1", f"@{TRIED}")))
@@ -217,7 +217,7 @@ def shown_metrics(results: Sequence[Result]) -> list[Shown]:
 
 
 def of_unplugged(log: str) -> str | None:
-    """The task, where a log is one of DOPE's half on RL Unplugged."""
+    """The task of a log that belongs to DOPE's half on RL Unplugged."""
     name = log.removesuffix(f"@{VERSION}")
     return name.removesuffix(UNPLUGGED) if name.endswith(UNPLUGGED) else None
 
@@ -226,8 +226,8 @@ class Cell(NamedTuple):
     """A metric of one method on one log.
 
     Attributes:
-        value: on the policies as they are; like the next two a mean over seeds, and NaN where nothing finite was estimated.
-        mean, spread: over redrawn policies, which is what thesis E.2 prints.
+        value: on the policies without resampling; like the next two a mean over seeds, and NaN if no estimate is finite.
+        mean, spread: over resampled policies, as printed in thesis E.2.
         printed: mean and spread in thesis E.2 for the original log and policies, where it prints one on this scale.
     """
 
@@ -246,7 +246,7 @@ def cells(results: Sequence[Result], metric: str, **options: Any) -> dict[str, d
         options: of `metrics.compare`.
 
     Raises:
-        UserError: a method with two settings, whose mean would be nobody's.
+        UserError: a method with two settings, whose mean would have no meaning.
     """
     table: dict[str, dict[str, Cell]] = {}
     for log in dict.fromkeys(r.log for r in results):
@@ -276,8 +276,9 @@ def printed(metric: str, log: str, method: str, k: int = 1) -> tuple[float, floa
 def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
     """A table of one metric: a row per log, a column per estimator; medians last.
 
-    Cells are the metric itself ± its deviation over redrawn policies. Where thesis E.2 prints the log, two rows follow that can
-    be compared with each other: the mean over redrawn policies ± the same deviation, and what E.2 prints, which is that.
+    Cells are the metric itself ± its deviation over resampled policies. If thesis E.2 has the log, two rows follow that can be
+    compared with each other: the mean over resampled policies ± the same deviation, and the numbers of E.2, which are of this
+    kind.
 
     Arguments and errors are those of `cells`.
     """
@@ -302,7 +303,7 @@ def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
 
 
 def risks(results: Sequence[Result], k: int = TRIED) -> str:
-    """A table of what choosing by each estimator risks, means over logs (of those where a rate is defined).
+    """A table of the risks of choosing by each estimator, as means over logs (those for which a rate is defined).
 
     Methods without finite estimates on some log are left out; see `Result.risks`.
     """

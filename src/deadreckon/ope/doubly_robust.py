@@ -1,19 +1,19 @@
-"""Doubly robust estimates: a value function, and importance sampling of what it does not explain.
+"""Doubly robust estimates: a value function, and importance sampling of its residuals.
 
     V(s_0) + sum_t discount^t w_t (r_t + discount V(s_{t+1}) - Q(s_t, a_t))
 
 with the weights of importance sampling (`dr`, Jiang and Li 2016, unbiased where they are), self-normalised (`wdr`), or `magic`,
-which ends the sum early where that is worth its bias (both Thomas and Brunskill 2016); or with ratios of occupancies
+which ends the sum early if that reduces the error (both Thomas and Brunskill 2016); or with ratios of occupancies
 (`marginal`: double reinforcement learning, Kallus and Uehara 2020), whose variance does not grow with the product of the
-weights. V is zero after a terminal; the public code that the thesis used forgets that.
+weights. V is zero after a terminal; the public code that the thesis used omits this.
 
-`switch` and `dros` are `dr` with weights that are trusted only so far (`ope/switch.py`, `ope/shrinkage.py`); `mrdr` is `dr`
-with critics that make its variance least (`ope/mrdr.py`).
+`switch` and `dros` are `dr` with truncated or shrunk weights (`ope/switch.py`, `ope/shrinkage.py`); `mrdr` is `dr`
+with critics that minimise its variance (`ope/mrdr.py`).
 
-All of it rests on Q (and learned propensities and ratios) not having seen the rows that it is corrected by: a critic that has
-memorised a reward leaves nothing to correct. So they are cross-fitted (double machine learning: Chernozhukov et al. 2018,
-Kallus and Uehara 2020): those of one fold of the judged episodes come from the other folds and from the episodes that are not
-judged.
+This requires that Q (and learned propensities and ratios) are not fitted to the rows by which it is corrected: a critic that
+has memorised a reward leaves nothing to correct. So they are cross-fitted (double machine learning: Chernozhukov et al. 2018,
+Kallus and Uehara 2020): those of one fold of the evaluated episodes are fitted on the other folds and on the episodes that are
+not evaluated.
 """
 
 from collections.abc import Sequence
@@ -75,12 +75,12 @@ class DoublyRobust(Estimator):
 
     @property
     def takes_crossed(self) -> bool:  # pyrefly: ignore[bad-override] - nobody sets it
-        """Whether cross-fitted policies can be judged."""
+        """Whether cross-fitted policies can be evaluated."""
         return self.kind != "marginal"
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         if self.kind in ALONE:
             return ALONE[self.kind]
         name = {"dr": "DR", "wdr": "WDR", "magic": "MAGIC"}[self.kind]
@@ -142,7 +142,7 @@ class DoublyRobust(Estimator):
         )  # fmt: skip
 
     def nuisances(self, case: OPEInput) -> tuple[OutOfFold, np.ndarray | None]:
-        """Critics on the judged rows, and where there are members (members, policies, episodes) of their initial values."""
+        """Critics on the evaluated rows, and, with members, (members, policies, episodes) initial values."""
         if self.kind == "mrdr":
             return case.once(("out of fold", self), lambda: self._of_least_variance(case)), None
         if isinstance(self.fqe, LinearFQE):
@@ -390,11 +390,11 @@ class DoublyRobust(Estimator):
 
 
 def stretched(share: Sequence[float]) -> np.ndarray | None:
-    """(policies,) by which errors are multiplied where the recording ends early; None: by one.
+    """(policies,) factors of the errors if the recording ends early; None: one.
 
-    A share b of a policy's discounted time lies beyond it (`OPEInput.beyond_of`), where the critics are believed. Their errors
-    there are those of the same critics that the recorded part shows, which the influence function of the corrections does not
-    see: they add up, and 1 / (1 - b) times the error of the recorded part is that of the whole.
+    A share b of a policy's discounted time lies beyond it (`OPEInput.beyond_of`), where the critics are not corrected. Their
+    errors there are assumed to be those of the recorded part, which the influence function of the corrections does not include:
+    they add up, and the total error is 1 / (1 - b) times that of the recorded part.
     """
     beyond = np.asarray(share)
     if (beyond <= TAIL).all():

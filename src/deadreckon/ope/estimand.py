@@ -1,4 +1,4 @@
-"""What is estimated: which rewards of an episode count, how much, and how the policy acts."""
+"""The estimand: which rewards of an episode count, their discount, and how the policy acts."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Literal
@@ -21,8 +21,8 @@ class Estimand:
 
     Attributes:
         discount: of the rewards, per step.
-        horizon: only the first `horizon` steps of an episode count; None: all steps until the episode ends by a terminal. What
-            would follow a timeout then counts too, although the log does not show it.
+        horizon: only the first `horizon` steps of an episode count; None: all steps until the episode ends by a terminal.
+            Rewards after a timeout then count as well, although the log does not show them.
         greedy: the policy takes its deterministic (most likely) action; otherwise its actions are sampled.
     """
 
@@ -43,7 +43,7 @@ class Estimand:
         """The estimand for a log.
 
         Args:
-            log: whose episodes are meant.
+            log: the log with the episodes.
             discount: per step.
             horizon: steps, None, or "auto": 1 where all episodes have one step; the length at which all of the log's timeouts
                 fall, if they fall at one length and more than 2 % of the discounted time lies beyond it; else None.
@@ -63,7 +63,7 @@ class Estimand:
         return found
 
     def check(self, log: Dataset) -> None:
-        """Refuses what has no finite value.
+        """Refuses estimands without a finite value.
 
         Raises:
             UserError: a discount of one where episodes need not end.

@@ -1,4 +1,4 @@
-"""What every estimator answers."""
+"""The result of every estimator."""
 
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -18,32 +18,30 @@ LOGGED = "behaviour policy"  # the name of the policy that made the log
 
 @dataclass(frozen=True)
 class Estimates(Shown):
-    """What an estimator says about each policy.
+    """The estimates of an estimator for each policy.
 
     Attributes:
         method: the estimator.
         names: of the policies.
         value: (policies,) expected discounted return of an episode.
-        low, high: (policies,) ends of intervals at `stats.interval.LEVEL`; NaN where the method gives none.
+        low, high: (policies,) ends of intervals at `stats.interval.LEVEL`; NaN if the method gives none.
         estimand: what is estimated.
         bootstrap: (n_bootstrap, policies) estimates of bootstrap samples of the log, or of the members of an ensemble; the same
-            samples for all policies, so that differences between policies have intervals. None where there are none.
+            samples for all policies, so that differences between policies have intervals. None if there are none.
         influence: (units, policies) influence function of the estimates at each unit of the log (`OPEInput.units`: episodes,
             clusters or groups of them), which has mean zero; the sum of its squares over units^2 is the variance of the
-            estimate. The same units for all policies and methods of a case, so that gains are paired. None where there is none.
-        ess: (policies,) effective sample size of the weights, (sum w)^2 / sum w^2 in episodes; None where nothing is
-            weighted.
-        corrected: whether logged rewards, weighted by how likely the policy is to act as logged, decide the estimate. Otherwise
-            it is model-based: an error of the fitted model is not corrected by anything. Of single policies: `corrects`.
-        warnings: why not to trust it, one line each.
-        seconds: it took, without what was there already for another estimator.
+            estimate. The same units for all policies and methods of a case, so that gains are paired. None if there is none.
+        ess: (policies,) effective sample size of the weights, (sum w)^2 / sum w^2 in episodes; None without weights.
+        corrected: whether logged rewards, weighted by the policy's probability of the logged actions, correct the estimate.
+            Otherwise it is model-based: nothing corrects an error of the fitted model. For single policies: `corrects`.
+        warnings: reasons not to trust it, one line each.
+        seconds: the time it took, without computations shared with earlier estimators.
         diagnostics: further numbers about the estimate by name, each (policies,); the checks of a decision read them.
-        nuisance: (groups, policies) error of what was fitted that the influence function does not see, by the groups of the
-            data that tell it: the sum of the squares is its variance, with groups - 1 degrees of freedom, and it is paired
-            between policies. NaN where nobody knows it; None where there is none.
-        inflation: (policies,) by which errors are multiplied, beyond what the influence function says; None: by one. See
-            `OPEInput.inflation`.
-        units: how many units of the log (`OPEInput.units`) it rests on; `Estimator.on` knows it.
+        nuisance: (groups, policies) error of fitted models that the influence function does not include, by the groups of the
+            data from which it is estimated: the sum of the squares is its variance, with groups - 1 degrees of freedom, and it
+            is paired between policies. NaN if it is not known; None if there is none.
+        inflation: (policies,) factors of the errors, beyond the influence function; None: one. See `OPEInput.inflation`.
+        units: number of units of the log (`OPEInput.units`) that it is based on; set by `Estimator.on`.
     """
 
     method: str
@@ -76,7 +74,7 @@ class Estimates(Shown):
         **more: Any,
     ) -> "Estimates":
         """Estimates of (policies,) values with (units, policies) influence functions, and intervals by them and by `nuisance`,
-        each for itself; without weights nothing is known.
+        each separately; without weights nothing is known.
         """
         low, high = inference.intervals(value, influence, seed=case.seed)
         if nuisance is not None:
@@ -97,8 +95,8 @@ class Estimates(Shown):
         return replace(self, low=np.where(where, -np.inf, self.low), high=np.where(where, np.inf, self.high))
 
     def corrects(self, which: int) -> bool:
-        """Whether logged rewards decide the estimate of one policy: not if it goes on beyond the ends of the recording, or if
-        corrections end early, its own or those of the behaviour policy beside it."""
+        """Whether logged rewards correct the estimate of one policy: not if it continues beyond the ends of the recording, or
+        if corrections end early, its own or those of the behaviour policy beside it."""
         beyond = self.diagnostics.get("beyond", np.zeros(which + 1))[which]
         return self.corrected and max(beyond, self.left(which)) <= TAIL
 

@@ -1,4 +1,4 @@
-"""What an estimator is."""
+"""The base class of estimators."""
 
 import dataclasses
 import time
@@ -17,11 +17,11 @@ APART = "evaluates each policy on all episodes, and cross-fitted ones differ by 
 
 
 class Estimator(eqx.Module):
-    """Hyperparameters in, estimates out.
+    """An estimator: its fields are hyperparameters, its result is `Estimates`.
 
     Attributes:
-        revision: raised in the class whose code has changed the estimates; here for what all estimators share (class
-            attribute). Results of suites are told apart by it (see bench/identity.py).
+        revision: raised in the class whose code has changed the estimates; here for the code that all estimators share (class
+            attribute). It identifies results of suites (see bench/identity.py).
     """
 
     revision: ClassVar[int] = 1
@@ -92,11 +92,11 @@ class Estimator(eqx.Module):
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         raise NotImplementedError
 
     def solve(self, case: OPEInput) -> Estimates:
-        """What the estimator is."""
+        """Computes the estimates."""
         raise NotImplementedError
 
     def replace(self, **changes: Any) -> Any:

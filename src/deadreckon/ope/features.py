@@ -1,8 +1,9 @@
 """Features of observations and actions in which linear critics are exact or close: a table, or random Fourier features.
 
-Where a discrete log has few different observations, a feature for each observation and action: every value function is linear
-in them. Else cosines of random projections (Rahimi and Recht 2007) at two length scales, beside the observation and the action
-themselves and, where these are few numbers, their products, in which linear-quadratic problems are exact.
+If a discrete log has few different observations, there is a feature for each observation and action: every value function is
+linear in them. Otherwise there are cosines of random projections (Rahimi and Recht 2007) at two length scales, together with
+the observation and the action themselves and, if these are few numbers, their products, with which linear-quadratic problems
+are exact.
 """
 
 from typing import Any
@@ -53,7 +54,7 @@ class Table:
         return place[inverse[len(self.seen) :]]
 
     def shares(self, log: Dataset) -> np.ndarray:
-        """(observations, actions) how often each action was taken; of an observation without one, over all of them."""
+        """(observations, actions) frequency of each action; for an observation without actions, over all observations."""
         count = np.zeros((len(self.seen), log.spec.action_size))
         np.add.at(count, (self.codes(np.asarray(log.observations)), np.asarray(log.actions)), 1.0)
         count[count.sum(1) == 0] = count.sum(0)
@@ -64,8 +65,8 @@ class Features:
     """Maps (rows, *) observations and actions to (rows, size) numbers.
 
     Args:
-        log: whose observations and actions are meant; its rewards are not looked at.
-        cosines: how many random Fourier features.
+        log: with the observations and actions; its rewards are not used.
+        cosines: number of random Fourier features.
         seed: of these.
     """
 
@@ -108,7 +109,7 @@ class Features:
         return self._continuous(self._seen(observations), unit)
 
     def expected(self, observations: np.ndarray, table: np.ndarray) -> np.ndarray:
-        """(rows, policies, size) mean features of what policies do, of a table as `Actor.table` gives it."""
+        """(rows, policies, size) mean features of the policies' actions, from a table of `Actor.table`."""
         rows, policies = table.shape[:2]
         if not self.discrete:
             samples = table.shape[2]

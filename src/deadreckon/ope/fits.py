@@ -1,4 +1,4 @@
-"""What is fitted for a case: made once, gone on with from checkpoints, and watched for whether it has settled."""
+"""The fits of a case: made once, resumed from checkpoints, and checked for convergence."""
 
 import contextlib
 import hashlib
@@ -32,11 +32,11 @@ class Fits:
     """Fits of one log and set of policies.
 
     Args:
-        estimand: what they are for.
-        settings: random seed, folder of checkpoints, and what is called while something is fitted.
+        estimand: of the fits.
+        settings: random seed, folder of checkpoints, and the function that is called during a fit.
 
     Raises:
-        UserError: a seed that is out of range.
+        UserError: a seed out of range.
     """
 
     def __init__(self, estimand: Estimand, settings: FitSettings):
@@ -52,13 +52,13 @@ class Fits:
         raise NotImplementedError
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:
-        """What `make` gives, made once."""
+        """The result of `make`, computed once."""
         if key not in self._kept:
             self._kept[key] = make()
         return self._kept[key]
 
     def train(self, learner: Any, rows: TransitionSource, steps: int, what: str) -> Any:
-        """The state of a learner after `steps` updates, gone on with from its checkpoints where there are some.
+        """The state of a learner after `steps` updates, resumed from its checkpoints if there are any.
 
         Raises:
             UserError: it diverged (NaN or infinite numbers).

@@ -1,10 +1,11 @@
 """FQE-L2: fitted Q evaluation with a squared loss (Le et al. 2019; thesis 8.5; settings of the public implementation).
 
-Every policy has `members` critics, each of which learns from a bootstrap resample of the episodes (`OPEInput.redrawn`): their
-mean is the estimate and their spread its interval. All critics of all policies are one program and see the same minibatches.
+Every policy has `members` critics, each of which is trained on a bootstrap sample of the episodes (`OPEInput.redrawn`): their
+mean is the estimate and their spread determines its interval. All critics of all policies are one program and use the same
+minibatches.
 
-For doubly robust estimates the members are folds instead: each learns from the episodes outside its fold and stops where its
-loss on a tenth of them, which do not teach it, is least.
+For doubly robust estimates the members are folds instead: each is trained on the episodes outside its fold and stops where its
+loss on a held-out tenth of them is smallest.
 """
 
 import dataclasses
@@ -43,9 +44,9 @@ class Scale(NamedTuple):
     """Units of the critics: a return over the discounted number of steps (`OPEInput.span`), in deviations of the reward.
 
     Attributes:
-        std: of the reward, or 1 where it never changes.
+        std: of the reward, or 1 if it never changes.
         unit: a critic's 1 in units of the return.
-        low, high: what a critic's value can be.
+        low, high: smallest and largest possible value of a critic.
     """
 
     std: float
@@ -66,7 +67,7 @@ class Scale(NamedTuple):
 
 
 class Critics(eqx.Module):
-    """What `fit` trains: the critics of all policies.
+    """The learner: the critics of all policies.
 
     Attributes:
         settings: of the estimator.
@@ -92,7 +93,7 @@ class Critics(eqx.Module):
         return BatchSpec(batch_size=self.settings.batch_size, standardise=True)
 
     def init(self, spec, key):
-        """Fresh critics; targets are copies."""
+        """Initial critics; targets are copies."""
         critics = create(spec, self.settings.hidden, self.members, self.policies, key)
         best = Best.begin(critics, (self.members, self.policies)) if self.stops else None
         return State(critics, copy(critics), init_opt(critics), best)
@@ -140,7 +141,7 @@ class FQE(Estimator):
     initial_samples: Count = host(10)  # actions sampled at each initial observation
 
     def fitted(self, case: OPEInput) -> Fitted:
-        """The critics of a case's policies; made once for a case, whoever asks."""
+        """The critics of a case's policies; fitted once per case."""
         return case.once(self, lambda: self._fit(case))
 
     def problem(
@@ -173,11 +174,11 @@ class FQE(Estimator):
         return Fitted(state.targets, Scale.of(case).unit, rows.view)
 
     def out_of_fold(self, case: OPEInput, folds: int, samples: int) -> OutOfFold:
-        """What critics that have not seen an episode say of it, whose folds are lanes of one program.
+        """The out-of-fold estimates of critics, whose folds are lanes of one program.
 
         Args:
             case: log and policies.
-            folds: into which the judged episodes are parted.
+            folds: number of parts of the evaluated episodes.
             samples: actions sampled at each row for its value.
         """
         key = ("out of fold", self, folds, samples)
@@ -211,7 +212,7 @@ class FQE(Estimator):
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return "FQE-L2"
 
     def solve(self, case: OPEInput) -> Estimates:

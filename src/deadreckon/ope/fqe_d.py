@@ -55,7 +55,7 @@ class Distributions(eqx.Module):
         return BatchSpec(batch_size=self.settings.batch_size, standardise=True)
 
     def init(self, spec, key):
-        """Fresh critics; targets are copies."""
+        """Initial critics; targets are copies."""
         inputs = spec.observation_size + (0 if spec.discrete else spec.action_size)
         settings = self.settings
         sizes = (inputs, *settings.hidden, settings.atoms * (spec.action_size if spec.discrete else 1))
@@ -133,7 +133,7 @@ class FQED(Estimator):
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return "FQE-D"
 
     def problem(self, case: OPEInput) -> tuple[Distributions, TransitionSource]:

@@ -1,10 +1,10 @@
-"""The gain of one policy in each group of episodes: what is good on average may be bad for some.
+"""The gain of one policy in each group of episodes.
 
-Groups are by something that is known before an episode's first action, such as a site or a kind of customer: by something that
-actions change they would be compared by their own outcome. The score of an episode is that of the plain doubly robust estimate
+Groups are defined by a column that is known before an episode's first action, such as a site or a kind of customer: groups that
+depend on actions would introduce selection bias. The score of an episode is that of the plain doubly robust estimate
 with critics out of fold (`dr-linear`), minus the same of the behaviour policy. Its mean over a group is the gain there, because
-weights average one and critics are corrected given the first observation. Intervals hold for all groups at once, and for all
-policies that the one may have been chosen among by the same episodes (Bonferroni).
+weights average one and critics are corrected given the first observation. Intervals hold simultaneously for all groups, and for
+all policies among which this one may have been chosen on the same episodes (Bonferroni).
 """
 
 from typing import Any, NamedTuple
@@ -30,7 +30,7 @@ class Groups(NamedTuple):
     """Groups of a log's episodes.
 
     Attributes:
-        column: that tells them apart.
+        column: that defines them.
         names: one each.
         codes: (episodes of the log,) number of each episode's group.
     """
@@ -41,7 +41,7 @@ class Groups(NamedTuple):
 
     @classmethod
     def of(cls, data: Dataset, column: str) -> "Groups":
-        """The groups that a column of a log tells apart.
+        """The groups defined by a column of a log.
 
         Raises:
             UserError: an unknown column, or one that changes within an episode.
@@ -65,11 +65,11 @@ class Groups(NamedTuple):
 def by_group(
     case: OPEInput, which: int, groups: Groups, model: BehaviorModel, alpha: float = ALPHA, wider: float = 0.0
 ) -> list[dict[str, Any]]:
-    """The gain of one of a case's policies, chosen among them by any rule, in each group, as JSON values: an end that nobody
-    knows is None, and `why` says why.
+    """The gain of one of a case's policies, chosen among them by any rule, in each group, as JSON values: an unknown end is
+    None, and `why` has the reason.
 
-    Of each group is asked what `select` asks of all episodes: that there are enough, that the weights rest on enough of them,
-    and that the log shows what the policy does there.
+    The requirements of `select` for all episodes apply to each group: there must be enough episodes, the weights must be based
+    on enough of them, and the log must support the policy's actions there.
 
     Args:
         case: log and policies, with the log's own as the last.

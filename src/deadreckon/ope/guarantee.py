@@ -9,8 +9,8 @@ mean one, or less where the log does not show what the policy does, and what is 
 of the mean of x by betting (`stats/betting.py`), less high - low, bounds the gain, without a largest weight. Both returns come
 from the same episode, so what they share cancels. It holds for all policies at once (Bonferroni).
 
-It asks that propensities are those by which actions were drawn, that episodes are independent of each other and of the
-policies, and that the range is known without looking at the log.
+It assumes that propensities are those with which actions were sampled, that episodes are independent of each other and of the
+policies, and that the range is known independently of the log.
 """
 
 import numpy as np
@@ -25,7 +25,7 @@ LARGEST = 300.0  # log of a weight; larger ones are cut, which can only lower th
 
 
 def refuse(case: OPEInput, return_range: tuple[float, float] | None) -> None:
-    """Says what a guarantee lacks, if anything, or that a return lies outside of the range.
+    """Refuses cases that do not meet the assumptions of a guarantee, or with a return outside the range.
 
     Raises:
         UserError: in one line.
@@ -64,8 +64,8 @@ def guaranteed(case: OPEInput, which: int, return_range: tuple[float, float] | N
     Args:
         case: log and policies.
         which: of the policies.
-        return_range: least and greatest return of an episode, as the estimand has it.
-        alpha: chance that the bound of any of the policies fails.
+        return_range: smallest and largest return of an episode, as defined by the estimand.
+        alpha: probability that the bound of any of the policies fails.
 
     Raises:
         UserError: something is missing, or a return lies outside of the range.

@@ -1,4 +1,4 @@
-"""Policies that act on the last steps of an episode are judged on the log of histories, as memoryless ones."""
+"""Policies that act on the last steps of an episode are evaluated on the log of histories, as memoryless ones."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -10,7 +10,7 @@ from deadreckon.policies.deployed import EnvPolicy, History, history_of
 
 
 def with_histories(log: Dataset, policies: Sequence[Any]) -> tuple[Dataset, list[slice] | None]:
-    """The log as policies are judged on it: with histories of the longest that any of them acts on.
+    """The log on which policies are evaluated, with histories of the greatest length that any of them needs.
 
     Args:
         log: as it was recorded.
@@ -20,7 +20,7 @@ def with_histories(log: Dataset, policies: Sequence[Any]) -> tuple[Dataset, list
         The log, and the end of a row that each policy sees; None: all of it.
 
     Raises:
-        UserError: the log has no histories, or they have other sizes or bounds than those that a policy learned from.
+        UserError: the log has no histories, or they have other sizes or bounds than those that a policy was trained on.
     """
     # Whatever else carries something, such as a mixture, is refused by `tables.Actor`.
     found = [p.inner if isinstance(p, EnvPolicy) and isinstance(p.inner, History) else None for p in policies]

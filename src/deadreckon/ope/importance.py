@@ -1,4 +1,4 @@
-"""Importance sampling: logged rewards, weighted by how likely the policy is to act as the log did (thesis 8.5).
+"""Importance sampling: logged rewards, weighted by the policy's probability of the logged actions (thesis 8.5).
 
 Precup, Sutton and Singh 2000. What is summed, and how ended and cut-off episodes count, is in `ope/weights.py`.
 """
@@ -102,7 +102,7 @@ class ImportanceSampling(Estimator):
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         short = {"trajectory": "IS", "per_decision": "PDIS"}[self.kind]
         return f"{'W' if self.normalised else ''}{short}"
 

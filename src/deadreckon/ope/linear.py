@@ -54,11 +54,11 @@ class LinearFQE(Estimator):
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return "FQE-linear"
 
     def solve(self, case: OPEInput) -> Estimates:
-        """Mean value of the initial observations; intervals by redrawing the log and solving again."""
+        """Mean value of the initial observations; intervals by resampling the log and solving again."""
         fit = Fit(self, case)
         rng = generator(case.seed, "linear critics")
         units = case.units
@@ -114,7 +114,7 @@ def _inverse_counts(gram: np.ndarray) -> np.ndarray:
 
 
 class Fit:
-    """Critics of a case's policies by folds: what the estimator and doubly robust ones share.
+    """Critics of a case's policies by folds, shared by the estimator and doubly robust ones.
 
     Args:
         estimator: settings.

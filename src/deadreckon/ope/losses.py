@@ -1,9 +1,8 @@
-"""Losses that a policy's rows lack by chance, in logs of single steps.
+"""Losses that are missing from a policy's rows by chance, in logs of single steps.
 
-Where all rewards are alike but for rare losses, the few rows in which the log did what the policy does may have none of these.
-Then nothing that is redrawn has one either: estimate and interval are those of a policy that never loses. So it is asked how
-likely so many rows have none if losses do not depend on the action, and what the lower end would be with as many as the log
-has.
+If rewards are equal except for rare losses, the few rows with the policy's actions may have no losses. Then no bootstrap sample
+has one either: estimate and interval are those of a policy without losses. So this module computes the probability that this
+many rows have none if losses do not depend on the action, and the lower end of the gain with the log's share of losses.
 """
 
 import numpy as np
@@ -19,13 +18,13 @@ from deadreckon.ope.support import Support
 
 
 def without_losses(case: OPEInput, found: Estimates, support: Support, model: BehaviorModel, alpha: float) -> list[str | None]:
-    """For each policy why its gain may rest on losses that its rows lack, a phrase; None where it does not.
+    """For each policy a phrase if its gain may be due to losses missing from its rows; otherwise None.
 
     Args:
         case: log and policies, with the behaviour policy.
         found: the estimates that decide.
         support: of the policies in the log.
-        model: how the behaviour policy is learned where propensities were not logged.
+        model: settings of the behaviour model, if propensities were not logged.
         alpha: share of logs for which one of the intervals may miss.
     """
     out: list[str | None] = [None] * len(case.policies)

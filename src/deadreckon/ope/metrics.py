@@ -1,4 +1,4 @@
-"""How good estimates are, against true values (thesis E.1), and what a choice by them risks."""
+"""Metrics of estimates against true values (thesis E.1), and the risks of a choice based on them."""
 
 import json
 import math
@@ -17,14 +17,14 @@ PUBLIC_CLIP = 2.0  # what the public notebook cuts normalised estimates at, whic
 
 
 class Measured(NamedTuple):
-    """A metric on a set of policies, and what becomes of it where the set is redrawn with replacement (the bootstrap).
+    """A metric on a set of policies, with its mean and spread over resampled sets (the bootstrap).
 
-    Thesis E.2 prints `mean` ± `spread`; compare those with it. Of `regret` the mean differs from the value: a redrawn set often
-    lacks the best policy, or the one that was chosen.
+    Thesis E.2 prints `mean` ± `spread`; compare those with it. For `regret` the mean differs from the value: a resampled set
+    often lacks the best policy, or the one that was chosen.
 
     Attributes:
-        value: on the set as it is.
-        mean, spread: mean and standard deviation over redrawn sets.
+        value: on the original set.
+        mean, spread: mean and standard deviation over resampled sets.
     """
 
     value: float
@@ -37,7 +37,7 @@ class Metrics:
     """Of one estimator on one set of policies.
 
     Attributes:
-        absolute_error: mean |estimate - truth| (E.1), on the scale that was asked for.
+        absolute_error: mean |estimate - truth| (E.1), on the requested scale.
         rank_correlation: Spearman's (E.3 on ranks).
         regret: of the best of the k policies with the highest estimates (E.2), on the same scale.
         k: of `regret`.
@@ -76,9 +76,9 @@ def rank_correlation(estimates: np.ndarray, truth: np.ndarray) -> float:
 
 
 def regret(estimates: np.ndarray, truth: np.ndarray, k: int = 1) -> float:
-    """The best true value less the best among the k policies with the highest estimates (E.2).
+    """The best true value minus the best among the k policies with the highest estimates (E.2).
 
-    Among equal estimates the expected regret of choosing at random is given, by the mean over all orders that k allows.
+    For equal estimates it is the expected regret of choosing at random, the mean over all orders that k allows.
     """
     estimates, truth = np.asarray(estimates, float), np.asarray(truth, float)
     edge = np.sort(estimates)[::-1][k - 1]
@@ -99,19 +99,19 @@ def compare(
     resamples: int = RESAMPLES,
     seed: int = 0,
 ) -> Metrics:
-    """All three on the policies as they are, each with its mean and standard deviation over redrawn ones (`Measured`).
+    """All three metrics, each with its mean and standard deviation over resampled policies (`Measured`).
 
     Args:
         estimates: (policies,).
         truth: (policies,).
         k: of the regret.
         normalised: on the scale where the worst policy is 0 and the best 1, by the whole set (thesis 8.5).
-        clip: cut normalised estimates above this (the public notebook: `PUBLIC_CLIP`); None: as they are.
-        resamples: redrawn sets of policies.
+        clip: clip normalised estimates above this (the public notebook: `PUBLIC_CLIP`); None: no clipping.
+        resamples: number of resampled sets of policies.
         seed: of the bootstrap.
 
     Raises:
-        UserError: not as many true values as estimates, too few policies, or estimates that are not finite.
+        UserError: different numbers of true values and estimates, too few policies, or estimates that are not finite.
     """
     estimates, truth = np.asarray(estimates, float), np.asarray(truth, float)
     if estimates.shape != truth.shape or estimates.ndim != 1:
@@ -149,14 +149,14 @@ def _mean_and_spread(values: np.ndarray) -> tuple[float, float]:
 def sharpe_ratio(estimates: np.ndarray, truth: np.ndarray, behavior: float, k: int) -> float:
     """(best true value among the k with the highest estimates - the logged policy's) / their standard deviation.
 
-    SharpeRatio@k (Kiyohara et al. 2024): what trying these k out would gain, for its risk. NaN for a deviation of zero.
+    SharpeRatio@k (Kiyohara et al. 2024): the gain of trying these k, relative to its risk. NaN for a deviation of zero.
     """
     top = np.asarray(truth, float)[np.argsort(-np.asarray(estimates), kind="stable")[:k]]
     return float((top.max() - behavior) / top.std()) if top.std() > 0 else float("nan")
 
 
 def error_rates(estimates: np.ndarray, truth: np.ndarray, threshold: float) -> tuple[float, float]:
-    """Type I and type II error rates of deploying what is estimated at `threshold` or above.
+    """Type I and type II error rates of deploying policies with estimates of at least `threshold`.
 
     Type I: of the policies truly below, the share that is deployed. Type II: of those truly at or above, the share that is
     not. NaN where there are none.
@@ -170,18 +170,18 @@ def error_rates(estimates: np.ndarray, truth: np.ndarray, threshold: float) -> t
 def published() -> dict[str, Any]:
     """The six tables of thesis E.2: metric -> `d4rl` or `rl_unplugged` -> task -> method -> [mean, std] or None.
 
-    What the scan lost is None.
+    Numbers that the scan does not show are None.
     """
     return json.loads((Path(__file__).parent / "published.json").read_text())
 
 
 class PublishedReturn(NamedTuple):
-    """What one of DOPE's policies of dm_control's tasks returned.
+    """The returns of one of DOPE's policies of dm_control's tasks.
 
     Attributes:
         agent: `D4PG`, `ABM`, `CRR` (with exponential weights) or `BC`.
         seed: of the training.
-        updates: when it was kept.
+        updates: number of updates of the snapshot.
         mean, deviation: of undiscounted returns, as DOPE gives them.
     """
 

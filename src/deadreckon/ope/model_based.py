@@ -1,7 +1,7 @@
-"""Model-based estimates: the returns of episodes that a learned model makes up (Paduraru 2007; thesis 8.5).
+"""Model-based estimates: the returns of episodes simulated in a learned model (Paduraru 2007; thesis 8.5).
 
-MB-FF draws from feed-forward Gaussians, MB-AR from auto-regressive ones (`dynamics/`). Every member of the ensemble learns from
-episodes redrawn with replacement and makes up its own episodes. Observations and rewards stay within the log's range.
+MB-FF draws from feed-forward Gaussians, MB-AR from auto-regressive ones (`dynamics/`). Every member of the ensemble is trained
+on a bootstrap sample of the episodes and simulates its own episodes. Observations and rewards stay within the log's range.
 """
 
 from typing import Any, ClassVar, Literal
@@ -28,7 +28,7 @@ TAIL = 0.01  # made-up episodes are cut where so much of the discounted time is 
 
 
 class ModelBased(Estimator):
-    """Returns of made-up episodes."""
+    """Model-based estimator: mean returns of simulated episodes."""
 
     revision: ClassVar[int] = 1
 
@@ -58,11 +58,11 @@ class ModelBased(Estimator):
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return {"feedforward": "MB-FF", "autoregressive": "MB-AR"}[self.kind]
 
     def solve(self, case: OPEInput) -> Estimates:
-        """Makes up episodes and averages their returns."""
+        """Simulates episodes and averages their returns."""
         model, (params, unit), rows = self.fitted(case)
         data, members, count = case.data, self.members, self.episodes
         if self.horizon == 0:

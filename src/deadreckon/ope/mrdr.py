@@ -1,13 +1,13 @@
-"""How to weight rows so that a critic makes the doubly robust estimate least variable (Farajtabar, Chow and Ghavamzadeh 2018).
+"""Weights with which a critic minimises the doubly robust estimate's variance (Farajtabar, Chow and Ghavamzadeh 2018).
 
-A doubly robust estimate is right whatever the critic; the critic's errors e = Q - Q_hat decide its variance. With Q the value
+A doubly robust estimate is unbiased for any critic; the critic's errors e = Q - Q_hat determine its variance. With Q the value
 of the policy, Jiang and Li 2016, theorem 1, unrolled, say that of one episode it contains
 
     sum_t E[discount^{2t} rho_{0:t-1}^2 Var(rho_t e(s_t, a_t) | s_t)]
 
 and nothing else that depends on Q_hat. Given the state, the inner variance over the log's actions is the quadratic form
-d' (diag(1 / beta) - 1 1') d in d_a = pi(a|s) e(s, a), which is Omega of Farajtabar et al. A log tells the propensity of what it
-did, and seldom those of all that it might have done, which the form needs. So `log_weights` are weights of rows that keep the
+d' (diag(1 / beta) - 1 1') d in d_a = pi(a|s) e(s, a), which is Omega of Farajtabar et al. A log has the propensity of the
+logged action, and seldom those of all other actions, which the form needs. So `log_weights` are weights of rows that keep the
 form's diagonal, sum_a pi^2 (1 - beta) / beta e^2, which is the mean of rho^2 (1 - beta) e^2, and the whole of it where the
 policy is deterministic: there they are (1 - beta) / beta^2. Where it is not, they count errors that all actions share for more
 than these matter. Without the behaviour's probabilities (`log_behavior` of None, as for densities) they are rho^2, for the
@@ -93,7 +93,7 @@ def out_of_fold(
         propensities: gives the (policies, rows) log-ratios of a case and, of discrete actions, (rows,) log beta.
 
     Raises:
-        UserError: episodes are cut off where much is still to come, so that their returns are not known.
+        UserError: episodes are cut off with much discounted time remaining, so their returns are not known.
     """
     teach, fold = case.teaching(), case.folds(folds)
     sources = [case] if teach is None else [case, teach]

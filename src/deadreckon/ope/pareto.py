@@ -25,8 +25,8 @@ def pareto_k(log_weights: np.ndarray) -> float:
         log_weights: (n,) logarithms; minus infinity is a weight of zero.
 
     Returns:
-        k; minus infinity where the largest weights are all the same, which is no tail at all; NaN where nobody can tell: fewer
-        than 25 weights above zero, or fewer than five that exceed the rest.
+        k; minus infinity if the largest weights are all the same, so that there is no tail; NaN if it cannot be estimated:
+        fewer than 25 weights above zero, or fewer than five that exceed the rest.
 
     Raises:
         UserError: logarithms that are NaN or infinite.
@@ -58,8 +58,8 @@ def pareto_k(log_weights: np.ndarray) -> float:
 def diagnosed(log_weights: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
     """`pareto k` of the (n,) weights of each policy, and `pareto k low`, above which it lies with 95 % confidence.
 
-    The standard error of k is about (1 + k) / sqrt(m) for a tail of m weights (Smith 1987), which of a few dozen of episodes is
-    as large as what it is compared with.
+    The standard error of k is about (1 + k) / sqrt(m) for a tail of m weights (Smith 1987), which for a few dozen episodes is
+    as large as the threshold it is compared with.
     """
     k = np.array([pareto_k(each) for each in log_weights])
     tail = np.array([_size(int((np.asarray(each) > -np.inf).sum())) for each in log_weights])

@@ -1,7 +1,7 @@
-"""Policies that see pictures are judged on the log of the features that their encoders make of these.
+"""Policies with image observations are evaluated on the features that their encoders compute.
 
-An encoder knows the episodes that taught its policy alone, so features of others are of fresh rows. With several encoders
-critics see the features of all of them side by side, and each policy its own.
+An encoder was trained only on its policy's training episodes, so features of other episodes are of fresh rows. With several
+encoders, critics use the features of all of them, and each policy its own.
 """
 
 from collections.abc import Sequence
@@ -22,18 +22,18 @@ BLOCK = 512  # pictures at a time
 
 
 def with_features(log: Dataset, policies: Sequence[Any], names: Sequence[str]) -> tuple[Dataset, list[slice]]:
-    """The log as policies are judged on it: features in the place of pictures.
+    """The log on which policies are evaluated, with features instead of images.
 
     Args:
-        log: of pictures.
-        policies: that see them.
+        log: of images.
+        policies: that take images.
         names: one each, for errors.
 
     Returns:
         The log, whose episodes keep their ids, and the part of a row that each policy acts on.
 
     Raises:
-        UserError: a policy has no encoder of this package, or one for pictures of another shape.
+        UserError: a policy has no encoder of this package, or one for images of another shape.
     """
     encoders: list[Encoder] = []
     parts = []
@@ -64,7 +64,7 @@ def with_features(log: Dataset, policies: Sequence[Any], names: Sequence[str]) -
 
 
 def behind(policy: Any) -> Any:
-    """What acts on the features, of a policy that sees; others as they are."""
+    """The part of a policy with an encoder that acts on features; other policies unchanged."""
     return policy.inner.member if isinstance(policy, EnvPolicy) and isinstance(policy.inner, Seeing) else policy
 
 

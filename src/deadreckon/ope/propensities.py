@@ -1,8 +1,8 @@
-"""Learned propensities made honest: calibration on rows that the model has not seen (Guo, Pleiss, Sun and Weinberger 2017).
+"""Calibration of learned propensities on held-out rows (Guo, Pleiss, Sun and Weinberger 2017).
 
-Networks that were fitted long are too sure. Of propensities that is worse than of predictions: an estimate divides by them, and
-the actions that a model believes to be rare are the ones that weigh most. Everything here is fitted to rows out of fold, whole
-episodes of them, or it would find nothing to correct.
+Networks that were trained for long are overconfident. For propensities this is worse than for predictions: an estimate divides
+by them, and actions that a model considers rare have the largest weights. Everything here is fitted to out-of-fold rows of
+whole episodes; otherwise there would be nothing to correct.
 
 For discrete actions logits are divided by one temperature and shifted per action. A density is left as it is: its power does
 not integrate to one, and the missing factor, which depends on the observation, would go into every weight.
@@ -17,7 +17,7 @@ MOST = 100.0  # largest temperature, and one over the smallest: beyond, the mode
 
 
 def temperature(logits: np.ndarray, taken: np.ndarray, prior: float = 0.0) -> float:
-    """The temperature T of softmax(logits / T) that makes the logged actions likeliest; above one where the model is too sure.
+    """The temperature T of softmax(logits / T) with the highest likelihood of the logged actions; above one if overconfident.
 
     Args:
         logits: (n, actions) of the model, or its log-probabilities, of rows that it was not fitted to.

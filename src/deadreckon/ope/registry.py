@@ -1,4 +1,4 @@
-"""Estimators by name, as tables and the command line call them."""
+"""Estimators by their names in tables and on the command line."""
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -90,8 +90,7 @@ def estimator(name: str, **changes: Any) -> Estimator:
 
     Args:
         name: among `ESTIMATORS`.
-        changes: fields to set, also of the FQE and the behaviour model inside it; those that this estimator
-            has not, but others have, are passed over.
+        changes: fields to set, also of its FQE and behaviour model; fields that only other estimators have are ignored.
 
     Raises:
         UserError: an unknown name, or a field that no estimator has.
@@ -135,18 +134,18 @@ def with_fields(found: Any, changes: Mapping[str, Any]) -> Any:
 
 
 class Function(Estimator):
-    """Anyone's function as an estimator: `fn(data, policies, discount) -> values`, one per policy."""
+    """A user's function as an estimator: `fn(data, policies, discount) -> values`, one per policy."""
 
     fn: Callable[[Dataset, Sequence[Any], float], Any] = eqx.field(static=True)
     name: str = static("yours")
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return self.name
 
     def solve(self, case: OPEInput) -> Estimates:
-        """Calls the function; it gives no intervals."""
+        """Calls the function; there are no intervals."""
         values = np.asarray(self.fn(case.data, case.policies, case.discount), float)
         if values.shape != (len(case.policies),):
             raise UserError(f"the estimator function gave values of shape {values.shape} for {len(case.policies)} policies")
@@ -158,7 +157,7 @@ class Function(Estimator):
 
 
 def as_estimators(given: Any) -> list[Estimator]:
-    """Estimators of a sequence, or of one alone; see `as_estimator`.
+    """Estimators of a sequence, or a single one; see `as_estimator`.
 
     Raises:
         UserError: there is none, an unknown name, or something else.

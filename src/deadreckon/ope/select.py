@@ -1,8 +1,8 @@
 """From estimates to a decision: which policy to deploy, if any, and on what evidence. There is no other rule in the package.
 
 A policy is deployed if the lower end of its gain over the behaviour policy is above zero, at a level that holds for all
-policies that were ever judged on these episodes, and if nothing that can be checked speaks against the estimate. What cannot
-be checked from a log is whether something that was not recorded made the logged actions (confounding).
+policies that were ever evaluated on these episodes, and if no check raises an objection to the estimate. A log cannot show
+whether an unrecorded variable influenced the logged actions (confounding).
 """
 
 from collections.abc import Sequence
@@ -33,15 +33,16 @@ class Choice(Shown):
 
     Attributes:
         name: the policy that is chosen.
-        deploy: whether it should be deployed instead of the behaviour policy.
-        gain, low, high: its estimated gain over the behaviour policy, with an interval that holds for all policies at once.
-        reason: why, in one line.
-        evidence: what else was estimated, a line each.
-        warnings: why not to trust it.
-        gains: (policies, 3) the same of all policies, without the behaviour policy.
-        objections: for each policy, what speaks against its estimate, a phrase each; none of those that have one is deployed.
+        deploy: whether to deploy it instead of the behaviour policy.
+        gain, low, high: its estimated gain over the behaviour policy, with an interval that holds simultaneously for all
+            policies.
+        reason: the reason, in one line.
+        evidence: further estimates, one line each.
+        warnings: reasons not to trust it.
+        gains: (policies, 3) the same for all policies, without the behaviour policy.
+        objections: for each policy the objections to its estimate, one phrase each; a policy with an objection is not deployed.
         level: of the intervals.
-        wider: by how much they are wider at both ends because learned propensities do not fit.
+        wider: the widening of both ends for inaccurate learned propensities.
     """
 
     name: str
@@ -64,10 +65,10 @@ class Choice(Shown):
 
 
 def gains(found: Estimates, alpha: float = ALPHA, known: np.ndarray | None = None) -> np.ndarray:
-    """(policies, 3) gains over the behaviour policy with lower and upper ends that hold for all policies at once.
+    """(policies, 3) gains over the behaviour policy with lower and upper ends that hold simultaneously for all policies.
 
-    Intervals of policies that are not `known` (policies,) are endless, as are those without any weight. Where propensities are
-    learned they are wider by `MOVED` times what normalising the weights changes most.
+    Intervals of policies that are not `known` (policies,) are infinite, as are those without any weight. With learned
+    propensities they are wider by `MOVED` times the largest change from normalising the weights.
 
     Both values are estimated by the same method from the same episodes, so what they share cancels. Where there is an influence
     function the interval is a studentised maximum (`inference.simultaneous`), and wider by an error of what was fitted that it
@@ -75,7 +76,7 @@ def gains(found: Estimates, alpha: float = ALPHA, known: np.ndarray | None = Non
     last three have Bonferroni's correction for the number of policies.
 
     Raises:
-        UserError: the behaviour policy was not judged.
+        UserError: the behaviour policy was not evaluated.
     """
     if LOGGED not in found.names or (found.bootstrap is None and found.influence is None):
         raise UserError(f"{found.method} has no estimate of the behaviour policy; use OPEInput(..., logged=True)")
@@ -121,13 +122,13 @@ def select(
 ) -> Choice:
     """Chooses by the first of several estimates of the same policies; the others are evidence.
 
-    Among the policies that nothing speaks against it takes the one whose gain has the highest lower end.
+    Among the policies without objections it selects the one whose gain has the highest lower end.
 
     Args:
         estimates: of the same policies, with the behaviour policy.
         support: of the policies in the log; None: not known.
-        seen: for each policy why its estimate is not of fresh episodes, or None where it is; None: all are fresh.
-        against: for each policy what else speaks against it, such as its costs, a phrase each; None: nothing.
+        seen: for each policy the reason why its estimate is not of fresh episodes, or None if it is; None: all are fresh.
+        against: for each policy further objections, such as its costs, one phrase each; None: nothing.
         accept_model_based: deploy also by estimates that no logged reward corrects.
         alpha: share of logs for which one of the intervals may miss.
 
@@ -199,9 +200,9 @@ def select(
 
 
 def doubted(found: Estimates, support: Support | None) -> tuple[list[list[str]], np.ndarray]:
-    """For each policy why no interval of its estimate can be believed, phrases; and (policies,) whether one can be.
+    """For each policy the reasons why no interval of its estimate is valid; and (policies,) whether one is.
 
-    The latter has the behaviour policy too, of which one always can be.
+    The latter includes the behaviour policy, for which one always is.
     """
     names = [name for name in found.names if name != LOGGED]
     unknown = [Basis.of(found, i).unreliable + ([] if support is None else support.objections(i)) for i in range(len(names))]
@@ -211,7 +212,7 @@ def doubted(found: Estimates, support: Support | None) -> tuple[list[list[str]],
 
 
 def supported(found: Estimates, support: Support | None) -> np.ndarray:
-    """(policies,) whether the log can speak for each policy of an estimate, the behaviour policy among them."""
+    """(policies,) whether the log supports each policy of an estimate, including the behaviour policy."""
     known = np.ones(len(found.names), bool)
     for i, name in enumerate(name for name in found.names if name != LOGGED):
         known[found.names.index(name)] = support is None or not support.objections(i)
@@ -225,7 +226,7 @@ def _signed(told: Sequence[float]) -> str:
 
 
 def unbounded_where_unsupported(found: Estimates, support: Support | None) -> Estimates:
-    """An estimate whose intervals are unbounded for policies that the log cannot speak for, or not by these weights."""
+    """An estimate whose intervals are unbounded for policies that the log, or these weights, do not support."""
     lost = ~supported(found, support)
     for i, name in enumerate(found.names):
         lost[i] |= name != LOGGED and bool(Basis.of(found, i).lost)

@@ -1,7 +1,7 @@
-"""Whether the log can speak for a policy at all: checks of its support that look at no reward.
+"""Whether the log supports a policy: checks that do not use rewards.
 
-Importance weights correct for how often an action was taken, not for actions that were never taken: without logged support the
-weights of what was logged average less than one, and the rewards of what is missing are simply not there.
+Importance weights correct for the frequency of actions in the log, not for actions that were never taken: without support in
+the log, the mean of the weights is below one, and the rewards of the missing actions are not in the log.
 """
 
 from typing import NamedTuple
@@ -23,16 +23,16 @@ LONG = 1.05  # mean weight of one step above which logged propensities are wrong
 
 
 class Support(NamedTuple):
-    """How much of what each policy does the log supports; (policies,) without the log's own, NaN where it cannot be told.
+    """The support of the log for each policy; (policies,) without the behaviour policy, NaN if not known.
 
     Attributes:
         missing: share of the policy's actions, in states of the log, without logged support: discrete actions that the
-            behaviour policy takes less than a tenth as often as a uniform choice would; continuous ones outside what 99 % of
-            the log's own actions lie within.
+            behaviour policy takes less than a tenth as often as a uniform choice would; continuous ones with a likelihood below
+            that of 99 % of the log's own actions.
         ratio: mean weight of one step, pi(a|s) / beta(a|s) of the logged action, which is one where there is support.
         ratio_high: upper end of its one-sided 99 % interval.
-        ratio_low: its lower end, where propensities were logged, which none that are right have above one; None: not known.
-        degenerate: whether the weights mean nothing; see `Actor.degenerate`.
+        ratio_low: its lower end, if propensities were logged; above one, these are wrong; None: not known.
+        degenerate: whether the weights are degenerate; see `Actor.degenerate`.
     """
 
     missing: np.ndarray
@@ -42,7 +42,7 @@ class Support(NamedTuple):
     ratio_low: np.ndarray | None = None
 
     def objections(self, which: int) -> list[str]:
-        """Why the log cannot speak for a policy, a phrase each."""
+        """Reasons why the log does not support a policy, one phrase each."""
         found = []
         if self.missing[which] > MISSING:
             found.append(f"{100 * self.missing[which]:.0f} % of its actions have no support in the log")

@@ -1,4 +1,4 @@
-"""What policies do on the rows of a log, as arrays: estimators see these and never a policy's network.
+"""The actions of policies on the rows of a log, as arrays: estimators use these and never a policy's network.
 
 So policies of different kinds share one compiled program, and any Python function is a policy.
 """
@@ -31,7 +31,7 @@ DRAWS = 100  # of a discrete policy that does not tell its probabilities
 
 @dataclass(frozen=True)
 class Actor:
-    """Policies as one thing that acts on batches of observations.
+    """Several policies that act on batches of observations.
 
     Attributes:
         policies: with continuous actions, or all discrete ones.
@@ -85,7 +85,7 @@ class Actor:
             raise UserError(f"{name} gives actions {given}, {self.spec.name} has {has}")
 
     def table(self, observations: Any, samples: int, purpose: str, more: int = 0) -> np.ndarray:
-        """What each policy does at each observation.
+        """The actions of each policy at each observation.
 
         Args:
             observations: (rows, *shape) raw, an array or what gives slices of one.
@@ -115,14 +115,14 @@ class Actor:
 
     @property
     def degenerate(self) -> np.ndarray:
-        """(policies,) whether importance weights mean nothing: actions are continuous, and the policy is deterministic or does
-        not tell how likely its actions are."""
+        """(policies,) whether importance weights are degenerate: actions are continuous, and the policy is deterministic or
+        gives no probabilities of its actions."""
         if self.spec.discrete:
             return np.zeros(len(self.policies), bool)
         return np.array([self.greedy or draws_nothing(policy) or not policy.has_log_prob for policy in self.policies])
 
     def act(self, which: int, observations: np.ndarray, t: int) -> np.ndarray:
-        """What one policy does at raw observations (rows, *shape) at step `t` of made-up episodes.
+        """The actions of one policy at raw observations (rows, *shape) at step `t` of simulated episodes.
 
         Returns:
             (rows, size) actions in [-1, 1], or (rows,) indices.
@@ -140,7 +140,7 @@ class Actor:
         A policy that draws nothing is given Gaussian noise of `noise`.
 
         Raises:
-            UserError: a policy draws its actions and does not tell how likely they are.
+            UserError: a policy samples its actions and gives no probabilities of them.
         """
         out = np.empty((len(self.policies), len(actions)))
         view = Normalizer.of(self.spec)
@@ -232,7 +232,7 @@ class Actor:
         return chances * mask / kept
 
     def warnings(self) -> list[str]:
-        """What to say of policies that give probability to illegal actions."""
+        """Warnings about policies that give probability to illegal actions."""
         return [
             f"{self.names[i]} gives {mass / rows:.2%} of its probability to illegal actions: it is estimated as if it drew "
             "again until an action is legal"

@@ -1,4 +1,4 @@
-"""How bad a policy's bad episodes are: the lower tail of its return, by importance weights of whole episodes.
+"""The lower tail of a policy's return, by importance weights of whole episodes.
 
 The conditional value at risk at a share alpha is the mean return of the worst alpha of episodes (Rockafellar and Uryasev 2002),
 
@@ -58,7 +58,7 @@ def lower_tail(log_weights: np.ndarray, returns: np.ndarray, share: float, least
         log_weights: (episodes,) logarithms of whole episodes' weights; minus infinity is a weight of zero.
         returns: (episodes,) discounted returns.
         share: alpha, of the episodes, above 0 and up to 1, where the value is the self-normalised mean.
-        least: effective sample size of the tail, in episodes, below which there is no answer.
+        least: effective sample size of the tail, in episodes, below which there is no estimate.
 
     Raises:
         UserError: a share that is none, no weight at all, or a tail of too few episodes.
@@ -104,7 +104,7 @@ def tails(
         wider: added at both ends; see `select.Choice`.
 
     Raises:
-        UserError: weights of whole episodes cannot tell.
+        UserError: weights of whole episodes cannot estimate it.
     """
     if case.degenerate[which]:
         raise UserError(f"tails {WEIGHTLESS}")

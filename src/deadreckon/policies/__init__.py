@@ -1,6 +1,6 @@
-"""What acts: protocol, kinds of policy, files that numpy alone can run, behaviour models, black boxes.
+"""Policies: the protocol, kinds of policy, files that numpy alone can run, behaviour models, and black boxes.
 
-Names are looked up on first use, so that `deadreckon.policies.portable` can be imported where there is no JAX.
+Names are looked up on first use, so that `deadreckon.policies.portable` can be imported without JAX.
 """
 
 from typing import TYPE_CHECKING

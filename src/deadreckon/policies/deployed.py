@@ -25,7 +25,7 @@ from deadreckon.training.pictures import Seen
 
 
 class EnvPolicy(eqx.Module):
-    """An inner policy between raw observations and the environment's actions: what is saved, evaluated and shipped.
+    """An inner policy with its conversions from raw observations and to the environment's actions; it is saved and evaluated.
 
     Attributes:
         inner: in the method's coordinates.
@@ -87,7 +87,7 @@ class EnvPolicy(eqx.Module):
     def action_probs(self) -> Callable[[Any], np.ndarray] | None:
         """Of discrete actions, what gives the probabilities (n, actions) at raw observations; None for continuous ones.
 
-        Those of a mixture are of an episode's first action; what it does later depends on which member was drawn.
+        Those of a mixture are of an episode's first action; later actions depend on the member that was drawn.
         """
         if isinstance(self.inner, Mixture):
             found = [member.action_probs for member in self.inner.members]
@@ -151,7 +151,7 @@ class Mixture(NormalizedPolicy):
 
     @classmethod
     def of(cls, members: Sequence[EnvPolicy]) -> EnvPolicy:
-        """Of policies with equal sizes, as what is saved and judged."""
+        """A mixture of policies with equal sizes, to be saved and evaluated."""
         return EnvPolicy(cls(tuple(members)), None, None, None, None)
 
     def start(self, n: int) -> tuple[Array, tuple[Any, ...]]:
@@ -189,7 +189,8 @@ class History(NormalizedPolicy):
 
     @classmethod
     def of(cls, member: EnvPolicy, steps: int, spec: Spec) -> EnvPolicy:
-        """As what is saved and judged; `member` itself where a history is one observation. `spec` is the unstacked log's."""
+        """The policy to save and evaluate; `member` itself if a history is one observation. `spec` is the unstacked
+        log's."""
         if steps == 1:
             return member
         return EnvPolicy(cls(member, steps, spec.observation_size, spec.action_size), None, None, None, None)
@@ -213,12 +214,12 @@ class History(NormalizedPolicy):
 
 
 class Seeing(NormalizedPolicy):
-    """Acts on the features that an encoder makes of pictures.
+    """Acts on the features that an encoder computes of images.
 
-    As in a mixture the member is a whole policy: this one sees raw pictures and gives the environment's actions.
+    As in a mixture the member is a whole policy: this one takes raw images and returns the environment's actions.
 
     Attributes:
-        encoder: from pictures to features.
+        encoder: from images to features.
         member: from features to actions.
     """
 
@@ -245,7 +246,7 @@ class Seeing(NormalizedPolicy):
 
 
 def deployed(agent: Any, state: Any, view: Normalizer) -> EnvPolicy:
-    """An agent's policy in a state as what is saved and judged; `view` is what its batches came through."""
+    """An agent's policy in a state, to be saved and evaluated; `view` has the coordinates of its batches."""
     if not isinstance(state, Seen):
         return EnvPolicy.of(agent.policy(state), view)
     seeing = Seeing(state.encoder, EnvPolicy.of(agent.policy(state.inner), view))
@@ -253,7 +254,7 @@ def deployed(agent: Any, state: Any, view: Normalizer) -> EnvPolicy:
 
 
 def picture_shape(policy: Any) -> tuple[int, int, int] | None:
-    """(height, width, channels) of the pictures that a policy, or a mixture's members, see; None of others."""
+    """(height, width, channels) of the images that a policy, or a mixture's members, take; None for others."""
     inner = policy.inner if isinstance(policy, EnvPolicy) else None
     if isinstance(inner, Mixture):
         return picture_shape(inner.members[0])
@@ -261,7 +262,7 @@ def picture_shape(policy: Any) -> tuple[int, int, int] | None:
 
 
 def checked_pictures(given: Any, shape: tuple[int, ...]) -> np.ndarray:
-    """One picture or a batch of them.
+    """One image or a batch of images.
 
     Raises:
         UserError: they are not of uint8, or of another shape.
@@ -282,7 +283,7 @@ def history_of(policy: Any) -> int:
 
 
 def memoryless(policy: Any) -> Any:
-    """The policy on histories inside one that carries them; others as they are."""
+    """The policy on histories inside one that carries them; others unchanged."""
     return policy.inner.member if isinstance(policy, EnvPolicy) and isinstance(policy.inner, History) else policy
 
 

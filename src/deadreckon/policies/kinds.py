@@ -95,7 +95,7 @@ class TanhGaussian(Sampler):
 
 
 class Gaussian(NormalizedPolicy):
-    """a = mean + std * noise without bounds, as published policies have it; `EnvPolicy` clips to bounds that it knows.
+    """a = mean + std * noise without bounds, as in published policies; `EnvPolicy` clips to the environment's bounds.
 
     Greedy is the mean.
     """
@@ -138,7 +138,7 @@ def _log_densities(d: dist.Gaussian, action: Array) -> Array:
 
 
 class ClippedGaussian(Gaussian):
-    """A `Gaussian` whose draws are cut to [-1, 1]; each bound has the probability of all that lies beyond."""
+    """A `Gaussian` whose draws are clipped to [-1, 1]; each bound has the probability of everything beyond it."""
 
     def actions(self, observation, key, *, greedy, count=()):
         """See `NormalizedPolicy`."""
@@ -186,7 +186,7 @@ class TanhMeanGaussian(ClippedGaussian):
 
 
 class Categorical(NormalizedPolicy):
-    """A choice among discrete actions by a network's logits; greedy is the likeliest."""
+    """A choice among discrete actions by a network's logits; the greedy action is the most probable one."""
 
     net: MLP
     has_log_prob = True
@@ -240,5 +240,5 @@ def create_imitator(
 
 
 def stochastic(actor: MLP | Categorical | TanhMeanGaussian) -> TanhGaussian | Categorical | TanhMeanGaussian:
-    """What `create_actor` or `create_imitator` made as a policy; greedy is its mean, or its likeliest action."""
+    """A policy from `create_actor` or `create_imitator`; its greedy action is the mean, or the most probable one."""
     return TanhGaussian(actor) if isinstance(actor, MLP) else actor

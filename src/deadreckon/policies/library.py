@@ -1,4 +1,4 @@
-"""The policies that come with the package, snapshots of training, and what they are worth.
+"""The policies in the package, snapshots of training runs, and their values.
 
 `library/TASK.json` says how the runs were made and, for each snapshot, its returns; `library/TASK/NAME.npz` are the policies,
 float16. Made by `deadreckon.runs.publish`.
@@ -25,7 +25,7 @@ SHARED = {"antmaze-umaze-diverse": "antmaze-umaze", "antmaze-medium-diverse": "a
 
 @dataclass(frozen=True)
 class Returns:
-    """What a policy is worth in its task, over `episodes` episodes.
+    """The value of a policy in its task, over `episodes` episodes.
 
     Attributes:
         episodes: run.
@@ -54,8 +54,8 @@ class Snapshot:
             runs their agent, seed and updates, such as `d4pg-0-10000`.
         updates: of the run when it was taken.
         environment_steps: likewise.
-        sampled: its worth when it draws its actions, which is how logs are made.
-        greedy: its worth when it acts with its mean; None where that was not measured.
+        sampled: its value with sampled actions, as in logs.
+        greedy: its value with mean actions; None if that was not measured.
     """
 
     task: str
@@ -111,7 +111,7 @@ def snapshot(task: str, name: str) -> Snapshot:
 
 
 def library(task: str) -> list[Snapshot]:
-    """All policies of a task: those that are to be judged (`evaluated`), then `medium` and `expert` where there are such."""
+    """All policies of a task: those for evaluation (`evaluated`), then `medium` and `expert` if there are any."""
     own = SHARED.get(task, task)
     return [
         Snapshot(
@@ -132,7 +132,8 @@ def load_policies(task: str) -> list[EnvPolicy]:
 
     In most tasks they are 11, evenly spaced over one run to its end: of SAC in Gym-MuJoCo and of DAPG in Maze2D and Adroit, the
     first of them untrained, and of behaviour cloning in AntMaze, the first of them a little trained. Of dm_control they are 24,
-    two snapshots of four agents and three seeds, which learned from the task's log; those of some tasks have to be made first
+    two snapshots of four agents and three seeds, which were trained on the task's log; those of some tasks have to be made
+    first
     (`tools/unplugged_policies.py`). `about(task)` says how they were made.
 
     Args:

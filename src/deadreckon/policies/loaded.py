@@ -87,7 +87,7 @@ class TablePolicy(Predictor):
 
 
 def load_policy(path: Path | str) -> TablePolicy:
-    """A policy from its file, which takes rows by the names of the columns that it learned from.
+    """A policy from its file, which takes rows by the names of its log's columns.
 
     Args:
         path: of a policy file, such as `runs/mine/policies/seed0.npz` or a cross-fit's `mixture.npz`.

@@ -99,7 +99,7 @@ class BlackBoxPolicy:
         return np.asarray(self._log_prob(observations, actions))
 
     def start(self, n: int) -> tuple[()]:
-        """Nothing is carried; what the function remembers is its own affair."""
+        """Nothing is carried; the function may keep its own state."""
         return ()
 
     def act(self, step: Step, carry: Any, key: Any, *, greedy: bool = False) -> tuple[np.ndarray, Any]:

@@ -1,4 +1,4 @@
-"""Features of pictures by numpy alone, for policies that see; see `portable`, beside which this file belongs.
+"""Features of images with numpy alone, for policies with encoders; see `portable`, beside which this file belongs.
 
 It does what `nets.encoder.Encoder` does.
 """

@@ -1,4 +1,4 @@
-"""What counts as policies: the one place that goes from what a user gives to what acts."""
+"""The forms in which users may give policies, and their conversion to policies."""
 
 import os
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""A policy that is a transformer over past steps, asked for a return (Decision Transformer, Chen et al. 2021)."""
+"""A policy that is a transformer over past steps with a target return (Decision Transformer, Chen et al. 2021)."""
 
 from typing import NamedTuple
 
@@ -65,11 +65,11 @@ class Memory(NamedTuple):
 
 
 class Asking(NormalizedPolicy):
-    """Acts as the log did where it got the return that is asked for.
+    """Imitates the log's actions that led to the target return.
 
     Attributes:
         net: says actions.
-        wanted: return of an episode that is asked for.
+        wanted: target return of an episode.
         scale: what returns are divided by.
         window: steps that are remembered.
     """

@@ -46,7 +46,7 @@ def save(
         policy: as an agent gives it.
         meta: JSON values to keep beside it (agent, data, scores, ...).
         half: store the networks as float16 and compress them, a third of the size; read back, they are float32 again.
-        taught: (episodes,) uint64 `episode_ids` of the episodes that it has learned from; None where that is not known.
+        taught: (episodes,) uint64 `episode_ids` of its training episodes; None if they are not known.
         held: (episodes,) uint64 `episode_ids` of the other episodes of its log; None where that is not known.
 
     Raises:
@@ -138,7 +138,7 @@ def meta(path: Path | str) -> dict[str, Any]:
 
 
 def taught(path: Path | str) -> np.ndarray | None:
-    """(episodes,) uint64 `episode_ids` of the episodes that a saved policy has learned from; None where the file does not say.
+    """(episodes,) uint64 `episode_ids` of the training episodes of a saved policy; None if the file does not have them.
 
     Raises:
         UserError: the file is missing, broken or not a policy file.
@@ -147,7 +147,7 @@ def taught(path: Path | str) -> np.ndarray | None:
 
 
 def held(path: Path | str) -> np.ndarray | None:
-    """(episodes,) uint64 `episode_ids` of the episodes of its log that a saved policy has not learned from, or None.
+    """(episodes,) uint64 `episode_ids` of the episodes of its log that a saved policy was not trained on, or None.
 
     Raises:
         UserError: see `taught`.

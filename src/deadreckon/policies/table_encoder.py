@@ -1,4 +1,4 @@
-"""Rows of a table as the observations that a policy learned from, and its actions as the table names them.
+"""Encodes rows of a table as the observations of a policy's training, and names its actions as in the table.
 
 With `table_rows` and `table_columns` it needs numpy alone, so that these can be copied beside `portable.py`. What it goes by is
 JSON that every policy file keeps under `meta["log"]` (`runs.reading.noted`): the schema of the log as it was resolved, with

@@ -50,12 +50,12 @@ class Player(Protocol):
 
 
 class Prediction(NamedTuple):
-    """What a policy does, and what is known of it.
+    """The actions of a policy, and further results.
 
     Attributes:
         actions: (rows,) names or numbers of one action column, {column: (rows,) numbers} of several; of one row, single values.
-        probabilities: {action: (rows,) probability} of discrete actions; None where it was not asked for.
-        outside: (rows,) bool, which rows are outside the log; None where it was not asked for.
+        probabilities: {action: (rows,) probability} of discrete actions; None if not requested.
+        outside: (rows,) bool, which rows are outside the log; None if not requested.
     """
 
     actions: Any

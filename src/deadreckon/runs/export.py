@@ -45,8 +45,9 @@ def export(
             encoding as JSON beside it), "numpy" (the policy file and the modules that run it) or "mlflow" (a pyfunc model).
         out: folder to write, which must not be there yet.
         log: the log on whose rows the export is checked, a `Dataset`, a file or a data frame; None: the one that the policy was
-            trained on. estimates: the folder of `deadreckon ope --out` or `recommend`, for the card; None searches the run's
-            folder and the folders beside it.
+            trained on.
+        estimates: the folder of `deadreckon ope --out` or `recommend`, for the card; None searches the run's folder and the
+            folders beside it.
         seed: which of the run's policies; None: the first that has not failed.
 
     Raises:

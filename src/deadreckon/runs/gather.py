@@ -29,14 +29,14 @@ class Gathered(NamedTuple):
     """A policy to evaluate, and what is known of it.
 
     Attributes:
-        policy: what acts, or a cross-fit.
+        policy: the policy, or a cross-fit.
         run: name of the run or file that it comes from.
         seed: of the run's seeds; None where there is none.
-        taught: (n,) uint64 ids of the episodes that it has learned from; None where that is not known.
-        by: column whose values its run kept together when it held episodes out; None: none.
-        file: where exactly this policy is saved; None: nowhere that is known.
-        read: how the log was read that it learned from.
-        task: where its run was judged, or whose snapshot it is; None: nowhere that is known.
+        taught: (n,) uint64 ids of the episodes that it was trained on; None if that is not known.
+        by: column whose values its run kept together when it held out episodes; None: none.
+        file: the file of exactly this policy; None: not known.
+        read: how the log was read that it was trained on.
+        task: in which its run was evaluated, or whose snapshot it is; None: not known.
     """
 
     policy: Any
@@ -55,16 +55,16 @@ class Gathered(NamedTuple):
 
     @property
     def acting(self) -> Any:
-        """What acts in a simulator: of a cross-fit, what would be deployed."""
+        """The policy that acts in a simulator: for a cross-fit, the one that would be deployed."""
         return self.policy[0].policy_of(self.seed) if isinstance(self.policy, tuple) else self.policy
 
 
 def gather(given: Any) -> list[Gathered]:
-    """Policies to judge.
+    """Policies to evaluate.
 
     Args:
-        given: runs, cross-fits, their folders, policy files (`.npz`, DOPE's `.pkl`), policies, of which nobody knows what they
-            have learned from, or names of tasks whose snapshots are meant; a sequence of these, or one alone.
+        given: runs, cross-fits, their folders, policy files (`.npz`, DOPE's `.pkl`), policies, whose training episodes are not
+            known, or names of tasks, for their snapshots; a sequence of these, or a single one.
 
     Raises:
         UserError: none of these.
@@ -126,11 +126,11 @@ def check_encodings(found: Sequence[Gathered], data: Dataset) -> None:
 
 
 class Fresh(NamedTuple):
-    """On which episodes policies are judged, and what that is worth.
+    """The episodes on which policies are evaluated, and objections to them.
 
     Attributes:
         held: (n,) indices of the episodes.
-        against: for each policy why its estimate is not one of fresh episodes, or None where it is.
+        against: for each policy the reason why its estimate is not one of fresh episodes, or None if it is.
         told: in one line.
     """
 
@@ -140,16 +140,16 @@ class Fresh(NamedTuple):
 
 
 def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
-    """The episodes of a log that no policy has learned from, by what the policies' files keep.
+    """The episodes of a log that no policy was trained on, according to the policies' files.
 
     Args:
         found: policies.
         data: the log.
-        unseen: the user says that policies of which nobody knows it have not learned from this log, and that episodes equal to
-            those that taught a policy are there by chance.
+        unseen: the user states that policies whose training episodes are not known were not trained on this log, and that
+            episodes equal to a policy's training episodes are there by chance.
 
     Raises:
-        UserError: nobody can tell which episodes a policy has learned from, or no episode is left.
+        UserError: the training episodes of a policy cannot be determined, or no episode is left.
     """
     # Those of a run that a training again repeats have seen all of it.
     found = [g._replace(taught=data.episode_ids) if _of_training(g, data) else g for g in found]

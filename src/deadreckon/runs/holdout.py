@@ -16,10 +16,10 @@ class Divided(NamedTuple):
     """A log in two parts.
 
     Attributes:
-        learning: what methods see of it.
+        learning: the part that methods are trained on.
         taught: (learning,) uint64 `episode_ids` of that part.
-        held: (held,) uint64 `episode_ids` of the rest; none where nothing is held out.
-        told: for `run.json`; None where nothing is held out.
+        held: (held,) uint64 `episode_ids` of the rest; empty if nothing is held out.
+        told: for `run.json`; None if nothing is held out.
     """
 
     learning: Dataset
@@ -33,12 +33,12 @@ def divided(log: Dataset, given: Holdout | Fold | float | None, judge: Task | No
 
     Args:
         log: the log.
-        given: what is asked for; see `runs.train.train`.
-        judge: the simulator that judges the policies, if any: then nothing is held out unless it is asked for.
-        before: `run.json` of a run that is gone on with, which keeps what it has held out where nobody asks for other.
+        given: the `holdout` of `runs.train.train`.
+        judge: the simulator in which the policies are evaluated, if any: then nothing is held out unless requested.
+        before: `run.json` of a run that is continued, which keeps its held-out episodes unless others are requested.
 
     Raises:
-        UserError: what is asked for cannot be held out of this log.
+        UserError: the requested episodes cannot be held out of this log.
     """
     if given is None and before is not None:
         asked = _read(before.get("data", {}).get("holdout"))
@@ -59,7 +59,7 @@ def divided(log: Dataset, given: Holdout | Fold | float | None, judge: Task | No
 
 
 def too_few(log: Dataset, asked: Holdout) -> str | None:
-    """That there are too few episodes or clusters to hold some out, in words; None where there are enough."""
+    """A message that there are too few episodes or clusters to hold some out; None if there are enough."""
     if (count := int(clusters(log, asked.by).max()) + 1) >= FEWEST:
         return None
     what = "episodes" if asked.by in (RANDOM, TIME) else f"values of {asked.by}"
@@ -67,10 +67,11 @@ def too_few(log: Dataset, asked: Holdout) -> str | None:
 
 
 def trial_parts(log: Dataset) -> tuple[Dataset, Dataset]:
-    """A log of one's own as settings are tried on it: what they learn from, and what they are chosen by.
+    """The two parts of a user's log for tuning settings: for training, and for choosing among them.
 
-    What `train` holds out where nobody says otherwise is in neither, so that it has been looked at by nobody when a policy with
-    the chosen settings is judged on it. The rest is divided again. Very few episodes are in both, with a warning.
+    The episodes that `train` holds out by default are in neither part, so they are still unused when a policy with the chosen
+    settings is evaluated on them. The rest is divided again. If there are very few episodes, they are in both parts, with a
+    warning.
     """
     rest = divided(log, None, None, None).learning
     tried = divided(rest, Holdout(seed=1, by=group_of(log) or RANDOM), None, None)
@@ -80,10 +81,10 @@ def trial_parts(log: Dataset) -> tuple[Dataset, Dataset]:
 
 
 def usual(log: Dataset) -> Holdout:
-    """What is held out where nobody says otherwise.
+    """The episodes that are held out by default.
 
-    A fifth: whole groups, where the log says by which column; of a memory-mapped log the latest, because a random part would be
-    copied into memory.
+    A fifth: whole groups, if the log names a group column; in a memory-mapped log the latest episodes, because a random part
+    would be copied into memory.
     """
     if (group := group_of(log)) is not None:
         return Holdout(by=group)
@@ -91,7 +92,7 @@ def usual(log: Dataset) -> Holdout:
 
 
 def of_share(log: Dataset, share: float) -> Holdout:
-    """What is held out where only its share is said: whole groups, where the log says by which column."""
+    """The episodes that are held out for a given share: whole groups, if the log names a group column."""
     return Holdout(share, by=group_of(log) or RANDOM)
 
 

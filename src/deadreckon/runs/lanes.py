@@ -1,4 +1,4 @@
-"""Agents as the lanes of a run, and as its folder has them."""
+"""Agents as the lanes of a run, and as recorded in its folder."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
@@ -11,7 +11,7 @@ from deadreckon.training.later_fields import told
 
 
 def lanes_of(agent: Agent | str | Sequence[Agent], seeds: int) -> list[Agent]:
-    """One agent a seed, from an agent, its name or the list itself.
+    """One agent per seed, from an agent, its name or a list of agents.
 
     Raises:
         UserError: an unknown name, or another number of agents.

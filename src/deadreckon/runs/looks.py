@@ -1,10 +1,10 @@
-"""How often the held-out episodes of a log have been looked at, so that the error of all looks together is bounded.
+"""Counts the evaluations ("looks") on held-out episodes of a log, so that the error of all looks together is bounded.
 
-An interval that may miss in 5 % of logs does so for what it was computed for. Who judges twenty settings one after the other on
-the same episodes and keeps the best has looked twenty times. So each look spends half of what is left of the 5 %: 2.5 % the
-first, 1.25 % the second, ...; within a look all policies share its level (`stats.inference.simultaneous`). The same policies
-under the same estimand, judged by the same estimator and clusters, are one look, however often that is done. This bounds the
-error for policies that were learned without regard to earlier answers.
+A 95 % interval is valid for a single evaluation. Evaluating twenty settings one after the other on the same episodes and
+keeping the best amounts to twenty looks. So each look uses half of the remaining error probability of 5 %: 2.5 % the first,
+1.25 % the second, ...; within a look all policies share its level (`stats.inference.simultaneous`). Repeated evaluations of the
+same policies under the same estimand, with the same estimator and clusters, are one look. This bounds the error for policies
+that were trained without using earlier results.
 """
 
 from pathlib import Path
@@ -20,12 +20,12 @@ MOST = 10_000  # episodes by whose ids a set is known: the least ones of a large
 
 
 class Look(NamedTuple):
-    """A look at held-out episodes.
+    """A look: one evaluation on held-out episodes.
 
     Attributes:
         number: 1 for the first.
         alpha: share of logs for which one of its intervals may miss.
-        policies: that have been judged on some of these episodes by now, in all looks.
+        policies: number evaluated on some of these episodes so far, in all looks.
     """
 
     number: int
@@ -41,11 +41,11 @@ class _Told(TypedDict):
 
 
 class Note(NamedTuple):
-    """What is known of the looks at one set of episodes.
+    """The record of the looks at one set of episodes.
 
     Attributes:
-        episodes: their ids, the least `MOST` of them.
-        looks: digest of what was judged -> how many policies, and the number of the look.
+        episodes: their ids, the smallest `MOST` of them.
+        looks: digest of the evaluation -> number of policies, and the number of the look.
     """
 
     episodes: set[int]
@@ -53,14 +53,14 @@ class Note(NamedTuple):
 
 
 def look(episodes: np.ndarray, policies: str, count: int) -> Look:
-    """Takes note of a look, in the folder of collected and downloaded logs.
+    """Records a look, in the folder of collected and downloaded logs.
 
-    Whoever has looked at some of the episodes has looked: looks at overlapping sets count together. Of sets of more than `MOST`
-    episodes the least ids stand for all, by which sets are found to overlap unless they share a few episodes alone.
+    Looks at overlapping sets of episodes count together. For sets of more than `MOST` episodes only the smallest ids are kept,
+    so an overlap is found unless the sets share only a few episodes.
 
     Args:
-        episodes: (n,) uint64 ids of the episodes that policies are judged on.
-        policies: digest of what is judged and how: the policies, the estimand, the estimator and the clusters.
+        episodes: (n,) uint64 ids of the episodes that policies are evaluated on.
+        policies: digest of the evaluation: the policies, the estimand, the estimator and the clusters.
         count: of the policies.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Measures what policies are worth: episodes in batches until the error is small, policies side by side."""
+"""Measures the values of policies: episodes in batches until the error is small, policies in parallel."""
 
 import os
 import signal
@@ -27,7 +27,7 @@ DISCOUNT = 0.995  # DOPE's
 
 @dataclass(kw_only=True)
 class Measuring:
-    """How policies are measured."""
+    """Settings for measuring policies."""
 
     episodes: int = 1000  # a policy, in each way of acting that is measured
     error: float = 0.666  # standard error of the discounted return below which measuring stops (thesis 8.2)
@@ -40,17 +40,17 @@ def measured_enough(
     task: str, wanted: Mapping[tuple[str, str], Path | None], known: Mapping[tuple[str, str], Returns], options: Measuring,
     keep: Callable[[str, str, Returns], None],
 ) -> dict[tuple[str, str], Returns]:  # fmt: skip
-    """What policies return in a task.
+    """Measures the returns of policies in a task.
 
     Args:
-        task: where.
+        task: the task.
         wanted: files of policies by (key, mode), with mode `sampled` or `greedy`; None as a file: uniform actions.
-        known: what has been measured before, which is gone on with.
-        options: of measuring.
-        keep: called with key, mode and what is known so far, after each batch of episodes.
+        known: earlier measurements, which are continued.
+        options: settings.
+        keep: called with key, mode and the results so far, after each batch of episodes.
 
     Returns:
-        Of all that is wanted, by (key, mode).
+        Results for all entries of `wanted`, by (key, mode).
 
     Raises:
         UserError: fewer than one process.

@@ -1,8 +1,8 @@
-"""A policy in use: has what it sees or does changed since its log, and is it worth what was estimated?
+"""Monitors a policy in use: changes of observations and actions since its log, and the realised value.
 
-Everything is computed from the whole new log each time, and whatever could be found at an earlier look would be found again. So
-one may look as often as one likes: the chance that anything is reported although nothing has changed is at most `alpha`, over
-all looks together. Half of it is for the realised value, two fifths for drift, a tenth for values outside the log.
+Each call computes everything from the whole new log, and repeats the findings of earlier calls. So it may be called any number
+of times: the probability that anything is reported although nothing has changed is at most `alpha`, over all calls together.
+Half of it is for the realised value, two fifths for drift, a tenth for values outside the log.
 """
 
 from collections.abc import Sequence
@@ -35,9 +35,9 @@ class Finding(NamedTuple):
 
     Attributes:
         about: "observation", "action", "outside" or "value".
-        name: of the column; of the value, what it is.
+        name: of the column; for the value, its description.
         alarm: whether it makes the exit code 1.
-        text: what was found.
+        text: the finding.
     """
 
     about: str
@@ -51,19 +51,19 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True)
 class Monitored(Shown):
-    """What `monitor` found.
+    """The result of `monitor`.
 
     Attributes:
         name: of the policy.
         reference, log: names of the logs that were compared.
         rows, episodes: of the new log.
-        compared: which rows and actions were compared, in words.
-        untested: why no column could be tested, a phrase; empty where they were.
-        alpha: chance of a false alarm, over all looks.
-        columns: observations and actions, with what changed.
+        compared: a description of the rows and actions that were compared.
+        untested: the reason why no column could be tested; empty if they were tested.
+        alpha: probability of a false alarm, over all calls.
+        columns: observations and actions, with their changes.
         outside: rows of the new log that lie outside the reference.
-        value: the realised value, or why it is not known.
-        findings: a line each, alarms first.
+        value: the realised value, or the reason why it is not known.
+        findings: one line each, alarms first.
     """
 
     name: str
@@ -81,7 +81,7 @@ class Monitored(Shown):
 
     @property
     def alarm(self) -> bool:
-        """Whether something drifts, lies outside the log, or brings less than was estimated."""
+        """Whether something drifts, lies outside the log, or has a lower value than estimated."""
         return any(each.alarm for each in self.findings)
 
     def __str__(self) -> str:
@@ -101,23 +101,24 @@ def monitor(
     greedy: bool | None = None,
     alpha: float = ALPHA,
 ) -> Monitored:
-    """Compares a new log with the one that a policy learned from, and the value that it realised with what was estimated.
+    """Compares a new log with the one that a policy was trained on, and the realised value with the estimate.
 
     Args:
         run: the run, its folder, a cross-fit's folder or a policy file.
-        log: the new log, in the order of time: a `Dataset`, or a file or data frame, which is read as the policy's own log was.
-        reference: the log to compare with, likewise; None: the one that the policy learned from.
-        made_by: who made the new log. "policy": the policy of the run, so that its actions are compared with what the policy
-            does in the reference, and where episodes have several steps their first steps alone, because a new policy visits
-            other states; actions are compared in the episodes of the reference that the policy has not learned from, where
-            there are any. "reference": whatever made the reference; then all rows and logged actions are compared, and the
-            value that was realised is not compared with the policy's. None: "policy"; where another reference is given than
-            the log that the policy learned from, the policy made that, too, and all rows and logged actions are compared.
-        estimates: the folder of `deadreckon ope --out` or `recommend`; None looks in the run's folder and beside it.
-        return_range: least and greatest return that an episode can have; None: see `runs.realised`.
+        log: the new log, in the order of time: a `Dataset`, or a file or data frame, which is read like the policy's own log.
+        reference: the log to compare with, likewise; None: the one that the policy was trained on.
+        made_by: who made the new log. "policy": the policy of the run. Its actions are compared with those of the policy in the
+            reference, and if episodes have several steps, only first steps are compared, because a new policy visits other
+            states; actions are compared in the episodes of the reference that the policy was not trained on, if there are any.
+            "reference": the same policy or people as the reference; then all rows and logged actions are compared, and the
+            realised value is not compared with the policy's. None: "policy"; if a reference other than the training log is
+            given, the policy is taken to have made it, too, and all rows and logged actions are compared.
+        estimates: the folder of `deadreckon ope --out` or `recommend`; None searches the run's folder and the folders beside
+            it.
+        return_range: smallest and largest return that an episode can have; None: see `runs.realised`.
         seed: which of the run's policies; None: the first.
-        greedy: whether the policy takes its deterministic (greedy) actions in use; None: as was estimated, or else yes.
-        alpha: chance that anything is reported without reason, over all looks together.
+        greedy: whether the policy takes its deterministic (greedy) actions in use; None: as in the estimate, or else yes.
+        alpha: probability that anything is reported without a change, over all calls together.
 
     Raises:
         UserError: input that does not fit, in one line.

@@ -1,4 +1,4 @@
-"""Policies of runs judged from a log alone, and, where there is a simulator, the judgement checked in it."""
+"""Evaluates policies of runs from a log alone, and checks the decision in a simulator if there is one."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -39,12 +39,12 @@ NAME = "estimates.json"
 
 
 class Judged(NamedTuple):
-    """What `judge` gives.
+    """The result of `judge`.
 
     Attributes:
         estimates: one per estimator.
         choice: by the first of them.
-        results: all of them as JSON values, as in `estimates.json`.
+        results: all results as JSON values, as in `estimates.json`.
     """
 
     estimates: list[Estimates]
@@ -63,19 +63,19 @@ def judge(
     task: Any = None,
     **options: Unpack[JudgeOptions],
 ) -> Judged:
-    """Estimates policies from a log, decides which to deploy, if any, and then looks into the simulator whether that was right.
+    """Estimates policies from a log, decides which to deploy, if any, and then checks the decision in a simulator.
 
-    Policies are judged on the episodes that none of them has learned from, which is looked up by the contents of episodes.
-    Where there are none, or nobody knows, estimates say so and nothing is deployed.
+    Policies are evaluated on the episodes that none of them was trained on, which are identified by their contents. If there
+    are none, or this is not known, estimates say so and nothing is deployed.
 
     Args:
-        policies: the policies, or where they are, one or several; see `gather`.
-        data: a log, the name of a known one, or a file: what they learned from, with the episodes that were held out, or new.
+        policies: the policies, or their paths, one or several; see `gather`.
+        data: a log, the name of a known one, or a file: the training log with its held-out episodes, or a new log.
         estimators: names, `Estimator` objects or functions, the first of which decides; or "auto" (`ope.decide.automatic`).
-        task: simulator in which the estimates are checked, as `tasks.registry.task` takes it; None checks nothing.
+        task: simulator in which the estimates are checked, as `tasks.registry.task` takes it; None: no check.
         **options: what is estimated: `discount`, `horizon`, `greedy`; what decides: `accept_model_based`, `cost_limit`,
             `guarantee`, `return_range`, `confounding`, `tail`, `by_group`, `model`; on which episodes: `cluster`, `unseen`,
-            `counted`; and `seed`, `episodes` (of a policy in the simulator), `out` and `watch`. See
+            `counted`; and `seed`, `episodes` (per policy in the simulator), `out` and `watch`. See
             `runs.settings.JudgeSettings`.
 
     Raises:
@@ -211,7 +211,7 @@ def _known(values: np.ndarray) -> list[float | None]:
 
 
 def grounds(results: dict[str, Any]) -> list[tuple[str, str]]:
-    """What a decision rests on, as pairs of a name and a text; of the results of `judge`."""
+    """The grounds of a decision, as pairs of a name and a text, from the results of `judge`."""
     judged, looks, level = results["judged"], results["looks"], level_in_words(results["choice"]["level"])
     cluster, count = judged["cluster"], judged.get("clusters")
     of = "" if cluster is None else f", in {count:,} clusters by {cluster}" if count else f", in clusters by {cluster}"
@@ -232,7 +232,7 @@ def grounds(results: dict[str, Any]) -> list[tuple[str, str]]:
 def simulated(
     policies: Sequence[Any], task: Task, estimand: Mapping[str, Any], *, episodes: int, seed: int
 ) -> dict[str, Any]:
-    """What policies are worth in a simulator by an estimand, both as `estimates.json` has them; two episodes or more."""
+    """The values of policies in a simulator by an estimand, both as in `estimates.json`; at least two episodes."""
     asked = {name: estimand[name] for name in ("discount", "horizon", "greedy")}
     played = evaluate(policies, task, episodes=episodes, seed=seed, **asked)
     returns = played.discounted
@@ -248,7 +248,7 @@ def simulated(
 
 
 def checked(results: dict[str, Any]) -> str:
-    """What the simulator says to the choice, in one line: its regret is what the best policy would have had beyond it."""
+    """The result of the check in the simulator, in one line: the regret is the best policy's value minus the chosen one's."""
     truth = results["truth"]
     if truth is None:
         return "not checked in a simulator (--task names one)"
@@ -276,7 +276,7 @@ def checked(results: dict[str, Any]) -> str:
 
 
 def supports(results: dict[str, Any]) -> str:
-    """How much of what each policy does has no support in the log, a line each."""
+    """The share of each policy's actions without support in the log, one line each."""
     names = [each["name"] for each in results["policies"]]
     width = max(map(len, names))
     shares = ["not known" if share is None else f"{100 * share:.0f} %" for share in results["support"]["missing"]]
@@ -287,7 +287,7 @@ def supports(results: dict[str, Any]) -> str:
 
 
 def groups(results: dict[str, Any]) -> str:
-    """The gain of the chosen policy in each group, a line each, where that was asked for."""
+    """The gain of the chosen policy in each group, one line each, if it was requested."""
     choice, by = results["choice"], results["choice"]["groups"]
     if "refused" in by:
         return f"gains by subgroup of {by['column']} are not known: {by['refused']}"
@@ -305,7 +305,7 @@ def groups(results: dict[str, Any]) -> str:
 
 
 def read_estimates(path: Path | str) -> dict[str, Any]:
-    """What `judge` wrote into a folder, or the file itself.
+    """Reads the results that `judge` wrote into a folder, or the file itself.
 
     Raises:
         UserError: there is none.

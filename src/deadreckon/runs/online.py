@@ -1,4 +1,4 @@
-"""From nothing but a simulator to policies in a run folder: an agent that learns from what it does."""
+"""Online training: from a simulator to policies in a run folder."""
 
 import dataclasses
 import json
@@ -49,18 +49,17 @@ def train_online(
     out: Path | str | None = None,
     **settings: Unpack[OnlineOptions],
 ) -> Run:
-    """Trains an agent in a simulator, several seeds as one compiled program, and judges it as it goes.
+    """Trains an agent in a simulator, several seeds as one compiled program, and evaluates it during training.
 
-    With `start`, the agent of a run on a log goes on: with its networks, targets and optimisers, in its coordinates of
-    observations and actions, and with the log in the replay. With `data` alone, a log is in the replay of an agent that has
-    learned nothing.
+    With `start`, the agent of a run on a log continues: with its networks, targets and optimisers, in its coordinates of
+    observations and actions, and with the log in the replay. With `data` alone, a log is in the replay of an untrained agent.
 
     Args:
-        agent: an agent that explores by itself, its name, or one agent a seed that differ in float fields only; None: that of
-            `start`, from which it may differ in its settings but not in its networks.
-        task: the simulator to learn and to be judged in, its name, or a Gymnasium environment, its id, or what makes one
-            (see `tasks.registry.task`); None: the one that `start` was judged in.
-        steps: environment steps per seed, the random ones at the beginning included. A run may be resumed with more of them.
+        agent: an agent that supports online training, its name, or one agent per seed that differ only in float fields; None:
+            that of `start`. With `start` it may have other settings but not other networks.
+        task: the simulator for training and evaluation, its name, or a Gymnasium environment, its id, or a function that makes
+            one (see `tasks.registry.task`); None: the one in which `start` was evaluated.
+        steps: environment steps per seed, including the random ones at the beginning. A run can be resumed with more steps.
         seeds: number of independent runs, with the random seeds `seed` .. `seed + seeds - 1`; None: 1, or those of `start`.
         seed: the first random seed; None: 0, or that of `start`.
         out: run folder; None is `runs/AGENT-TASK-online`, or `runs/AGENT-TASK-fine-tuned` with `start`.
@@ -68,7 +67,7 @@ def train_online(
             `threads`, `demonstrations`, `callback`, `track` and `watch`; see `runs.settings.OnlineSettings`.
 
     Raises:
-        UserError: input that does not fit, in one line; nothing is written then.
+        UserError: invalid input, in one line; nothing is written then.
     """
     asked = OnlineSettings.of(settings)
     asked.check(seed or 0, seeds=1 if seeds is None else seeds)
@@ -184,7 +183,7 @@ def _train_online(
 
 
 def turns_of(kind: type[Agent], task: str, started: bool, **given: Any) -> Online:
-    """How acting and learning take turns: as given, else as the agent has it; what goes on from a log acts itself at once."""
+    """How acting and updates alternate: as given, or else the agent's defaults; a continued agent acts from the first step."""
     return Online(**kind.acting(task) | ({"explore": 0} if started else {}) | given)
 
 
@@ -204,12 +203,12 @@ def _demonstrated(given: Dataset | str | Path, task: Task) -> Dataset:
 
 
 def reopened(path: Path | str, data: Dataset | str | Path | None = None) -> Fit:
-    """An online run as it is at its newest checkpoint, to look into: its `learners`, their whole `states`, a learned model
-    among them, its real steps in `experience`, and its task there.
+    """An online run at its newest checkpoint, for inspection: its `learners`, their complete `states`, including a learned
+    model, its real steps in `experience`, and its task.
 
     Args:
         path: of the run.
-        data: the log in its replay, where it has one that is no longer where it was.
+        data: the log in its replay, if it has one that has been moved.
 
     Raises:
         UserError: `path` is no online run, or its checkpoint or log cannot be read.

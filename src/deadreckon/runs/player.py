@@ -1,4 +1,4 @@
-"""The policy that a folder or file stands for, as what takes rows of a table: by numpy alone where it can, else in JAX."""
+"""The policy that a folder or file stands for, for rows of a table: with numpy alone if possible, or else in JAX."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,10 +20,10 @@ class Chosen(NamedTuple):
 
     Attributes:
         file: where it is.
-        words: which it is, and how many there are.
-        sampled: whether the decision that chose it was about its sampled actions; False where there is no decision.
-        owner: folder of the run or cross-fit that it is of; None of a file alone.
-        decision: folder of the decision that chose it; None where there is none.
+        words: a description of the policy, and the number of policies.
+        sampled: whether the decision that chose it was about its sampled actions; False if there is no decision.
+        owner: folder of its run or cross-fit; None for a single file.
+        decision: folder of the decision that chose it; None if there is none.
     """
 
     file: Path
@@ -37,8 +37,8 @@ def chosen(path: Path | str, seed: int | None = None) -> Chosen:
     """The policy that `path` stands for.
 
     Args:
-        path: a policy file; a folder of `ope` or `recommend`, whose policy to deploy is meant, also where that is the run's own
-            folder; a run, whose first seed that has not failed is; or a cross-fit, whose mixture is.
+        path: a policy file; a folder of `ope` or `recommend`, for its policy to deploy, also if that is the run's own folder; a
+            run, for its first seed that has not failed; or a cross-fit, for its mixture.
         seed: another seed of a run.
 
     Raises:
@@ -134,14 +134,14 @@ def _owner(file: Path) -> Path | None:
 
 
 def predictor(file: Path, name: str = "rows") -> Predictor:
-    """The policy of a file, by numpy alone where that can play it, without loading JAX.
+    """The policy of a file, with numpy alone if possible, without loading JAX.
 
     Args:
         file: of a policy.
         name: of the rows that it will be given, for errors.
 
     Raises:
-        UserError: the file is missing, broken or not a policy file.
+        UserError: the file is missing, damaged or not a policy file.
     """
     tree, arrays = read_policy(file)
     log = tree.get("meta", {}).get("log") or {}

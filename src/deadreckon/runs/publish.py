@@ -1,8 +1,8 @@
-"""Makes the policies that come with the package from runs, and measures what they are worth.
+"""Makes the package's policies from runs, and measures their values.
 
 `python -m deadreckon.runs.publish RUN --medium STEP --expert STEP` writes `policies/library/TASK.json` and `TASK/*.npz`.
-Without these two it ships the eleven snapshots alone, for tasks whose logs others make. What has been measured is kept as it
-goes: after a kill, the same command goes on.
+Without these two options it ships only the eleven snapshots, for tasks whose logs have other behaviour policies. Measurements
+are saved as they are made: after a kill, the same command continues.
 """
 
 import dataclasses

@@ -1,4 +1,4 @@
-"""How a log was read: what runs and policy files note of it, and whether another log was read alike.
+"""How a log was read: the record in runs and policy files, and checks that another log was read in the same way.
 
 A policy sees numbers, and its run knows episodes by their contents. Both hold for a log whose columns become the same numbers
 and whose rows are divided into the same episodes; anything else is refused here, before it passes for new data.
@@ -30,7 +30,7 @@ ENCODED = {
 
 
 class Read(NamedTuple):
-    """How the log was read that a policy has learned from, as far as it is known.
+    """How the training log of a policy was read, as far as it is known.
 
     Attributes:
         extra: of the log's provenance; None where nobody knows it.
@@ -51,7 +51,7 @@ class Read(NamedTuple):
 
 
 def noted(log: Dataset) -> dict[str, Any]:
-    """What a policy file notes of its log, by which `policies.table_encoder` encodes further rows alike.
+    """The record of a log in a policy file, with which `policies.table_encoder` encodes new rows in the same way.
 
     Its schema, what the columns that are observed or act held, and the shapes; no path, since such files are passed on.
     """
@@ -93,7 +93,7 @@ def schema_for(name: str, read: Read, path: Path | str) -> tuple[Schema | None, 
 
 
 def read_like(name: str, read: Read, path: Path | str) -> Dataset:
-    """A log, known by its name or a file, read as the log of a policy or run was: by its schema and horizon.
+    """A log, given by its name or a file, read like the log of a policy or run: with its schema and horizon.
 
     Raises:
         UserError: it cannot be read so.
@@ -103,7 +103,7 @@ def read_like(name: str, read: Read, path: Path | str) -> Dataset:
 
 
 def check_encoding(name: str, read: Read, data: Dataset) -> None:
-    """Refuses a log of a table whose columns became other numbers than those of the log that a policy learned from.
+    """Refuses a table whose columns are encoded differently from those of the log that a policy was trained on.
 
     Raises:
         UserError: names the policy, and what differs.
@@ -121,9 +121,9 @@ def check_encoding(name: str, read: Read, data: Dataset) -> None:
 
 
 def check_episodes(name: str, read: Read, data: Dataset) -> None:
-    """Refuses a log of which nobody can tell which episodes a policy has learned from, because it was read in another way.
+    """Refuses a log that was read differently, so that a policy's training episodes in it cannot be determined.
 
-    Episodes are known by their contents. The same file divided otherwise has other episodes, which would all seem to be new.
+    Episodes are identified by their contents. The same file divided differently has other episodes, which would all seem new.
 
     Raises:
         UserError: names the policy, and how to read the log.

@@ -1,10 +1,10 @@
-"""What a policy brought, against what was estimated of it, with an interval that may be looked at after every episode.
+"""The realised value of a policy against its estimate, with an interval that is valid after every episode.
 
 The interval is a confidence sequence (`stats.confidence_sequence`) of the returns of finished episodes, in the order of time.
-It needs a range that returns cannot leave, and takes it without looking at the new log: as given, or that of the returns in the
-reference, widened on each side by half of its width unless these take few different values, such as 0 and 1. Where an estimate
-lies above it the range reaches further, as no return within it could speak for such an estimate. A return beyond the range
-makes the end of the interval that rests on it infinite from there on, and is reported.
+It needs a range that contains all returns, which does not depend on the new log: as given, or that of the returns in the
+reference, widened on each side by half of its width unless these take few different values, such as 0 and 1. If an estimate
+lies above the range, the range is extended, as no return within it could support such an estimate. A return outside the range
+makes the end of the interval that is based on it infinite from then on, and is reported.
 """
 
 from dataclasses import dataclass
@@ -31,15 +31,16 @@ class Realised:
     """The value that a policy realised.
 
     Attributes:
-        estimand: what is counted.
-        sequence: the realised mean and its ends, after growing numbers of episodes; all hold at once.
-        estimated: what was estimated, with an interval that holds for all policies at once among which it may have been
-            chosen; None where no estimates are known.
+        estimand: of the returns.
+        sequence: the realised mean and its ends, after growing numbers of episodes; all hold simultaneously.
+        estimated: the estimate, with an interval that holds simultaneously for all policies among which it may have been
+            chosen; None if no estimates are known.
         among: how many policies these are.
-        range: of the returns, that the interval rests on.
-        source: where the range is from, in words.
+        range: of the returns, on which the interval is based.
+        source: a description of the range's origin.
         beyond: episodes whose return lies outside it.
-        below_at: after how many episodes the mean was surely below the lower end of the estimate; None where it is not.
+        below_at: number of episodes after which the mean was significantly below the lower end of the estimate; None if it is
+            not.
     """
 
     estimand: Estimand
@@ -58,7 +59,7 @@ class Realised:
 
 
 def finished(log: Dataset, like: Dataset) -> Dataset:
-    """A log without its last episode where that may go on: it ends without a terminal, sooner than the longest in `like`.
+    """A log without its last episode if that may be unfinished: it has no terminal and is shorter than the longest in `like`.
 
     Raises:
         UserError: no episode is finished.
@@ -97,14 +98,15 @@ def unseen(log: Dataset, estimand: Estimand) -> float:
 def realised(
     new: Dataset, old: Dataset, told: tuple[dict[str, Any], int] | None, given: tuple[float, float] | None, alpha: float
 ) -> Realised | str:
-    """The realised value of a new log against the estimate, or why the two cannot be compared.
+    """The realised value of a new log against the estimate, or the reason why they cannot be compared.
 
     Args:
         new: the new log, of finished episodes in the order of time.
         old: the reference.
-        told: what was estimated, and the policy's place there; None: the mean of returns is shown alone.
+        told: the estimates, and the policy's index there; None: only the mean of returns is shown.
         given: the range of returns; None: that of the reference's, see above.
-        alpha: chance that the policy is ever said to bring less than it does; the interval's ends have so much each.
+        alpha: probability that the policy's value is ever reported as below the estimate without being so; each end of the
+            interval has this level.
 
     Raises:
         UserError: the range is none.

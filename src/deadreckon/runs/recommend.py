@@ -1,8 +1,8 @@
-"""From a log and so much time to a decision: which agents to try, how long, and what their policies are worth.
+"""From a log and a time budget to a decision: which agents to try, for how long, and the values of their policies.
 
-The work is done by a process of its own (`runs.attempt`), because nothing else can be ended at any moment. This side knows the
-clock: it says how the time is divided, passes on what the other tells, ends it where time is over, and sees to it that there is
-a card in any case, if need be one that says how far the work came and how much time would do.
+The work is done in a separate process (`runs.attempt`), because only a process can be ended at any moment. This side keeps the
+time: it prints how the time is divided, passes on messages, ends the process when the time is over, and ensures that there is
+always a card, if necessary one that says how far the work came and how much time would be enough.
 """
 
 import math
@@ -42,12 +42,12 @@ STATES = {"learning": "was training", "learned": "trained", "diverged": "diverge
 
 @dataclass(frozen=True)
 class Recommendation(Shown):
-    """What came of it.
+    """The result of `recommend`.
 
     Attributes:
         path: folder of the runs and of `estimates.json`.
-        results: what is in `estimates.json`; under "recommend", what was tried and how far it came.
-        seconds: that it took.
+        results: the contents of `estimates.json`; under "recommend", the candidates that were tried and their progress.
+        seconds: the time it took.
     """
 
     path: Path
@@ -56,12 +56,12 @@ class Recommendation(Shown):
 
     @property
     def judged(self) -> bool:
-        """Whether policies were judged; otherwise the card says what was missing."""
+        """Whether policies were evaluated; otherwise the card says what was missing."""
         return bool(self.results["results"])
 
     @property
     def failed(self) -> bool:
-        """Whether it was ended by an error, of which the card has the reason."""
+        """Whether it ended with an error, which the card shows."""
         return self.results["recommend"]["failed"]
 
     @property
@@ -71,7 +71,7 @@ class Recommendation(Shown):
 
     @property
     def runs(self) -> list[Run]:
-        """One of each candidate that has learned."""
+        """One run for each candidate that was trained."""
         candidates = self.results["recommend"]["candidates"]
         return [load(self.path / each["name"]) for each in candidates if each["state"] == "learned"]
 
@@ -90,25 +90,25 @@ def recommend(
     began: float | None = None,
     **options: Unpack[RecommendOptions],
 ) -> Recommendation:
-    """Tries agents and settings on a log, judges all of them by episodes that taught none, and says whether to deploy which.
+    """Tries agents and settings on a log, evaluates them on held-out episodes, and decides which policy to deploy, if any.
 
-    There is a card when the time is over, whatever happened: where there was not time enough it says so, and how far the work
-    came. Candidates, settings and the amount of training follow from the log's design and from measured speed alone, never from
-    rewards of the held-out episodes. Where there is a simulator, the choice is checked in it afterwards, if time is left.
+    There is always a card when the time is over: if the time was not enough, it says so, and how far the work came. Candidates,
+    settings and the amount of training depend only on the log's design and the measured speed, never on rewards of the held-out
+    episodes. If there is a simulator, the choice is checked in it afterwards, if time is left.
 
     Args:
         data: a log, the name of a known one, or a file.
-        budget: seconds, or a time such as `30m`; all together, from reading the log to the card.
+        budget: seconds, or a time such as `30m`, for everything from reading the log to the card.
         out: folder of the runs, of `estimates.json` and of the page; must not be there yet.
-        page: writes a page from the folder; gets whether it has to be quick. None: there is none.
-        tell: gets lines as they come: how the time is divided first.
+        page: writes a page from the folder; its argument says whether it has to be quick. None: no page.
+        tell: receives lines as they come, first how the time is divided.
         watch: called while something is fitted, with its name, updates done and in all.
-        began: when the time began to count, by `time.perf_counter()`; None: now.
-        **options: `task`, `discount`, `seed`, `holdout`, `accept_model_based`, `cost_limit`, `history` and
-            `columns`; see `runs.settings.RecommendSettings`.
+        began: start of the budget, by `time.perf_counter()`; None: now.
+        **options: `task`, `discount`, `seed`, `holdout`, `accept_model_based`, `cost_limit`, `history` and `columns`; see
+            `runs.settings.RecommendSettings`.
 
     Raises:
-        UserError: a log or options that do not fit, in one line; nothing is written then.
+        UserError: an invalid log or option, in one line; nothing is written then.
     """
     clock = Clock.of(budget, began)
     settings = RecommendSettings.of(options)
@@ -237,7 +237,7 @@ def _choice(told: dict[str, Any]) -> Choice:
 
 
 def card(told: dict[str, Any]) -> str:
-    """All that `estimates.json` says, for a terminal; the decision last."""
+    """The contents of `estimates.json` for a terminal, with the decision last."""
     choice = str(_choice(told))
     if not told["results"]:
         return choice

@@ -1,4 +1,4 @@
-"""What a run writes while it goes: metrics, policies, evaluations and how far it has come."""
+"""The files that a run writes during training: metrics, policies, evaluations and progress."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor

@@ -1,4 +1,4 @@
-"""A run as it lies in its folder: what was asked for, what was learned, and what its policies do."""
+"""A run in its folder: its settings, its results and its policies."""
 
 import dataclasses
 from pathlib import Path
@@ -20,13 +20,13 @@ from deadreckon.training.fit import Failure
 
 @dataclasses.dataclass
 class Run(Shown):
-    """A finished (or failed) run: its folder, and what it learned.
+    """A finished (or failed) run: its folder and its results.
 
     Attributes:
         path: the run folder.
-        config: what was asked for.
+        config: its settings.
         seeds: one per lane.
-        policies: one per seed; of a failed lane, the last good one.
+        policies: one per seed; for a failed lane, the last good one.
         failures: per seed None, or the metric and step at which it diverged.
     """
 
@@ -44,31 +44,31 @@ class Run(Shown):
 
     @property
     def metrics(self) -> pa.Table:
-        """step, seed and one column a metric, a row per chunk and seed."""
+        """step, seed and one column per metric, with a row per chunk and seed."""
         return checked_rows(self.path / "metrics", "metrics", Folder(self.path).table("metrics"))
 
     @property
     def evaluations(self) -> pa.Table:
-        """One row an episode of every periodic evaluation."""
+        """One row per episode of every periodic evaluation."""
         return checked_rows(self.path / "evaluations", "evaluations", Folder(self.path).table("evaluations"))
 
     @property
     def taught(self) -> np.ndarray | None:
-        """(learning,) uint64 `episode_ids` of the episodes that it learned from; None where that is not known:
-        of online runs that have not finished, or are from before their own steps were noted."""
+        """(learning,) uint64 `episode_ids` of its training episodes; None if not known: for unfinished online runs, and for
+        online runs of versions that did not record their own steps."""
         found = Folder(self.path).episodes("taught")
         return None if found is not None and not len(found) and "online" in self.config else found
 
     @property
     def held(self) -> np.ndarray | None:
-        """(held,) uint64 `episode_ids` of the episodes of its log that it did not learn from; None as for `taught`."""
+        """(held,) uint64 `episode_ids` of the episodes of its log that it was not trained on; None as for `taught`."""
         return Folder(self.path).episodes("held")
 
     def save(self, path: Path | str) -> Path:
-        """Copies the whole run folder, with which it can be loaded and resumed, to a new place; gives the copy's path.
+        """Copies the whole run folder, from which the run can be loaded and resumed, to a new place; returns the copy's path.
 
         Raises:
-            UserError: there is something already, or it cannot be written.
+            UserError: the path exists already, or cannot be written.
         """
         return copy_folder(self.path, path)
 
@@ -78,7 +78,7 @@ class Run(Shown):
         return load(path)
 
     def predictor(self, seed: int | None = None) -> TablePolicy:
-        """A seed's policy, which takes rows of a table by the names of the log's columns.
+        """A seed's policy as a predictor for rows of a table with the log's column names.
 
         Args:
             seed: one of `seeds`; None: the first that has not failed.
@@ -91,12 +91,12 @@ class Run(Shown):
         return TablePolicy(self.policies[self.seeds.index(which)], log)
 
     def predict(self, rows: Any, **options: Any) -> Any:
-        """Actions by name in rows of a table, of the first seed that has not failed.
+        """Named actions for rows of a table, by the policy of the first seed that has not failed.
 
         See `policies.table_predict.Predictor.predict`, whose options it takes; `predictor(seed).predict` takes another seed.
 
         Raises:
-            UserError: one line with the column, the row (counted from 0) and what would be right.
+            UserError: one line with the column, the row (counted from 0) and a valid value.
         """
         if self._predictor is None:
             self._predictor = self.predictor()

@@ -1,4 +1,4 @@
-"""Runs on logs that are lanes of one compiled program, each with a folder of its own."""
+"""Runs on logs as lanes of one compiled program, each with its own folder."""
 
 import dataclasses
 import json
@@ -57,15 +57,15 @@ def train_lanes(
     """Trains runs to their end, all lanes as one program.
 
     Args:
-        asked: run folder -> its log and its agents, which have a seed each, as many in every run.
-        out: where checkpoints lie: the run's folder, or what is above those of several runs.
+        asked: run folder -> its log and its agents, one per seed, the same number in every run.
+        out: folder of the checkpoints: the run's folder, or the parent of those of several runs.
         steps: updates of each run.
         seed: the first random seed of each run.
         task: the simulator to evaluate in, see `train`; None takes that of a known log; False: none.
-        settings: how runs are evaluated and kept.
+        settings: for evaluation and storage of runs.
 
     Raises:
-        UserError: input that does not fit, in one line; nothing is written then.
+        UserError: invalid input, in one line; nothing is written then.
     """
     resume, logs, grouped = settings.resume, {}, {}
     trackers = trackers_of(settings.track, len(asked))
@@ -188,10 +188,10 @@ def _shift(one: _Learned, asked: int | None) -> int:
 
 
 def judge_of(log: Dataset, task: Any) -> Task | None:
-    """The simulator that policies of a log are judged in: the one that is named, or a known log's, or none.
+    """The simulator in which policies of a log are evaluated: the named one, or that of a known log, or none.
 
     Raises:
-        UserError: it shows other observations than the log has.
+        UserError: its observations differ from those of the log.
     """
     if task is False:
         return None

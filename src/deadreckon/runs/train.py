@@ -1,4 +1,4 @@
-"""From a log to policies in a run folder: the one place where an agent meets its judge."""
+"""Training on a log: from a log to policies in a run folder, with evaluations in a simulator."""
 
 import contextlib
 from collections.abc import Mapping, Sequence
@@ -29,17 +29,17 @@ def train(
     out: Path | str | None = None,
     **settings: Unpack[TrainOptions],
 ) -> Run:
-    """Trains an agent on a log, several seeds as one compiled program, and judges it as it goes.
+    """Trains an agent on a log, several seeds as one compiled program, and evaluates it during training.
 
     Args:
-        agent: an agent, its name, or one agent a seed that differ in float fields only.
+        agent: an agent, its name, or one agent per seed that differ only in float fields.
         data: a log, the name of a known one, or a file.
         steps: number of updates.
         seeds: number of independent runs, with the random seeds `seed` .. `seed + seeds - 1`.
         seed: the first random seed.
-        task: the simulator to evaluate in, a task, its name, or a Gymnasium environment (see `tasks.registry.task`); None takes
-            that of a known log, and none for others; False: none.
-        out: run folder; None is `runs/AGENT-LOG`, with dashes for what cannot be in a folder's name.
+        task: the simulator to evaluate in, a task, its name, or a Gymnasium environment (see `tasks.registry.task`); None: that
+            of a known log, or none for other logs; False: none.
+        out: run folder; None is `runs/AGENT-LOG`, with dashes for characters that a folder's name cannot have.
         **settings: `evaluate_every`, `episodes`, `chunk`, `resume`, `stream`, `strict`, `holdout`, `history`, `encoder`,
             `shift`, `callback`, `track` and `watch`; see `runs.settings.TrainSettings`.
 
@@ -67,13 +67,13 @@ def train_together(
     task: Any = None,
     **settings: Unpack[TrainOptions],
 ) -> dict[str, Run]:
-    """Trains agents that differ in float fields only, each with several seeds, all as lanes of one compiled program.
+    """Trains agents that differ only in float fields, each with several seeds, all as lanes of one compiled program.
 
-    Every agent has a run of its own, as `train` would make it, in a folder of its name; checkpoints are common to all.
+    Every agent has its own run, as from `train`, in a folder of its name; all share the checkpoints.
 
     Args:
         agents: name -> agent.
-        data: a log, the name of a known one, or a file; or for each agent's name its log, where these are of one shape.
+        data: a log, the name of a known one, or a file; or a dictionary with one log per agent's name, all of the same shape.
         out: folder of the run folders.
         steps: number of updates of each run.
         seeds: number of runs of each agent, with the random seeds `seed` .. `seed + seeds - 1`.
@@ -82,7 +82,7 @@ def train_together(
         **settings: see `train`; the same for all. With `resume` the runs in `out` must be of the same agents.
 
     Raises:
-        UserError: input that does not fit, such as other fields that differ, in one line; nothing is written then.
+        UserError: invalid input, such as agents that differ in other fields, in one line; nothing is written then.
     """
     asked = TrainSettings.of(settings)
     asked.check(seed, steps=steps, seeds=seeds)

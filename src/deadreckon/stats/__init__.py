@@ -1,1 +1,1 @@
-"""Statistics that everything else shares: intervals, the bootstrap, comparisons of scores. It knows arrays alone."""
+"""Statistics that everything else shares: intervals, the bootstrap, and comparisons of scores, on plain arrays."""

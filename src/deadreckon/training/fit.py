@@ -72,7 +72,7 @@ def checkpoints(folder: Path) -> list[tuple[int, Path]]:
 
 @dataclass
 class Fit:
-    """A fit that can be walked chunk by chunk, stopped anywhere and taken up again.
+    """A fit that runs chunk by chunk, and can be stopped anywhere and resumed.
 
     Attributes:
         learners: one per lane, alike in everything but float fields.
@@ -83,7 +83,7 @@ class Fit:
         chunk: most updates between two looks from outside; also what a kill can lose.
         folder: of the checkpoints; None keeps nothing on disk.
         stream: fetch batches from the host instead of keeping the log on the device; None decides by memory.
-        sight: how pictures are seen, where observations are these.
+        sight: settings for image observations.
         stops: further steps at which a chunk must end, such as evaluations, as a period; 0 for none.
         each: what every lane learns from: `rows`, or its own of them.
     """
@@ -129,7 +129,7 @@ class Fit:
         return all(self.failures)
 
     def resume(self) -> None:
-        """Takes up the newest whole checkpoint in `folder`; a broken one is told and passed over for an older one."""
+        """Resumes from the newest complete checkpoint in `folder`; a damaged one is reported, and an older one used."""
         found = checkpoints(self.folder) if self.folder else []
         problem = None
         for _, path in reversed(found):
@@ -254,7 +254,7 @@ class Fit:
 
 
 def complete(job: Fit, what: str, on_chunk: Callable[[Chunk], None]) -> None:
-    """Takes a fit to its end, from its checkpoints where it has some.
+    """Runs a fit to its end, from its checkpoints if it has any.
 
     Args:
         job: not yet begun.

@@ -1,6 +1,6 @@
-"""What hyperparameters may be: ranges that stand at the fields themselves, and their check.
+"""The ranges of hyperparameters, declared at the fields, and their check.
 
-A field says its range in its type, `discount: UnitInterval = 0.99`, and the comment behind it is its help on the command line.
+A field declares its range by its type, `discount: UnitInterval = 0.99`, and the comment after it is its help text.
 """
 
 import dataclasses

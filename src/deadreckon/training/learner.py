@@ -1,4 +1,4 @@
-"""What `fit` trains: a pair of pure functions with hyperparameters, and how several of them share one program."""
+"""Learners, which `fit` trains: pure functions with hyperparameters, several of which can share one program."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -22,13 +22,13 @@ class Learner(Protocol):
     """Anything iterative: agents, behaviour models, value estimates, dynamics ensembles.
 
     Optional, found by name: `prepare(state, rows, key, fit) -> state`, called on the host before the first update and,
-    where the learner has a positive `refresh`, again every `refresh` updates; `fit(learner, steps, key)` trains another
-    learner on the same rows and gives its state. `learned(batch) -> batch` changes what is learned from, such as the scale of
-    rewards, in every batch.
+    where the learner has a positive `refresh`, again every `refresh` updates; `fit(learner, steps, key)` trains another learner
+    on the same rows and returns its state. `learned(batch) -> batch` changes every training batch, for example the scale of
+    rewards.
     """
 
     def needs(self, spec: Spec) -> BatchSpec:
-        """What every batch must hold."""
+        """The contents of every batch."""
         ...
 
     def init(self, spec: Spec, key: PRNGKeyArray) -> Any:

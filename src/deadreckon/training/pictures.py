@@ -1,7 +1,7 @@
-"""How agents learn from pictures: features by an encoder before the agent's own networks, which actor and critics share.
+"""Training on images: an encoder, shared by actor and critics, computes features for the agent's own networks.
 
-As in DrQ-v2 (Yarats et al. 2022, section 3.1) pictures may be shifted at random, and the encoder learns by one loss of the
-agent, `representation_loss`, most often that of its critics; all others take features as they are.
+As in DrQ-v2 (Yarats et al. 2022, section 3.1) images may be shifted at random, and the encoder is trained with one loss of the
+agent, `representation_loss`, usually that of its critics; no other loss changes it.
 """
 
 import dataclasses
@@ -25,10 +25,10 @@ SHIFT = 4  # pixels, the most that pictures of 84 are moved in DrQ-v2; others in
 
 
 class Sight(NamedTuple):
-    """How pictures are seen.
+    """Settings for image observations.
 
     Attributes:
-        network: that makes features of them; see `nets.encoder.Kind`.
+        network: that computes features of them; see `nets.encoder.Kind`.
         shift: pixels, the most that they are moved at random either way.
     """
 
@@ -40,13 +40,13 @@ USUAL = Sight()
 
 
 class Seen(NamedTuple):
-    """The state of an agent that learns from pictures.
+    """The state of an agent with image observations.
 
     Attributes:
-        encoder: what makes features of them.
+        encoder: the network that computes features.
         opt: its optimiser.
         inner: the agent's own state.
-        shift: () int32, pixels, the most that pictures are moved.
+        shift: () int32, pixels, the largest shift of images.
     """
 
     encoder: Encoder
@@ -56,12 +56,12 @@ class Seen(NamedTuple):
 
 
 def of_pictures(spec: Any) -> bool:
-    """Whether a log's observations are pictures."""
+    """Whether a log's observations are images."""
     return getattr(spec, "observation_dtype", None) == "uint8" and len(spec.observation_shape) == 3  # designs have none
 
 
 def features_of(spec: Spec) -> Spec:
-    """The spec of a log of pictures as an agent behind an encoder has it."""
+    """The spec of a log of images for an agent that receives the encoder's features."""
     bounds = Statistics(np.zeros(FEATURES), np.ones(FEATURES), -np.ones(FEATURES), np.ones(FEATURES))
     return dataclasses.replace(spec, observation_shape=(FEATURES,), observation_dtype="float32", observation=bounds)
 
@@ -72,7 +72,7 @@ def usual_shift(height: int) -> int:
 
 
 def first_state(learner: Any, spec: Spec, key: PRNGKeyArray, sight: Sight) -> Any:
-    """The learner's first state, of pictures behind a fresh encoder."""
+    """The learner's first state; for images with a new encoder."""
     if not of_pictures(spec):
         return learner.init(spec, key)
     k_encoder, k_inner = keys(key, "encoder", "agent")
@@ -82,7 +82,7 @@ def first_state(learner: Any, spec: Spec, key: PRNGKeyArray, sight: Sight) -> An
 
 
 def update(learner: Any, state: Any, batch: Batch, *, step: Array, key: PRNGKeyArray) -> tuple[Any, dict[str, Array]]:
-    """One update of a learner; where it learns from pictures, of its encoder too, both from the same features."""
+    """One update of a learner and, for images, of its encoder, both from the same features."""
     if not isinstance(state, Seen):
         return learner.update(state, batch, step=step, key=key)
     k_now, k_next, k_inner = keys(key, "shift", "next_shift", "agent")

@@ -1,4 +1,4 @@
-"""Rows that grow while a learner learns: what `fit` asks of them, and the buffer that keeps them."""
+"""Experience that grows during training: its protocol for `fit`, and the replay buffer."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -19,7 +19,7 @@ from deadreckon.files import write_at
 
 @runtime_checkable
 class Experience(Protocol):
-    """Rows that the learners' own policies make, by turns with the updates.
+    """Rows from the learners' own policies, collected alternately with updates.
 
     Attributes:
         block: updates between two turns of acting; also the unit in which runs are paused and saved.

@@ -1,4 +1,4 @@
-"""Experiment trackers that show runs: TensorBoard, Weights & Biases, MLflow, or one of your own."""
+"""Experiment trackers that show runs: TensorBoard, Weights & Biases, MLflow, or your own."""
 
 from deadreckon.runs.trackers.tracker import TRACKERS, Tracker
 

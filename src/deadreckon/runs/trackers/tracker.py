@@ -1,4 +1,4 @@
-"""What an experiment tracker is, which ones there are, and how one is named."""
+"""The protocol of experiment trackers, the available trackers, and their names."""
 
 import importlib
 from collections.abc import Mapping, Sequence
@@ -18,19 +18,19 @@ _METHODS = ("start", "log", "finish")
 
 
 class Tracker(Protocol):
-    """Shows a run in another program while it learns.
+    """Shows a run in another program during training.
 
     The run folder is the record and a tracker holds a copy of it. All three methods are called from one thread at a time, `log`
-    in ascending order of steps. A run that was interrupted gives all of its points again when it is resumed: a tracker that
-    keeps them elsewhere takes those that it does not have yet, so that none is there twice.
+    in ascending order of steps. An interrupted run sends all of its points again when it is resumed: a tracker that stores them
+    elsewhere adds those that it does not have yet, so that none is duplicated.
     """
 
     def start(self, config: Mapping[str, Any]) -> None:
-        """Begins the tracked run, or goes on with it.
+        """Starts or continues the tracked run.
 
         Args:
-            config: what `run.json` holds (agent, data, task, seeds, steps, versions), and `folder`, the run folder, `name`,
-                its last two parts, and `id`, a text that tells the run from all others and stays when it is resumed.
+            config: the contents of `run.json` (agent, data, task, seeds, steps, versions), and `folder`, the run folder,
+                `name`, its last two parts, and `id`, a text that identifies the run and stays the same when it is resumed.
         """
         ...
 
@@ -48,7 +48,7 @@ class Tracker(Protocol):
         """Ends the tracked run.
 
         Args:
-            files: what is worth keeping, `run.json` and the last policies; None: the run was interrupted and may be resumed.
+            files: files to store, `run.json` and the last policies; None: the run was interrupted and may be resumed.
         """
         ...
 
