@@ -170,7 +170,7 @@ def test_what_is_not_for_choices_says_so():
         agent_class("edac")().resolve(LOG.spec, 10)
     with pytest.raises(UserError, match=r"BC.model: of discrete actions .* leave 'vae' out"):
         BC(model="vae").resolve(LOG.spec, 10)
-    with pytest.raises(UserError, match="CQL.max_target_backup draws actions .*; leave it out"):
+    with pytest.raises(UserError, match="CQL.max_target_backup takes the best of sampled actions, .*; leave it out"):
         CQL(max_target_backup=True).resolve(LOG.spec, 10)
 
 

@@ -216,7 +216,7 @@ def test_a_suite_may_name_what_the_user_trusts(written, tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("agent", "steps", "message"),
-    [("bc", 20_000, "method 'A': bc does not learn online"), ("sac", 300, "too few: .* or more")],
+    [("bc", 20_000, "method 'A': bc cannot be trained online"), ("sac", 300, "too few: .* or more")],
 )
 def test_an_online_suite_needs_agents_that_act_and_steps_enough(written, agent, steps, message):
     told = f'kind = "online"\ntasks = ["inverted-pendulum"]\nsteps = {steps}\n[methods]\nA = {{ agent = "{agent}" }}\n'
@@ -374,7 +374,7 @@ def test_a_suite_that_says_too_little_of_logs_is_refused(written, old, new, mess
 
 
 def test_an_agent_that_cannot_go_on_is_refused(written):
-    with pytest.raises(UserError, match="method 'Replay': ppo does not learn online"):
+    with pytest.raises(UserError, match="method 'Replay': ppo cannot be trained online"):
         plan(read(written(BESIDE.replace('"rlpd", preset = true', '"ppo"'))))
 
 

@@ -92,7 +92,7 @@ def test_masks_survive_their_file(name, tmp_path):
         ({"legal": LEGAL[:5]}, "column legal has 5 rows, observations have 6"),
         ({"action_space": Discrete(4)}, "legal has a column for each of 3 actions, the action space has 4"),
         ({"legal": None, "next_legal": LEGAL}, "next_legal needs legal as well"),
-        ({"next_legal": LEGAL}, "next_legal needs next_observations beside it"),
+        ({"next_legal": LEGAL}, "next_legal needs next_observations as well"),
         ({"next_observations": AFTER[::-1]}, "next observation of row 0 is not the following row's.*give next_legal"),
         ({"observations": np.zeros((6, 4, 4, 3), np.uint8)}, "legal needs flat observations"),
         ({"next_observations": AFTER[:4]}, r"next_observations have shape \(4, 1\), observations \(6, 1\)"),

@@ -142,7 +142,7 @@ def killed(place: Place, command: Command, rng: random.Random) -> Outcome:
         broken.append(f"{again} cells computed again after {kills} kills")
     if not command.goes_on and kills:
         told = running.code == 1 and "DO NOT DEPLOY: the process that did the work ended" in "\n".join(running.lines("out"))
-        broken += clean_end(running) if told or not running.code else refused(running, "is there already")
+        broken += clean_end(running) if told or not running.code else refused(running, "exists already")
     else:
         broken += whole(place, command, running) if command.goes_on else clean_end(running)
         if not kills:

@@ -226,7 +226,7 @@ def test_an_order_whose_predictions_do_not_go_with_the_scores_is_none():
     found = quality(y, m)
     assert found.rank_correlation > found.limit
     assert not found.skilled
-    assert "one may be an error" in found.warning
+    assert "one score may be an error" in found.warning
 
 
 def test_intervals_hold_new_measurements_of_what_is_proposed_from_much_noise():

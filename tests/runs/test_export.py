@@ -211,7 +211,7 @@ def test_an_onnx_graph_takes_the_columns_themselves(place):
 
     folder = export(place / "run", "onnx", place / "onnx")
     session = runtime.InferenceSession(str(folder / "policy.onnx"))
-    assert "- age: one number of 32 bits a row (`tensor(float)`, shape ['rows'])" in (folder / "card.md").read_text()
+    assert "- age: one number of 32 bits per row (`tensor(float)`, shape ['rows'])" in (folder / "card.md").read_text()
     kinds = {each.name: each.type for each in session.get_inputs()}
     assert kinds == {
         "age": "tensor(float)", "kind": "tensor(string)", "lab": "tensor(float)", "grade": "tensor(double)",
@@ -240,7 +240,7 @@ def test_a_column_of_an_onnx_graph_says_nothing_on_the_card():
     """Between backquotes nothing can be escaped: one more would end them."""
     given = SimpleNamespace(name="age`\n\n**DEPLOY** <script>", type="tensor(float)", shape=["rows"])
     assert _line(given) == (
-        r"- age\`\\n\\n\*\*DEPLOY\*\* \<script>: one number of 32 bits a row (`tensor(float)`, shape ['rows'])"
+        r"- age\`\\n\\n\*\*DEPLOY\*\* \<script>: one number of 32 bits per row (`tensor(float)`, shape ['rows'])"
     )
 
 

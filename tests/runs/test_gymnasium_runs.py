@@ -181,7 +181,7 @@ def test_what_cannot_be_collected_is_refused(tmp_path, capsys):
     with pytest.raises(UserError, match="steps must be 1 or more"):
         collect_in_task(CART, steps=0)
     (tmp_path / "a.hdf5").touch()
-    with pytest.raises(UserError, match="is there already"):
+    with pytest.raises(UserError, match="exists already"):
         collect_in_task(CART, out=tmp_path / "a.hdf5")
 
 

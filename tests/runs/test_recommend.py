@@ -603,7 +603,7 @@ def test_logs_of_all_kinds_end_in_a_card_in_time(kind, tmp_path, capsys, request
     assert main(["recommend", str(data), *options, "--budget", "4m", "--out", str(tmp_path / "out")]) == 0
     assert time.perf_counter() - began < 1.1 * 240
     told = capsys.readouterr().out
-    assert told.index("a card in ") < told.index("about ") < told.index("DEPLOY")
+    assert told.index("time plan for ") < told.index("about ") < told.index("DEPLOY")
     estimates = read_json(tmp_path / "out" / "estimates.json")
     assert estimates["results"]
     assert estimates["judged"]["fresh"]

@@ -148,7 +148,7 @@ def _stranger(suite: Suite, method: Method) -> UserError:
     return UserError(f"{where}: {method.agent} is code that is not part of deadreckon; --trust {module} lets it run, {python}")
 
 
-_WAYS = {"learn": "from a log", "online": "online"}
+_WAYS = {"learn": "on a log", "online": "online"}
 
 
 def _agent(suite: Suite, method: Method, on: str) -> tuple[dict[str, Any], str]:
