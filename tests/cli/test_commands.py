@@ -118,7 +118,8 @@ def test_a_table_of_ones_own_by_its_columns(tmp_path, monkeypatch, capsys):
     assert "12 episodes" in capsys.readouterr().out
     settings = ["--steps", "10", "--agent.hidden", "8", "--agent.batch-size", "8"]
     assert main(["train", "--agent", "bc", "--data", "log.csv", *columns, "--out", "run", *settings]) == 0
-    assert re.search(r"MMD to the log \d\.\d{3}: the distance .* for a copy is below .*; \d+\.\d% of its", capsys.readouterr().out)
+    words = r"MMD to the log \d\.\d{3}: the distance .* for a copy is below .*; \d+\.\d% of its"
+    assert re.search(words, capsys.readouterr().out)
 
 
 @pytest.mark.slow

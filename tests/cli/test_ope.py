@@ -63,7 +63,8 @@ def test_options_of_what_is_estimated(made, capsys, monkeypatch):
     common += ["--steps", "50", "--hidden", "8"]
     assert main([*common, "--horizon", "5", "--discount", "1", "--unseen", "--accept-model-based"]) == 0
     out = capsys.readouterr().out
-    assert "evaluated on: 8 episodes on which no policy was trained, according to --unseen" in out  # its file records the others
+    # Its file records the others.
+    assert "evaluated on: 8 episodes on which no policy was trained, according to --unseen" in out
     assert "FQE-linear, model-based: expected return of the first 5 steps of an episode; sampled actions" in out
     assert "DEPLOY" not in out  # nobody asked for a decision
     assert main([*common, "--cluster", "user"]) == 2
