@@ -42,10 +42,10 @@ class AutoRegressive(Model):
         return out[..., 0], soft_bounds(out[..., 1], own)
 
     def losses(self, params, inputs, target, terminal, key):
-        """See `Model`; of the numbers that were drawn, as if for all."""
+        """See `Model`; an estimate from the `outputs` that were drawn."""
         target, known = known_of(target)
-        # What is not known is drawn as it will be when the model is: rewards and ends that were conditioned on zeros, which are
-        # hardly ever drawn, would hardly ever happen.
+        # Unknown changes are sampled from the model itself: rewards and ends that were conditioned on zeros would hardly ever
+        # be drawn, because the model hardly ever draws zeros.
         drawn = lambda: self.sample(jax.lax.stop_gradient(params), inputs, key_for(key, "not known"))[0]  # noqa: E731
         target = jnp.where(known, target, jax.lax.cond(known.all(), lambda: target, drawn))
         numbers = target.shape[-1]

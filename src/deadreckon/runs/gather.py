@@ -151,7 +151,7 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
     Raises:
         UserError: the training episodes of a policy cannot be determined, or no episode is left.
     """
-    # Those of a run that a training again repeats have seen all of it.
+    # Snapshots were trained on all episodes of a replay log that repeats their own training.
     found = [g._replace(taught=data.episode_ids) if _of_training(g, data) else g for g in found]
     if not unseen:
         for each in {id(g.read): g for g in found}.values():  # the seeds of a run share theirs

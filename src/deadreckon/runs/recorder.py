@@ -50,9 +50,9 @@ class Recorder:
         log: that is learned from; None online.
         every: updates between evaluations.
         episodes: an evaluation, a lane.
-        taught: (episodes,) uint64 `episode_ids` of the episodes that are learned from; online, what gives them once the run has
-            finished, because its own are among them: policies of before do not know theirs.
-        held: (episodes,) uint64 of those of the log that are not.
+        taught: (episodes,) uint64 `episode_ids` of the training episodes. Online, a function that returns them when the run has
+            finished, because the episodes of its own steps are among them; files of earlier policies do not record any.
+        held: (episodes,) uint64 `episode_ids` of the held-out episodes of the log.
         history: last observations that policies act on.
     """
 
@@ -77,8 +77,7 @@ class Recorder:
         view = self.job.each[0].view
         states = unstack(self.job.states, len(self.job.seeds))
         return [
-            History.of(deployed(agent, state, view), self.history, self.spec)
-            for agent, state in zip(self.job.learners, states)
+            History.of(deployed(agent, state, view), self.history, self.spec) for agent, state in zip(self.job.learners, states)
         ]
 
     def picture(self, log: Dataset) -> None:
@@ -224,8 +223,8 @@ class Recorder:
         for future in self.pending:
             future.result()
         taught = self.taught() if callable(self.taught) else self.taught
-        for folder in self.folders if callable(self.taught) else ():
-            if taught is not None:
+        if callable(self.taught) and taught is not None:
+            for folder in self.folders:
                 folder.note_episodes(taught, self.held, anew=True)
         for path, seed, policy in zip(self._paths(), self.job.seeds, self.policies()):
             if not path.exists():

@@ -88,7 +88,7 @@ def paired(a: np.ndarray, b: np.ndarray, miss: float = ALPHA) -> Interval:
     sources = [effects.sources[0] for effects, values in ((mine, a), (theirs, b)) if len(values) > 1]
     if episodes > 1:
         sources.append((float((a.mean(0) - b.mean(0)).var(ddof=1)) / episodes, episodes - 1.0))
-    elif 1 in (len(a), len(b)):  # of one value nobody knows how it varies
+    elif 1 in (len(a), len(b)):  # a single value shows no spread
         return Interval(float(a.mean() - b.mean()), math.nan, math.nan)
     twice = mine.twice[0] + theirs.twice[0], min(mine.twice[1], theirs.twice[1])
     return Effects(tuple(sources), twice).interval(a.mean() - b.mean(), miss)
