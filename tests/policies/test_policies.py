@@ -145,16 +145,16 @@ def with_old_names(node):
     return {fields.get(name, name): with_old_names(part) for name, part in node.items()} | {"kind": kind}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["gaussian", "perturbed", "greedy of perturbed", "thresholded", "planner", "mixture"])
 def test_files_with_old_names_are_read(kind, tmp_path):
     net = MLP.create(3, (8,), 2, KEY)
-    inner = {
-        "thresholded": ThresholdedPolicy(net, Categorical(net), jnp.asarray(0.3)),
-        "planner": Planner(net, jnp.zeros((2, 2)), jnp.zeros(3), jnp.ones(3), 1, "learned", 3, 4, 2, 1, 2, 0.1),
-            }.get(kind)
-    policy = Mixture.of([make("perturbed"), make("gaussian")]) if kind == "mixture" else (
-        make(kind) if inner is None else EnvPolicy.of(inner, VIEW))  # fmt: skip
+    planner = Planner(net, jnp.zeros((2, 2)), jnp.zeros(3), jnp.ones(3), 1, "learned", 3, 4, 2, 1, 2, 0.1)
+    choices = dataclasses.replace(VIEW, low=None, high=None)
+    policy = {
+        "thresholded": lambda: EnvPolicy.of(ThresholdedPolicy(net, Categorical(net), jnp.asarray(0.3)), choices),
+        "planner": lambda: EnvPolicy.of(planner, VIEW),
+        "mixture": lambda: Mixture.of([make("perturbed"), make("gaussian")]),
+    }.get(kind, lambda: make(kind))()
     store.save(tmp_path / "now.npz", policy)
     with np.load(tmp_path / "now.npz") as file:
         arrays = {name: file[name] for name in file.files}

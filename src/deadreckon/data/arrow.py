@@ -92,6 +92,15 @@ def distinct(values: Any) -> int:
     return len(values.drop_null().unique())
 
 
+def few_values(values: Any, most: int = MOST_LEVELS) -> Any | None:
+    """The different values, missing ones aside, where there are at most `most`; else None, mostly seen in the first block."""
+    for part in (values.slice(0, BLOCK), values):  # telling many values apart takes much memory
+        found = part.drop_null().unique()
+        if len(found) > most:
+            return None
+    return found
+
+
 def decoded(values: Any) -> Any:
     """The values of a dictionary array, or the array itself."""
     if not isinstance(values, pa.DictionaryArray):

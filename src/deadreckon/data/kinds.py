@@ -8,11 +8,11 @@ import pyarrow as pa
 
 from deadreckon.data import roles
 from deadreckon.data.arrow import (
-    MOST_LEVELS,
     as_dates,
     compute,
     decoded,
     distinct,
+    few_values,
     is_category,
     is_text,
     levels_of_whole_numbers,
@@ -22,6 +22,7 @@ from deadreckon.data.legal_columns import is_list
 from deadreckon.data.likeness import FEW
 from deadreckon.data.placeholders import placeholder
 from deadreckon.data.schema import ALLOWED, KINDS, Kind, Role
+from deadreckon.data.scratch import BLOCK
 from deadreckon.errors import UserError, unknown
 
 _EXACT = 2**24  # up to which float32 holds every integer
@@ -83,7 +84,8 @@ def kind_of(column: str, values: Any, role: Role, alone: bool, asked: Kind | Non
 
 def _action(column: str, values: Any, kind: Kind, alone: bool) -> tuple[Kind, str, str]:
     """Whether an action is discrete or continuous."""
-    constant = "is an action that never changes, so nothing is known of other actions" if distinct(values) == 1 else ""
+    same = distinct(values.slice(0, BLOCK)) <= 1 and distinct(values) == 1  # telling many values apart takes much memory
+    constant = "is an action that never changes, so nothing is known of other actions" if same else ""
     if kind == "category":
         return kind, "texts", constant or _alike(values)
     levels = levels_of_whole_numbers(values)
@@ -112,8 +114,8 @@ def _action(column: str, values: Any, kind: Kind, alone: bool) -> tuple[Kind, st
 def _alike(values: Any) -> str:
     """What to say of texts that are empty, or differ in blanks or in upper and lower case alone and are probably one level."""
     found: dict[str, str] = {}
-    levels = decoded(values).drop_null().unique()
-    for level in levels.to_pylist() if len(levels) <= MOST_LEVELS and is_text(levels.type) else ():
+    levels = few_values(decoded(values))
+    for level in levels.to_pylist() if levels is not None and is_text(levels.type) else ():
         if not level.strip():
             return f"has the empty text {level!r} as a level like others; make it a missing value if it stands for none"
         other = found.setdefault(" ".join(level.lower().split()), level)

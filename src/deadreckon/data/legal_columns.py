@@ -10,8 +10,8 @@ import numpy as np
 import pyarrow as pa
 
 from deadreckon.data.arrow import (
-    MOST_LEVELS,
     decoded,
+    few_values,
     flags,
     flat,
     is_category,
@@ -184,12 +184,13 @@ def find_legal(
     logged = decoded(flat(table, actions[0]))
     if pa.types.is_nested(logged.type):
         raise UserError(f"{name}: column {actions[0]} holds {logged.type}, an action is one plain value in each row")
-    values = logged.drop_null().unique()
-    levels = {_text(value) for value in values.to_pylist()} if len(values) <= MOST_LEVELS else set()
+    values = few_values(logged)
+    levels = set() if values is None else {_text(value) for value in values.to_pylist()}
     said, words, fold = (_truth, {*TRUTHS}, str.lower) if pa.types.is_boolean(logged.type) else (str, levels, str)
     if asked is None:
-        taken = [_text(each) for each in logged.to_pylist()]
-        for column in (column for column in free if like(role, column) and is_list(flat(table, column))):
+        listing = [column for column in free if levels and like(role, column) and is_list(flat(table, column))]
+        taken = [_text(each) for each in logged.to_pylist()] if listing else []
+        for column in listing:
             cells = [[*map(said, cell or [])] for cell in _cells(name, table, column)]
             # A name alone says little: now the logged action is listed in its row, and not it alone everywhere.
             own = role == "next_legal" or all(one in cell for one, cell in zip(taken, cells))
