@@ -165,8 +165,9 @@ def test_references():
     assert not [known for known in own for task in rebuilt if task == known or task.startswith(known + "-")]  # said once
     with pytest.raises(UserError, match="D4RL has no reference returns of 'carla-lane-state-v0'"):
         reference("carla-lane-state-v0")
-    with pytest.raises(UserError, match="D4RL has no reference returns of 'maze2d-eval-umaze-v1'"):
-        reference("maze2d-eval-umaze-v1")
+    assert (reference("maze2d-eval-umaze-v1").random, reference("maze2d-eval-umaze-dense-v1").random) == (36.63, 56.95455)
+    with pytest.raises(UserError, match="D4RL has no reference returns of 'maze2d-eval-large-dense-v1'"):
+        reference("maze2d-eval-large-dense-v1")
     with pytest.raises(UserError, match="unknown domain 'hoper-medium': did you mean hopper-medium"):
         reference("hoper-medium")
 

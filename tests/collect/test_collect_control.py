@@ -1,7 +1,9 @@
 """Logs of dm_control's tasks: a part of the episodes of a training online."""
 
 import dataclasses
+import importlib.util
 import re
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +48,20 @@ def test_every_task_has_a_log_of_the_size_of_table_8_1():
         assert registry.of_log(f"{name}@dr1") is registry.task(task.name)
         assert control.TRAINED[task.name] % (task.horizon * control.ONLINE.copies) == 0
         assert control.TRAINED[task.name] >= recipe(name).steps
+
+
+def test_without_dm_control_one_line_says_what_is_missing(tmp_path, monkeypatch):
+    find, version = importlib.util.find_spec, metadata.version
+
+    def missing(name):
+        if name == "dm_control":
+            raise metadata.PackageNotFoundError(name)
+        return version(name)
+
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *more: None if name == "dm_control" else find(name, *more))
+    monkeypatch.setattr(metadata, "version", missing)
+    with pytest.raises(UserError, match="cartpole-swingup needs dm_control, which is not installed"):
+        collected(tmp_path)
 
 
 @pytest.mark.slow

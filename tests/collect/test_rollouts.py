@@ -22,8 +22,8 @@ from deadreckon.data.spec import Box, Spec
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.nets.mlp import MLP
-from deadreckon.policies import EnvPolicy, library
-from deadreckon.policies.kinds import TanhGaussian
+from deadreckon.policies import BlackBoxPolicy, EnvPolicy, library
+from deadreckon.policies.kinds import Categorical, ClippedGaussian, Gaussian, TanhGaussian
 
 # Bounds that are neither symmetric nor of width 2, and episodes that end both ways.
 HOPPER = replace(tasks.task("hopper"), horizon=16, action_space=Box((-0.9, -0.5, -1.0), (0.3, 1.0, 0.6)))
@@ -327,6 +327,125 @@ class Coded:
 
     def __call__(self, observations):
         return np.zeros((len(observations), 3), np.float32)
+
+
+class Drawing:
+    """Code of one's own that follows the protocol, and is no function; a draw tells which generator it is from."""
+
+    has_log_prob = True
+
+    def start(self, n):
+        return ()
+
+    def act(self, step, carry, key, *, greedy):
+        assert (len(step.observation), greedy) == (1, False)
+        assert step.first[0] == (step.reward[0] == 0.0)  # rewards of `MAZE` are more than 0
+        return key.uniform(-1, 1, (1, 2)), carry
+
+    def log_prob(self, observations, actions):
+        return np.asarray(actions).sum(1)
+
+
+def test_a_policy_of_ones_own_draws_by_seed_episode_and_step(tmp_path, monkeypatch):
+    short, rows = replace(MAZE, horizon=30), [Segment(Drawing(), 100), Segment(None, 10)]
+    made = log(tmp_path / "many", rows, short, seed=5)
+    for row in (0, 1, 29, 30, 75):
+        drawn = np.random.default_rng([5, 0, row // 30, row % 30 + 1]).uniform(-1, 1, 2)
+        np.testing.assert_allclose(made.actions[row], drawn, rtol=1e-6)
+    np.testing.assert_allclose(made.extras["behavior_log_probs"][:100], made.actions[:100].sum(1), rtol=1e-6)
+    assert len(np.unique(made.actions, axis=0)) == 110
+    monkeypatch.setattr(rollouts, "FLUSH", 40)
+    monkeypatch.setattr(rollouts, "COPIES", 1)
+    with pytest.raises(Killed):
+        log(tmp_path / "few", rows, short, seed=5, progress=lambda done, total: _kill_at(done, 60))
+    assert 60 <= read_json(tmp_path / "few" / "state.json")["rows"] < 100
+    monkeypatch.setattr(rollouts, "COPIES", 3)
+    assert log(tmp_path / "few", rows, short, seed=5).fingerprint == made.fingerprint
+
+
+def test_a_function_with_its_densities_collects_by_chance(tmp_path):
+    uniform = BlackBoxPolicy(lambda x, rng: rng.uniform(-2, 2, (len(x), 1)), log_prob=lambda x, a: np.full(len(x), -np.log(4)))
+    log = dr.read(collect_in_task("Pendulum-v1?max_episode_steps=20", uniform, steps=50, out=tmp_path / "log.hdf5"))
+    assert len(np.unique(log.actions)) == 50
+    np.testing.assert_allclose(log.extras["behavior_log_probs"], -np.log(4), rtol=1e-6)
+
+
+def test_a_policy_of_ones_own_with_a_memory_is_refused(tmp_path):
+    class Remembers(Coded):
+        def start(self, n):
+            return np.zeros(n)
+
+    with pytest.raises(UserError, match="rolled: a policy with a memory of earlier steps cannot collect a log"):
+        log(tmp_path, [Segment(Remembers(), 5)])
+
+
+WIDE = replace(MAZE, action_space=Box((-2.0, -1.0), (1.0, 3.0)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "low", "high", "dense"),
+    [
+        (Gaussian, None, None, False), (Gaussian, (-1, -1), (1, 1), False), (ClippedGaussian, None, None, True),
+        (ClippedGaussian, (-2, -1), (1, 3), True), (ClippedGaussian, (-2, -1), (1.5, 3), False),
+        (TanhGaussian, (-2, -1), (1, 3), True), (TanhGaussian, (-2, -1.5), (1, 3), False),
+    ],
+)  # fmt: skip
+def test_densities_of_actions_that_are_clipped_afterwards_are_not_logged(kind, low, high, dense):
+    net = Gaussian.of(MLP((np.zeros((4, 2), np.float32),), (np.full(2, 3.0, np.float32),)), np.zeros(2, np.float32)).net
+    bounds = (None, None) if low is None else (np.array(low, np.float32), np.array(high, np.float32))
+    assert rollouts.has_densities(EnvPolicy(kind(net), None, None, *bounds), WIDE) == dense
+
+
+def test_a_log_of_a_gaussian_without_bounds_has_no_densities(tmp_path):
+    far = Gaussian.of(MLP((np.zeros((4, 2), np.float32),), (np.full(2, 3.0, np.float32),)), np.zeros(2, np.float32))
+    made = log(tmp_path, [Segment(EnvPolicy(far, None, None, None, None), 30)], MAZE)
+    assert "behavior_log_probs" not in made.extras
+    assert (made.actions == 1.0).mean() > 0.9  # where the density of a mean of 3 is 0.05, and the probability 0.98
+
+
+def test_a_density_that_is_no_number_is_refused_where_it_occurs(tmp_path):
+    class Lost(Drawing):
+        def log_prob(self, observations, actions):
+            return np.full(1, np.nan)
+
+    net = MLP((np.zeros((4, 2), np.float32),), (np.zeros(2, np.float32),))
+    without = ClippedGaussian.of(net, np.full(2, -np.inf, np.float32))  # any spread
+    for name, who in (("own", Lost()), ("ours", EnvPolicy(without, None, None, None, None))):
+        with pytest.raises(UserError, match=r"the policy's log-probability of its action \[.*\] is nan, a finite number is"):
+            log(tmp_path / name, [Segment(who, 500)], MAZE)
+        assert not (tmp_path / name / "state.json").exists()
+
+
+def test_discrete_actions_that_are_no_whole_numbers_are_refused(tmp_path):
+    class Between(Coded):
+        def __call__(self, observations):
+            return np.full(len(observations), 0.9)
+
+    pull = tasks.task(Pull(5.0), 20)
+    for who in (Between(), Between().__call__):
+        with pytest.raises(UserError, match=r"an action is 0\.9, a number from 0 to 1 is needed$"):
+            log(tmp_path / "one", [Segment(who, 5)], pull)
+    choices = EnvPolicy(Categorical(MLP((np.zeros((1, 9), np.float32),), (np.arange(9, dtype=np.float32) * 9,))), *[None] * 4)
+    with pytest.raises(UserError, match=r"an action is 8, a number from 0 to 1 is needed$"):  # and is not taken for 1
+        log(tmp_path / "two", [Segment(choices, 5)], pull)
+    with pytest.raises(
+        UserError, match=r"takes one action of shape \(\) per row, the policy gave shape \(1, 3\) for a batch of 1"
+    ):
+        log(tmp_path / "three", [Segment(Coded(), 5)], pull)
+
+
+def test_rows_take_memory_as_they_are_wanted_and_little_of_it(tmp_path, monkeypatch):
+    rows = [Segment(POLICY, 90), Segment(None, 40)]
+    made = log(tmp_path / "many", rows)
+    monkeypatch.setattr(rollouts, "memory", lambda: 1)
+    assert log(tmp_path / "one", rows).fingerprint == made.fingerprint
+    monkeypatch.setattr(rollouts, "memory", lambda: 4 * 3 * 120 * 34)  # of a row of the maze's columns: 34 bytes
+    scene = rollouts._Scene(MAZE, MAZE.simulate([0]), None, jax.random.key(0), [0, 0], True, 10**6)
+    assert scene.columns["observations"].shape == (3, 120, 4)
+    monkeypatch.undo()
+    endless = replace(MAZE, horizon=10**12)  # an episode takes more memory than there is, and more time
+    short = log(tmp_path / "short", [Segment(None, 20)], MAZE)
+    assert log(tmp_path / "endless", [Segment(None, 20)], endless).fingerprint == short.fingerprint
 
 
 def test_a_scratch_folder_that_cannot_be_written_is_one_line(tmp_path):

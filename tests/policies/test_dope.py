@@ -60,6 +60,24 @@ def test_acts_as_published(tmp_path, nonlinearity, output):
     np.testing.assert_allclose(portable.load(tmp_path / "policy.npz")(x), policy(x), atol=1e-5)
 
 
+def test_a_policy_without_deviations_acts_by_its_mean_and_has_no_densities(tmp_path):
+    path, found = written(
+        tmp_path, output_distribution="gaussian", **{"last_fc_log_std/weight": None, "last_fc_log_std/bias": None}
+    )
+    policy = load_dope(path)
+    assert not policy.has_log_prob
+    x = np.random.default_rng(1).standard_normal((50, 4)).astype(np.float32)
+    zeros = {"last_fc_log_std/weight": np.zeros((2, 6)), "last_fc_log_std/bias": np.zeros(2)}
+    mean = by_hand(found | zeros, x)[0]
+    assert np.abs(mean).max() > 1  # not squashed
+    np.testing.assert_allclose(policy(x), mean, atol=1e-4)
+    step = Step(x, np.zeros(50), np.ones(50, bool))
+    np.testing.assert_allclose(policy.act(step, (), jax.random.key(0), greedy=False)[0], mean, atol=1e-4)
+    save(tmp_path / "policy.npz", policy)
+    np.testing.assert_allclose(load(tmp_path / "policy.npz")(x), mean, atol=1e-4)
+    np.testing.assert_allclose(portable.load(tmp_path / "policy.npz")(x), mean, atol=1e-4)
+
+
 def test_files_that_are_no_policies(tmp_path):
     path, _ = written(tmp_path, **{"fc1/weight": None})
     with pytest.raises(UserError, match="last_fc/weight has shape"):

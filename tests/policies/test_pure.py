@@ -84,7 +84,7 @@ def test_every_kind_that_the_package_has_is_exported_or_refused():
     known = {
         "Deterministic", "TanhGaussian", "Gaussian", "ClippedGaussian", "TanhMeanGaussian", "VAEDecoder", "PerturbedPolicy",
         "OneStep", "GreedyQ", "Categorical", "GreedyActions", "ThresholdedPolicy", "Mixture", "History",
-        "Seeing",
+        "Seeing", "UnboundedDeterministic",
     }  # fmt: skip
     abstract = {"Sampler"}
     ours = {name for name, kind in KINDS.items() if kind.__module__.startswith("deadreckon.")}

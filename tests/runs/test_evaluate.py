@@ -27,7 +27,12 @@ def test_settings_out_of_range_are_refused(options, words):
         evaluate([STILL, STILL], "maze2d-umaze", episodes=1, **options)
 
 
-@pytest.mark.parametrize(("name", "theirs"), [("maze2d-umaze", 100.0), ("hopper", None), ("maze2d-eval-umaze", None)])
+def test_every_policy_has_a_name():
+    with pytest.raises(UserError, match="2 policies need as many names, got 1"):
+        evaluate([STILL, STILL], "maze2d-umaze", episodes=1, names=["one"])
+
+
+@pytest.mark.parametrize(("name", "theirs"), [("maze2d-umaze", 100.0), ("hopper", None), ("maze2d-eval-large-dense", None)])
 def test_a_score_by_the_benchmarks_own_references_is_told_where_ours_are_others(name, theirs):
     returns = np.tile([160.86, 161.86, 162.86], (2, 1))
     result = Evaluation(task(name), returns, returns, np.ones((2, 3), int), (0.99,) * 2, ("a", "b"))
@@ -68,6 +73,37 @@ def test_episodes_in_turns_are_those_side_by_side():
     assert (run[0].lengths[0] == 120).all()
     assert len(set(run[0].lengths[1].tolist())) > 1  # turns end at different times
     np.testing.assert_array_equal(*(first_observations(of(**given), range(7)) for of in (LaneDriving, FewCopies)))
+
+
+class NothingAfterEnds(LaneDriving):
+    """Driving whose rewards are no numbers once an episode is over."""
+
+    def simulate(self, seeds, threads=None):
+        simulator, over = super().simulate(seeds), np.zeros(len(seeds), bool)
+        plain = simulator.step
+
+        def step(actions):
+            seen, rewards, terminals, timeouts = plain(actions)
+            rewards = np.where(over, np.nan, rewards)
+            over[:] |= terminals | timeouts
+            return seen, rewards, terminals, timeouts
+
+        simulator.step = step
+        return simulator
+
+
+def test_rewards_after_an_episodes_end_are_not_looked_at():
+    class Paid(BlackBoxPolicy):
+        def act(self, step, carry, key, *, greedy=False):
+            assert np.isfinite(step.reward).all()
+            return super().act(step, carry, key, greedy=greedy)
+
+    given = {each.name: getattr(task("carla-lane-state"), each.name) for each in dataclasses.fields(LaneDriving)}
+    given |= {"horizon": 120}
+    run = [evaluate(Paid(DRAWN.fn), of(**given), episodes=4, seed=3) for of in (LaneDriving, NothingAfterEnds)]
+    assert len(set(run[0].lengths[0].tolist())) > 1
+    for name in ("returns", "discounted", "lengths"):
+        np.testing.assert_array_equal(*(getattr(each, name) for each in run))
 
 
 def test_a_simulator_is_closed_whatever_happens():

@@ -298,11 +298,23 @@ def test_wrappers_are_kept():
     assert task.name == "gymnasium:Pendulum-v1+RescaleAction"
 
 
-def test_the_shorter_horizon_counts():
+def test_a_horizon_is_within_a_time_limit_that_stays():
     assert dr.task("Pendulum-v1", horizon=500).horizon == 500  # a limit of Gymnasium's own is replaced
     assert dr.task(gymnasium.make("Pendulum-v1"), horizon=500).horizon == 500
     assert dr.task(toys.short_cart, horizon=5).horizon == 5
-    assert dr.task(toys.short_cart, horizon=50).horizon == 9
+    for given in (toys.short_cart, gymnasium.wrappers.TimeLimit(toys.Shifted(), 9)):
+        with pytest.raises(
+            UserError, match=r"ends its episodes after 9 steps by itself; the horizon must be 9 or less, got 50$"
+        ):
+            dr.task(given, horizon=50)
+
+    def declared():
+        env = toys.Shifted()
+        env.spec = gymnasium.spec("CartPole-v1")
+        return env
+
+    assert dr.task(declared).horizon == 500  # as its spec says
+    assert dr.task(declared, horizon=900).horizon == 900  # nothing cuts it
 
 
 @pytest.mark.parametrize(
@@ -328,8 +340,10 @@ def test_the_shorter_horizon_counts():
         (lambda: Custom(BOX, spaces.Tuple([spaces.Discrete(2), BOX])), "actions are Discrete, Box"),
         (lambda: Custom(spaces.Box(0, 255, (4, 84, 84), np.uint8), BOX), "no image of .height, width, channels.; put its"),
         (lambda: wrappers.NormalizeReward(toys.short_cart()), "NormalizeReward keeps statistics over episodes"),
-        (lambda: wrappers.FlattenObservation(wrappers.NormalizeObservation(toys.short_cart())),
-         "NormalizeObservation keeps statistics over episodes"),
+        (
+            lambda: wrappers.FlattenObservation(wrappers.NormalizeObservation(toys.short_cart())),
+            "NormalizeObservation keeps statistics over episodes",
+        ),
     ],
     ids=lambda value: value if isinstance(value, str) else type(value).__name__,
 )

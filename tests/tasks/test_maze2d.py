@@ -30,12 +30,23 @@ def test_the_twelve_tasks():
         assert task.horizon == {"umaze": 300, "medium": 600, "large": 800}[next(s for s in LAYOUTS if s in name)]
         assert task.split == ("evaluation" if "eval" in name else "training")
         assert 0 < task.reference.random < task.reference.expert <= task.horizon
-        assert (task.published is None) == ("eval" in name)
+        assert (task.published is None) == (name == "maze2d-eval-large-dense")
         assert task.grid[tuple(task.goal.astype(int))]
         assert {task: 1}[task] == 1
     np.testing.assert_array_equal(UMAZE.goal, [1, 1])
     np.testing.assert_array_equal(tasks.task("maze2d-medium").goal, [6, 6])
     np.testing.assert_array_equal(tasks.task("maze2d-large").goal, [7, 9])
+
+
+def test_evaluation_mazes_have_the_references_of_d4rls_registry():
+    found = {
+        name: tasks.task(f"maze2d-eval-{name}").published
+        for name in ("umaze", "medium", "large", "umaze-dense", "medium-dense")
+    }
+    assert {name: (each.random, each.expert) for name, each in found.items()} == {
+        "umaze": (36.63, 141.4), "medium": (13.07, 204.93), "large": (16.4, 302.22),
+        "umaze-dense": (56.95455, 178.21373133248397), "medium-dense": (42.28578, 235.5658957482388),
+    }  # fmt: skip
 
 
 def test_unknown_task_has_a_hint_and_names_are_unique():

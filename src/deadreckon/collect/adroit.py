@@ -185,11 +185,10 @@ def _acted(
     task: Adroit, policy: EnvPolicy, rows: int, name: str, seed: int, provenance: Provenance, threads: int | None,
     scratch: Path, progress: Progress | None,
 ) -> Dataset:  # fmt: skip
-    log = collect_rollouts(
+    return collect_rollouts(
         task, [Segment(policy, rows)], name=name, seed=seed, provenance=provenance, threads=threads, scratch=scratch,
         progress=progress,
     )  # fmt: skip
-    return replace(log, extras={})
 
 
 def _repeated(log: Dataset, rows: int, name: str) -> Dataset:

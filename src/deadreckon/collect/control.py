@@ -58,8 +58,9 @@ def collect_control(
         progress: called with the environment steps done and those in all.
 
     Raises:
-        UserError: no whole number of episodes, or more of them than the training has.
+        UserError: no whole number of episodes, or more of them than the training has; or dm_control is not installed.
     """
+    task.check_installed()
     trained = TRAINED[task.name]
     if steps % task.horizon or steps > trained:
         most = f"a multiple of {task.horizon:,}, {trained:,} at most"

@@ -40,13 +40,15 @@ def collect_in_task(
 ) -> Path:
     """Lets a policy act in a task and writes the log as an HDF5 file with D4RL's column names.
 
-    Actions are drawn, not greedy, and their log-probabilities are logged where the policy has any. After a kill the same
-    command goes on where it was: what is done so far lies in a hidden folder beside the file. A policy of code of its own, or
-    an environment that is an object without a spec, cannot be told from another: it begins anew once that folder is deleted.
+    Actions are drawn, not greedy, and their log-probabilities are logged where the policy has any of its actions within the
+    task's bounds (see `collect.rollouts.has_densities`). After a kill the same command goes on where it was: what is done so
+    far lies in a hidden folder beside the file. A policy of code of its own, or an environment that is an object without a
+    spec, cannot be told from another: it begins anew once that folder is deleted.
 
     Args:
         task: a task, its name, or a Gymnasium environment; see `tasks.registry.task`.
-        policy: "random", which draws actions uniformly; a policy, a policy file or a run of one seed.
+        policy: "random", which draws actions uniformly; a policy, a policy file or a run of one seed. A policy with a memory
+            of earlier steps is refused.
         steps: rows. The last episode is cut where they are full, by a timeout.
         seed: random seed of starts and actions.
         out: the file; None: one named after task and policy in the current folder.
@@ -59,8 +61,8 @@ def collect_in_task(
         The file's path. It is written whole or not at all.
 
     Raises:
-        UserError: an unknown task, no single policy, settings out of range, a file `out` that is there already, or the
-            beginning of another collection beside it.
+        UserError: an unknown task, no single policy, settings out of range, a file `out` that is there already, the
+            beginning of another collection beside it, or what `collect.rollouts.collect_rollouts` refuses.
     """
     from deadreckon.data.formats.hdf5 import write_hdf5
 

@@ -2,7 +2,7 @@
 
 A file holds `fc0/weight`, `fc0/bias`, `fc1/...`, `last_fc/...` and, of policies that draw, `last_fc_log_std/...` (weights are
 (outputs, inputs)), the `nonlinearity` between the layers and the `output_distribution`. `tanh_gaussian` policies act with
-tanh(mean + exp(log_std) noise), others with mean + exp(log_std) noise.
+tanh(mean + exp(log_std) noise), others with mean + exp(log_std) noise. Those without a log_std never draw.
 """
 
 import re
@@ -15,7 +15,7 @@ import numpy as np
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.policies.deployed import EnvPolicy
-from deadreckon.policies.kinds import Deterministic, Gaussian, TanhGaussian
+from deadreckon.policies.kinds import Deterministic, Gaussian, TanhGaussian, UnboundedDeterministic
 from deadreckon.unpickle import load_pickle
 
 
@@ -52,8 +52,10 @@ def load_dope(path: Path | str) -> EnvPolicy:
     )
     squashed = _text(found.get("output_distribution", "")) == "tanh_gaussian"
     size = len(head[1])
-    if squashed and np.isneginf(biases[-1][size:]).all():  # it never draws
+    if np.isneginf(biases[-1][size:]).all():  # it never draws
         only = MLP((*net.weights[:-1], net.weights[-1][:, :size]), (*net.biases[:-1], net.biases[-1][:size]), net.activation)
+        if not squashed:
+            return EnvPolicy(UnboundedDeterministic(only), None, None, None, None)
         return EnvPolicy(Deterministic(only), None, None, -jnp.ones(size), jnp.ones(size))
     if squashed:  # with deviations as they were published, which are not clipped
         return EnvPolicy(TanhGaussian(net, (-20.0, 20.0)), None, None, -jnp.ones(size), jnp.ones(size))

@@ -27,6 +27,14 @@ class Deterministic(NormalizedPolicy):
         return jnp.broadcast_to(out, (*count, *out.shape))
 
 
+class UnboundedDeterministic(Deterministic):
+    """One action for each observation without bounds, a = net(s), as in published policies."""
+
+    def actions(self, observation, key, *, greedy, count=()):
+        """See `NormalizedPolicy`; not squashed."""
+        return self.pre_actions(observation, key, greedy=greedy, count=count)
+
+
 class Sampler(NormalizedPolicy):
     """A policy whose draws are a function of the observation and of noise: it implements `from_noise` and `noise_size`.
 
@@ -165,9 +173,7 @@ class TanhMeanGaussian(ClippedGaussian):
     log_std: Float[Array, "a"]
 
     @classmethod
-    def create(
-        cls, spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray, std: Any = 1.0, init: Init = UNIFORM
-    ) -> Self:
+    def create(cls, spec: Spec, hidden: tuple[int, ...], key: PRNGKeyArray, std: Any = 1.0, init: Init = UNIFORM) -> Self:
         """A fresh network, and deviations of `std`."""
         log_std = jnp.full(spec.action_size, jnp.log(jnp.asarray(std, jnp.float32)))
         return cls(MLP.create(spec.observation_size, hidden, spec.action_size, key, init=init), log_std)

@@ -40,7 +40,8 @@ _EDGE = 1.0 - 1e-6
 MOST_SAMPLES = 100_000
 _CHOOSING = ("Categorical", "GreedyActions", "ThresholdedPolicy")  # among discrete actions
 _SAMPLERS = ("TanhGaussian", "VAEDecoder", "PerturbedPolicy", "OneStep")
-KINDS = (*_CHOOSING, *_SAMPLERS, "Deterministic", "GreedyQ", "Gaussian", "ClippedGaussian", "TanhMeanGaussian")
+_UNBOUNDED = ("Gaussian", "UnboundedDeterministic")
+KINDS = (*_CHOOSING, *_SAMPLERS, *_UNBOUNDED, "Deterministic", "GreedyQ", "ClippedGaussian", "TanhMeanGaussian")
 
 
 def read(path):
@@ -167,7 +168,7 @@ class NumpyPolicy:
         bounded = self.tree["low"] is not None
         if kind in ("ClippedGaussian", "TanhMeanGaussian") or (kind == "Gaussian" and bounded):
             action = np.clip(action, -1.0, 1.0)
-        elif kind != "Gaussian":
+        elif kind not in _UNBOUNDED:
             action = np.tanh(action)
         if bounded:
             low, high = get(self.tree["low"]), get(self.tree["high"])
@@ -285,7 +286,7 @@ class NumpyPolicy:
     def _pre(self, node, x, rng, greedy):
         """Actions before the tanh, (n, size)."""
         kind = node["kind"]
-        if kind == "Deterministic":
+        if kind in ("Deterministic", "UnboundedDeterministic"):
             return self._net(node["net"], x)
         if kind == "GreedyQ":
             actor, noise = node["actor"], self._array(node["noise"])

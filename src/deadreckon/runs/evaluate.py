@@ -21,7 +21,7 @@ from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Simulator, Task
 from deadreckon.tasks.turns import begun, simulating, turns
 
-REVISION = 1  # of how policies are judged in a simulator; raised where scores change (see bench/identity.py)
+REVISION = 1  # of the evaluation of policies in a simulator; raised when scores change (see bench/identity.py)
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,14 @@ class Evaluation:
     """The returns of policies in a task.
 
     Attributes:
-        task: where.
+        task: in which they acted.
         returns: (policies, episodes) undiscounted.
         discounted: (policies, episodes) with `discount`.
         lengths: (policies, episodes) steps.
         discount: of `discounted`, one per policy.
         names: one per policy.
-        trajectories: (policies, recorded, steps, *any) observations of the first episodes before each action, or what the task
-            shows instead; NaN after an end.
+        trajectories: (policies, recorded, steps, *any) observations of the first episodes before each action, or other values
+            that the task shows; NaN after the end of an episode.
     """
 
     task: Task
@@ -92,10 +92,10 @@ def _act(stacked: EnvPolicy, step: Step, carry: Any, seed: jax.Array, t: jax.Arr
 
 
 class _Actors:
-    """Several policies as one function of (policies, n, *shape) observations; alike networks act as one program."""
+    """Several policies as one function of (policies, n, *shape) observations; networks of equal shapes are one program."""
 
     def __init__(self, policies: Sequence[Any], n: int, seed: int, greedy: bool):
-        # A policy's own floats become arrays too, so that policies that differ in them still act as one program.
+        # Floats of a policy also become arrays, so that policies that differ in them are still one program.
         policies = [jax.tree.map(jnp.asarray, p) if isinstance(p, EnvPolicy) else p for p in policies]
         self.policies, self.seed, self.greedy = policies, seed, greedy
         self.groups: list[tuple[list[int], Any]] = []
@@ -150,7 +150,7 @@ def evaluate(
         policies: a `Policy`, a policy file, a Run, or a sequence of these.
         task: a task, its name, or a Gymnasium environment, its id, or a function that makes one; see `tasks.registry.task`.
         episodes: for each policy; all policies get the same starts.
-        seed: of starts and draws.
+        seed: of initial states and of sampled actions.
         names: shown for the policies.
         record: number of episodes whose trajectories are kept for figures.
         **options: `discount` and `horizon` of the discounted returns, and `greedy`; see `runs.settings.ReturnSettings`.
@@ -171,7 +171,9 @@ def evaluate(
         raise UserError(f"discount must be one for all policies or one each ({len(found)}), got {len(settings.discounts)}")
     discounts = np.broadcast_to(np.asarray(settings.discounts, np.float64), (len(found),))
     names = tuple(names) if names else tuple(f"policy {i}" for i in range(len(found)))
-    for name, policy in zip(names, found):
+    if len(names) != len(found):
+        raise UserError(f"{len(found)} policies need as many names, got {len(names)}")
+    for name, policy in zip(names, found, strict=True):
         _check_fit(policy, task, name)
     shape, seeds = (len(found), episodes), episode_seeds(seed, episodes) * len(found)
     sums = _Sums(shape, settings.horizon, discounts, record)
@@ -183,7 +185,7 @@ def evaluate(
 
 
 class _Sums:
-    """What is kept of (policies, episodes): sums of rewards, lengths, and what pictures show of the first episodes."""
+    """Accumulated results of (policies, episodes): sums of rewards, lengths, and recorded frames of the first episodes."""
 
     def __init__(self, shape: tuple[int, int], horizon: int | None, discounts: np.ndarray, record: int):
         self.shape, self.horizon, self.discounts, self.record = shape, horizon, discounts, min(record, shape[1])
@@ -191,14 +193,14 @@ class _Sums:
         self.frames: list[np.ndarray] = []
 
     def add(self, t: int, alive: np.ndarray, rewards: np.ndarray) -> None:
-        """A step of the episodes that are `alive`, (policies, episodes) as their rewards."""
-        self.returns += alive * rewards
+        """A step of the episodes that are `alive`, (policies, episodes) as the rewards, which are 0 for others."""
+        self.returns += rewards
         if self.horizon is None or t < self.horizon:
-            self.discounted += alive * rewards * self.discounts[:, None] ** t
+            self.discounted += rewards * self.discounts[:, None] ** t
         self.lengths += alive
 
     def show(self, t: int, task: Task, simulator: Simulator, observations: np.ndarray, turn: np.ndarray, alive: np.ndarray):
-        """Keeps what is seen in copies of a turn whose episodes are recorded."""
+        """Stores a frame of each copy of a turn whose episode is recorded."""
         policy, episode = np.divmod(turn, self.shape[1])
         which = np.flatnonzero(episode < self.record)
         if not len(which):
@@ -217,7 +219,7 @@ class _Sums:
 def _run(actors: _Actors, task: Task, simulator: Simulator, turn: np.ndarray, seeds: Sequence[int], sums: _Sums) -> None:
     """Runs the episodes of a turn to their ends.
 
-    Policies always act for all episodes, with zeros for those of other turns: so what they draw does not depend on turns.
+    Policies always act for all episodes, with zeros for those of other turns, so that their draws do not depend on turns.
     """
     shape, t = sums.shape, 0
     observations = begun(simulator, turn, seeds)
@@ -236,12 +238,13 @@ def _run(actors: _Actors, task: Task, simulator: Simulator, turn: np.ndarray, se
         observations, *told = (column[: len(turn)] for column in simulator.step(acted))
         rewards, terminal, timeout = (_of_all(column, turn, len(seeds)).reshape(shape) for column in told)
         first = np.zeros(shape, bool)
+        rewards = np.where(alive, rewards, 0.0)  # undefined after an episode's end, where it can be NaN
         sums.add(t, alive, rewards)
         alive, t = alive & ~(terminal | timeout), t + 1
 
 
 def _of_all(values: np.ndarray, turn: np.ndarray, episodes: int) -> np.ndarray:
-    """(episodes, ...) of which those of a turn have the values (turn, ...), and others zeros."""
+    """(episodes, ...) with the values (turn, ...) for the episodes of a turn, and zeros for others."""
     if len(turn) == episodes:
         return values
     out = np.zeros((episodes, *values.shape[1:]), values.dtype)
@@ -250,7 +253,7 @@ def _of_all(values: np.ndarray, turn: np.ndarray, episodes: int) -> np.ndarray:
 
 
 def _check_fit(policy: Any, task: Task, name: str) -> None:
-    """Tries a policy of our own on one observation, so that a wrong one is told before the simulator starts."""
+    """Checks a policy of this package on the shape of one observation, before the simulator starts."""
     if not isinstance(policy, EnvPolicy):
         return
     if (shape := picture_shape(policy)) is not None and shape != task.observation_shape:

@@ -51,8 +51,8 @@ class Control(Task):
         """See `Task.versions`."""
         return installed("dm_control")
 
-    def environment(self) -> Any:
-        """The package's own environment, such as `dm_control.suite.load` gives.
+    def check_installed(self) -> None:
+        """Does nothing where dm_control is installed.
 
         Raises:
             UserError: dm_control is not installed.
@@ -62,6 +62,14 @@ class Control(Task):
                 f"{self.name} needs dm_control, which is not installed: {extra('control')}, with Python 3.11 or "
                 "3.12 (for 3.13 there is no wheel of labmaze, which dm_control depends on)"
             )
+
+    def environment(self) -> Any:
+        """The package's own environment, such as `dm_control.suite.load` gives.
+
+        Raises:
+            UserError: dm_control is not installed.
+        """
+        self.check_installed()
         return _suite().load(*self.suite)
 
 

@@ -107,7 +107,8 @@ def of(given: Any, horizon: int | None = None) -> Task:
         horizon: steps after which an episode times out; None: the environment's own limit.
 
     Raises:
-        UserError: neither, an environment that cannot be a task, or no time limit.
+        UserError: neither, an environment that cannot be a task, no time limit, or a horizon beyond the environment's own
+            `TimeLimit` where that cannot be replaced.
     """
     if isinstance(given, gymnasium.Env) or not callable(given):
         return _of_object(given, horizon)
@@ -216,11 +217,14 @@ def _spec(env: Any) -> EnvSpec | None:
 def _task(env: Any, make: Callable[[], Any], name: str, horizon: int | None, keep: bool = False) -> GymnasiumTask:
     """The task of the environments that `make` makes, of which `env` is one."""
     _check(env, name)
-    limits = [limit for limit in (_limit(env), horizon) if limit is not None]
-    if not limits:
+    own = _limit(env)
+    steps = horizon if horizon is not None else own if own is not None else _declared(env)
+    if steps is None:
         raise UserError(f"{name}: {_HORIZON}")
-    if not all(isinstance(limit, int) and limit >= 1 for limit in limits):
-        raise UserError(f"{name}: the horizon must be a whole number of steps, 1 or more, got {horizon}")
+    if not isinstance(steps, int) or steps < 1:
+        raise UserError(f"{name}: the horizon must be a whole number of steps, 1 or more, got {steps}")
+    if own is not None and steps > own:
+        raise UserError(f"{name} ends its episodes after {own} steps by itself; the horizon must be {own} or less, got {steps}")
     spaces, spec = Spaces.of(env, name), _spec(env)
     if spaces.left_out:
         warnings.warn(f"{name}: texts are not observed: {', '.join(spaces.left_out)}", stacklevel=4)
@@ -228,7 +232,7 @@ def _task(env: Any, make: Callable[[], Any], name: str, horizon: int | None, kee
     if not keep:
         env.close()
     return GymnasiumTask(
-        name=name, domain="gymnasium", horizon=min(limits), observation_shape=spaces.shape, observation_dtype=spaces.dtype,
+        name=name, domain="gymnasium", horizon=steps, observation_shape=spaces.shape, observation_dtype=spaces.dtype,
         action_space=spaces.actions, gym_id="" if spec is None else spec.id, reference=None,
         summary=f"{type(env.unwrapped).__name__} of {module}", make=make, spaces=spaces, packages=_versions(module),
     )  # fmt: skip
@@ -266,15 +270,19 @@ def _from(thing: Any, package: str) -> bool:
 
 
 def _limit(env: Any) -> int | None:
-    """Steps after which an environment cuts its episodes, where it says so."""
+    """Steps after which a wrapper cuts an environment's episodes."""
     limits, inner = [], env
     while isinstance(inner, gymnasium.Wrapper):
         if isinstance(inner, gymnasium.wrappers.TimeLimit):
             limits.append(inner._max_episode_steps)
         inner = inner.env
-    if not limits and (spec := getattr(inner, "spec", None)) is not None and spec.max_episode_steps is not None:
-        limits.append(spec.max_episode_steps)
     return min(limits, default=None)
+
+
+def _declared(env: Any) -> int | None:
+    """The time limit in the spec of an environment that no wrapper cuts."""
+    spec = getattr(env.unwrapped, "spec", None)
+    return None if spec is None else spec.max_episode_steps
 
 
 def _name_of(make: Any) -> str:

@@ -219,7 +219,9 @@ _MEASURED = {
     "maze2d-eval-large-dense": (42.4374, 594.0618),
 }
 
-# D4RL's own, from its published table; the variants that are not there have none.
+# D4RL's own: of the training mazes from its published table, of the others from d4rl/pointmaze/__init__.py (commit 34141f3f).
+# There eval-large-dense has (56.95455, 326.09647655082637), whose first number is that of eval-umaze-dense to the last digit:
+# it is left out, as it is likely a copy.
 _PUBLISHED = {
     "maze2d-umaze": (23.85, 161.86),
     "maze2d-umaze-dense": (68.537689, 193.66285642381482),
@@ -227,6 +229,11 @@ _PUBLISHED = {
     "maze2d-medium-dense": (44.264742, 297.4552547777125),
     "maze2d-large": (6.7, 273.99),
     "maze2d-large-dense": (30.569041, 303.4857382709002),
+    "maze2d-eval-umaze": (36.63, 141.4),
+    "maze2d-eval-umaze-dense": (56.95455, 178.21373133248397),
+    "maze2d-eval-medium": (13.07, 204.93),
+    "maze2d-eval-medium-dense": (42.28578, 235.5658957482388),
+    "maze2d-eval-large": (16.4, 302.22),
 }
 
 
