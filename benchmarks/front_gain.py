@@ -3,8 +3,8 @@
     python -m benchmarks.front_gain [TABLES]
 
 Of each table of 60 rows, three inputs and two random smooth targets of standard deviation 1, eight designs are proposed.
-Printed are, by the deviation of the noise and as means over ten tables, the gain in hypervolume that is promised, and the true
-one.
+Printed are, by the deviation of the noise and as means over ten tables, the gain in hypervolume that is promised, the true one
+over the true scores of all rows, and that over those of the rows on the measured front.
 """
 
 import sys
@@ -20,8 +20,8 @@ from tests.mbo.practice import hill
 ROWS, INPUTS, PROPOSED = 60, 3, 8
 
 
-def gains(seed: int, level: float) -> tuple[float, float]:
-    """What is promised of one table, and what is true: beside the true scores of the rows that look best."""
+def gains(seed: int, level: float) -> tuple[float, float, float]:
+    """What is promised of one table, and what is true: beside the true scores of all rows, and of those that look best."""
     rng = np.random.default_rng(seed)
     targets, x = [hill(rng, INPUTS) for _ in range(2)], rng.uniform(size=(ROWS, INPUTS))
     variables = [Variable(f"x{i}", low=0.0, high=1.0) for i in range(INPUTS)]
@@ -29,15 +29,16 @@ def gains(seed: int, level: float) -> tuple[float, float]:
     front = propose_front(data, PROPOSED)
     best = x[non_dominated(np.stack([each.y for each in data], 1))]
     true = lambda x: np.stack([of(np.asarray(x, float)) for of in targets], 1)  # noqa: E731
-    both = np.concatenate([true(best), true(front.made[0].x)])
-    return front.gain, hypervolume(both, front.reference) - hypervolume(true(best), front.reference)
+    volume = lambda *parts: hypervolume(np.concatenate([true(part) for part in parts]), front.reference)  # noqa: E731
+    over_all, over_best = (volume(rows, front.made[0].x) - volume(rows) for rows in (x, best))
+    return front.gain, over_all, over_best
 
 
 def main(tables: int) -> None:
     """Prints a line a level."""
     for level in (0.1, 0.5, 1.0):
-        promised, true = np.mean([gains(5000 + seed, level) for seed in range(tables)], 0)
-        print(f"noise {level:g}: promised {promised:.2f}, true {true:.2f}", flush=True)
+        promised, true, best = np.mean([gains(5000 + seed, level) for seed in range(tables)], 0)
+        print(f"noise {level:g}: promised {promised:.2f}, true {true:.2f}, over the measured front {best:.2f}", flush=True)
 
 
 if __name__ == "__main__":

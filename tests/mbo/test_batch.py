@@ -10,14 +10,15 @@ import pytest
 from deadreckon.errors import UserError
 from deadreckon.mbo import designer
 from deadreckon.mbo.baselines import BestOfData
-from deadreckon.mbo.batch import batch, check_batch, keys, moved
+from deadreckon.mbo.batch import batch, check_batch, keys, moved, repeats_told
 from deadreckon.mbo.designer import DesignInput
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.forward import Forward
 from deadreckon.mbo.gp import GP
-from deadreckon.mbo.nn_distance import nn_distance, usual_distance
+from deadreckon.mbo.nn_distance import distance_to_tried, nn_distance, usual_distance
 from deadreckon.mbo.process import fit
 from deadreckon.mbo.ram import RaM
+from deadreckon.mbo.replicates import birge_ratio
 from deadreckon.progress import unwatched
 from tests.mbo.practice import SIZES, TABLES
 
@@ -75,9 +76,9 @@ def test_methods_that_know_no_rules_keep_them_too(name, tmp_path):
 
 def test_duplicates_are_replaced_and_the_first_stays():
     data = TABLES["wide"]().designs()
-    twice = np.repeat(data.x[:2] * 0.9, 4, axis=0)
+    twice = np.repeat(data.x[:2] * 0.8, 4, axis=0)
     found = batch(data, twice, 6, lambda x: x[:, 0])
-    np.testing.assert_allclose(found[:2], data.x[:2] * 0.9)
+    np.testing.assert_allclose(found[:2], data.x[:2] * 0.8)
     assert len(set(keys(data, found))) == 6
     # Those that fill it were made around these, by their value.
     assert (found[2:, 0] > np.median(data.x[:, 0])).all()
@@ -122,9 +123,59 @@ def test_designs_of_the_data_are_proposed_only_where_asked():
         check_batch(data, data.x[:5], repeat=False)
 
 
+def test_near_repeats_of_the_table_are_proposed_only_where_asked_or_where_there_are_no_others():
+    """On a grid of whole numbers neighbours lie one typical distance apart."""
+    cells = [(float(a), float(b)) for a in range(9) for b in range(9)]
+    frame = {"a": [a for a, _ in cells], "b": [b for _, b in cells], "y": [*range(79), None, None]}  # two planned runs
+    read = lambda **more: Designs.from_frame(frame, "y", kinds=dict.fromkeys("ab", "continuous"), **more)  # noqa: E731
+    with pytest.warns(UserWarning, match="2 rows left out"):
+        data, fine = read(), read(apart=1e-4)
+    x = np.array([[0.0, 4.0015], [8.0, 7.9], [4.0, 4.2], [0.05, 4.05]], np.float32)
+    assert batch(data, x, 1).tolist() == [x[2].tolist()]
+    assert (distance_to_tried(data, batch(data, x, 8)) >= 0.1 * usual_distance(data)).all()
+    assert batch(data, x, 1, repeat=True).tolist() == batch(fine, x, 1).tolist() == [x[0].tolist()]
+    assert repeats_told(data, x) == [
+        "3 of 4 proposals nearly repeat a design of the table (less than 0.1 typical distances away): there are too few "
+        "others, or repeats were allowed"
+    ]
+    assert repeats_told(data, x[2:3]) == repeats_told(data, data.x[:3]) == repeats_told(fine, x) == []
+    none = Designs.from_frame(frame | {"y": range(81)}, "y", kinds=dict.fromkeys("ab", "continuous"), constraints=[
+        "a >= 2.98", "a <= 3.02", "b >= 4.98", "b <= 5.02"])  # fmt: skip
+    found = batch(none, none.x, 4)
+    check_batch(none, found, repeat=False)
+    assert repeats_told(none, found)[0].startswith("4 of 4 proposals nearly repeat a design")
+
+
+@pytest.mark.filterwarnings("ignore:a orders the rows")
+def test_a_process_proposes_next_to_no_measured_optimum():
+    """The model's optimum is at the measured row (0, 4), up to noise; what is proposed tells something new."""
+    cells = np.array([(a, b) for a in range(-4, 5) for b in range(9)], float)
+    y = -(np.square(cells[:, 0]) + np.square(cells[:, 1] - 4)) / 8 + 0.05 * np.random.default_rng(0).standard_normal(81)
+    frame = {"a": cells[:, 0], "b": cells[:, 1], "y": y}
+    data = Designs.from_frame(frame, "y", kinds=dict.fromkeys("ab", "continuous"))
+    ask = lambda **more: designer("gp", rounds=20, folds=0).propose(data, 1, **more)  # noqa: E731
+    near, new = ask(repeat=True), ask()
+    assert nn_distance(data, near.x)[0] < 0.1 <= nn_distance(data, new.x)[0] < 0.25
+    assert new.predicted[0] > near.predicted[0] - 0.004  # 0.0012; 0.008 where only a few of the best candidates are looked at
+
+
+def test_the_terminal_and_the_page_tell_of_near_repeats(tmp_path, monkeypatch, capsys):
+    from deadreckon.cli.main import main
+
+    monkeypatch.chdir(tmp_path)
+    rows = "\n".join(f"{a},{(a - 5) ** 2 % 7}" for a in range(12))
+    (tmp_path / "t.csv").write_text(f"a,y\n{rows}\n")
+    asked = ["design", "t.csv", "--target", "y", "--kinds", "a", "continuous", "--method", "random", "-n", "2", "--out", "x"]
+    line = "2 of 2 proposals nearly repeat a design of the table"
+    for rule, told in (("a >= 4.96", False), ("a <= 4.04", True)):
+        assert main([*asked, "--constraints", "a >= 3.96", rule]) == 0
+        assert (f"! {line}" in capsys.readouterr().err) == told
+        assert (line in (tmp_path / "x" / "report.html").read_text()) == told
+
+
 def test_proposals_lie_apart():
     data = TABLES["wide"]().designs()
-    close = data.x[:1] * 0.9 + 1e-3 * np.arange(8)[:, None]
+    close = data.x[:1] * 0.8 + 1e-3 * np.arange(8)[:, None]
     found = data.coordinates.encode(batch(data, close, 8)).astype(float)
     least = min(np.linalg.norm(a - b) for i, a in enumerate(found) for b in found[:i])
     before = data.coordinates.encode(close)
@@ -193,6 +244,42 @@ def test_replicates_are_pooled_with_their_noise():
     np.testing.assert_allclose(given.y[0], (1 + 2 + 4 * 3) / 6)  # weighed by 1, 1 and 4
     np.testing.assert_allclose(given.std_error[0], 6**-0.5)
     assert len(Designs.from_frame(frame, "y", pool=False)) == 15
+
+
+def test_standard_errors_are_not_believed_against_the_scatter_of_replicates():
+    """Multiplied by Birge's ratio where replicates scatter significantly more than these say, and else taken as given."""
+    y = [1.0, 2.0, 3.0, 5.0, 7.0, *[0.5] * 10]
+    frame = {"a": [0, 0, 0, 1, 1, *range(2, 12)], "y": y, "se": [0.1, 0.1, 0.2, 0.1, 0.1, *[0.2] * 10]}
+    with pytest.warns(
+        UserWarning, match="1.15, more than their standard errors explain: all standard errors are multiplied by 10$"
+    ):
+        data = Designs.from_frame(frame, "y", std_error="se")
+    mean = (1 + 2 + 3 / 4) / (1 + 1 + 1 / 4)
+    chi2 = ((1 - mean) ** 2 + (2 - mean) ** 2 + (3 - mean) ** 2 / 4 + 1 + 1) / 0.1**2
+    assert data.pooling.endswith(f"multiplied by {(chi2 / 3) ** 0.5:.3g}")
+    given = [(100 + 100 + 25) ** -0.5, 200**-0.5, *[0.2] * 10]
+    np.testing.assert_allclose(data.std_error, (chi2 / 3) ** 0.5 * np.array(given))
+    assert birge_ratio(np.array([2.0, 2.0, 1.0]), 3) == 1.0  # 9 of three degrees of freedom: 3 % by chance
+    assert birge_ratio(np.array([2.0, 2.0, 2.0]), 3) == 2.0
+    with pytest.warns(UserWarning, match="between replicates is 1.15$"):
+        kept = Designs.from_frame(frame | {"se": [0.8] * 15}, "y", std_error="se")
+    np.testing.assert_allclose(kept.std_error[:3], 0.8 / np.sqrt([3, 2, 1]))
+
+
+def test_a_standard_error_of_zero_is_unknown():
+    frame = {
+        "a": list(range(12)),
+        "y": [float(i % 5) for i in range(12)],
+        "se": [0.0, 0.0, *[0.1 * i for i in range(1, 10)], 50.0],
+    }
+    with pytest.warns(
+        UserWarning, match="column se is 0 in 2 rows, which is taken for unknown: 0.9 is used instead, the 90% quant"
+    ):
+        data = Designs.from_frame(frame, "y", std_error="se")
+    np.testing.assert_allclose(data.std_error, [0.9, 0.9, *frame["se"][2:]])
+    assert any("0 in 2 rows" in line for line in data.noticed)
+    with pytest.warns(UserWarning, match="column se is 0 in all rows: no standard errors are known"):
+        assert Designs.from_frame(frame | {"se": [0.0] * 12}, "y", std_error="se").std_error is None
 
 
 def test_several_targets_are_one_weighted_score():

@@ -1,5 +1,7 @@
 """The Gaussian process for tables, its batch, and what is said of it out of fold."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.optimize import check_grad
@@ -11,6 +13,7 @@ from deadreckon.mbo.calibration import conformal_factor
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.gp import greedy
 from deadreckon.mbo.local_search import spaced
+from deadreckon.mbo.replicates import row_weights
 from deadreckon.mbo.validation import CHANCE, cross_validated, judged
 from deadreckon.mbo.variables import Variable
 from tests.mbo.practice import TABLES
@@ -44,14 +47,17 @@ def test_the_posterior_is_the_textbook_s():
         r = np.sqrt(5 * (number**2 + (a[:, None, 1] != b[None, :, 1]) / length[1] ** 2))
         return np.exp(found.hyper.signal) * (1 + r + r**2 / 3) * np.exp(-r)
 
-    noise = np.exp(found.hyper.noise) * error**2 / np.mean(error**2)
+    weight = row_weights(data)
+    y_mean = np.average(data.y, weights=weight)
+    y_std = np.average((data.y - y_mean) ** 2, weights=weight) ** 0.5
+    noise = np.exp(found.hyper.noise) * error**2 / np.average(error**2, weights=weight)
     inverse = np.linalg.inv(kernel(data.x, data.x) + np.diag(noise))
     k = kernel(new, data.x)
-    mean = data.y.mean() + k @ inverse @ (data.y - data.y.mean())
-    std = data.y.std() * np.sqrt(np.exp(found.hyper.signal) - np.einsum("ij,jk,ik->i", k, inverse, k))
+    mean = y_mean + k @ inverse @ (data.y - y_mean)
+    std = y_std * np.sqrt(np.exp(found.hyper.signal) - np.einsum("ij,jk,ik->i", k, inverse, k))
     np.testing.assert_allclose(found.posterior(new)[0], mean, rtol=1e-4)
     np.testing.assert_allclose(found.posterior(new)[1], std, rtol=1e-4)
-    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance(new))) * data.y.std(), std, rtol=1e-4)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance(new))) * y_std, std, rtol=1e-4)
 
 
 def test_the_slope_is_that_of_the_prediction():
@@ -69,6 +75,36 @@ def test_measurements_that_are_repeated_count_more():
     mean = process.fit(data).mean(data.x[:2])
     assert abs(mean[0] - 3.0) < 0.01
     assert abs(mean[1] + 3.0) > 0.1
+
+
+def test_one_row_with_a_very_large_error_leaves_the_fit_to_the_others():
+    """Its ratio to the mean of all squared errors was the noise of the others: none."""
+    rng = np.random.default_rng(0)
+    x, error = rng.uniform(-1, 1, (50, 2)), np.where(np.arange(50) == 7, 300.0, 0.3)
+    data = Designs.from_frame(
+        {"a": x[:, 0], "b": x[:, 1], "y": x.sum(1) + error * rng.standard_normal(50), "se": error}, "y", std_error="se"
+    )
+    without = process.fit(data.part(np.arange(50) != 7))
+    found = process.fit(data)
+    assert found.noise == pytest.approx(without.noise, rel=0.1)
+    assert found.y_std == pytest.approx(without.y_std, rel=0.05)
+    new = rng.uniform(-1, 1, (50, 2))
+    assert np.abs(found.mean(new) - without.mean(new)).max() < 0.1
+    quality = cross_validated(data, designer("gp").predictor, "GP")
+    assert quality.r2 > 0.7
+    assert quality.skilled
+
+
+def test_rows_count_by_their_errors_beside_the_spread_of_the_scores():
+    y, error = np.array([1.0, -1.0] * 10 + [500.0]), np.array([1e-3, *[0.5] * 19, 500.0])
+    data = Designs(np.arange(21)[:, None], y, (Variable("a", low=0, high=20),), std_error=error)
+    weight = row_weights(data)
+    v = np.average((y - np.average(y, weights=weight)) ** 2, weights=weight)
+    np.testing.assert_allclose(weight, (v / (v + error**2)) ** 2)
+    assert v == pytest.approx(1.0, rel=0.05)
+    large = row_weights(replace(data, std_error=1e3 * error))  # none counts more than four times as much as a usual one
+    assert large.max() / np.median(large) == pytest.approx(4.0, rel=1e-3)
+    np.testing.assert_array_equal(row_weights(replace(data, std_error=None)), 1.0)
 
 
 @pytest.mark.slow
@@ -96,10 +132,11 @@ def test_intervals_are_for_one_new_measurement():
     found = process.fit(data)
     assert found.noise == pytest.approx(0.5, rel=0.15)
     row = found.y_std * np.exp(0.5 * found.hyper.noise)  # of the noise of a usual row, a mean of some measurements
-    usual = np.sqrt(np.square(data.std_error).mean())
+    weight = row_weights(data)
+    usual = np.average(np.square(data.std_error), weights=weight) ** 0.5
     np.testing.assert_allclose(found.noise_of(data.std_error), row * data.std_error / usual, rtol=1e-6)
     scatter = data.std_error[0] * data.replicates[0] ** 0.5  # between replicates
-    assert found.beyond == pytest.approx(scatter * (1 - (1 / data.replicates).mean()) ** 0.5)
+    assert found.beyond == pytest.approx(scatter * (1 - np.average(1 / data.replicates, weights=weight)) ** 0.5)
     made = designer("gp", rounds=5).propose(data, 30)
     mean, std = found.posterior(made.x)
     assert found.noise**2 == pytest.approx(row**2 + found.beyond**2)

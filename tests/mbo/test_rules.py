@@ -260,6 +260,34 @@ def test_rules_leave_a_variable_on_a_log_scale_all_its_decades():
     np.testing.assert_allclose(found[0, 0], 3.2e-6, rtol=1e-5)  # beside parts of 0.6 32 bits hold seven decimals
 
 
+def test_rules_move_a_variable_on_a_log_scale_by_shares_of_its_value():
+    """By deviations of the values, small ones would lose decades, which are much to a model; the others would hardly move."""
+    rng = np.random.default_rng(0)
+    frame = {"cat": 10 ** rng.uniform(-4, 1, 40), "t": rng.uniform(0, 10, 40), "y": rng.normal(size=40)}
+    bounds = {"cat": (1e-4, 10), "t": (0, 10)}
+    data = Designs.from_frame(frame, "y", logs=["cat"], constraints=["cat + t <= 8"], bounds=bounds)
+    ratio, x = data.coordinates.std[0], np.array([[0.01, 8.5], [2.0, 6.5], [0.5, 9.0], [5.0, 9.0], [5.0, 2.0]])
+    found = data.repair.relaxed(x)
+    np.testing.assert_allclose(found[0], [0.00993, 7.99007], atol=1e-5)
+    scale = np.array([2 * ratio, data.repair.scale[1]])  # by hand: (2, 6.5) is moved by 0.5 across the line
+    np.testing.assert_allclose(found[1], x[1] - 0.5 * scale**2 / (scale**2).sum(), atol=1e-5)
+    np.testing.assert_allclose(found[:4].sum(1), 8.0)
+    np.testing.assert_allclose(found[4], x[4])
+    for row, end in zip(x[2:4], found[2:4]):  # far moves: nearly as near as the nearest design of the line
+        cat = np.geomspace(1e-4, 8, 2001)
+        far = lambda c, t, row=row: np.hypot(np.log(c / row[0]) / ratio, (t - row[1]) / scale[1])  # noqa: E731
+        assert far(*end) < 1.15 * far(cat, 8 - cat).min()
+    # What a program or steps on a grid add to that is as small beside each value.
+    frame = {"cat": frame["cat"], "b": rng.uniform(3, 3.1, 40), "t": rng.uniform(6.9, 7.1, 40), "y": frame["y"]}
+    x = np.stack([10 ** rng.uniform(-4, -2, 20), rng.uniform(3, 3.1, 20), rng.uniform(6.9, 7.1, 20)], 1)
+    for rule in ("cat + t + b <= 10", "cat + 7 b + 11 t = 98"):
+        wide = {"cat": (1e-4, 10), "b": (2, 4), "t": (6, 8)}
+        data = Designs.from_frame(frame, "y", logs=["cat"], constraints=[rule], bounds=wide)
+        found, good = data.repair.exact(x)
+        assert good.all()
+        assert np.abs(np.log(found[:, 0] / data.repair.relaxed(x.copy())[:, 0])).max() < 0.01
+
+
 def test_the_best_design_on_a_grid_with_a_sum_is_found():
     """Of numbers in steps the climb would leave the grid, and its end moved to the nearest allowed design is a poor one."""
     rng = np.random.default_rng(3)

@@ -22,6 +22,7 @@ from deadreckon.mbo.validation import judged
 from deadreckon.report.axes import Axis
 from deadreckon.report.design import write_design
 from deadreckon.report.design_asked import broken_rule
+from deadreckon.report.design_doubts import TOGETHER, _of_correlation
 from deadreckon.report.design_edges import at_ends, at_rules, shown_value
 from deadreckon.report.design_front import write_front
 from deadreckon.report.effects import _ticks_of_log
@@ -185,6 +186,25 @@ def test_the_page_says_what_was_asked_and_which_rules_bind(tmp_path):
         assert part in said, part
 
 
+def test_a_gain_is_one_over_predictions_for_measured_designs_and_not_over_a_lucky_measurement(tmp_path):
+    a = np.arange(20) / 20
+    frame = {"a": a, "b": np.arange(20) % 7, "y": np.where(np.arange(20) == 3, 5.0, a)}
+    x = np.array([[0.97, 3.0], [0.4, 3.0]], np.float32)
+    for sign, above in ((1.0, "above"), (-1.0, "below")):
+        data = Designs.from_frame(frame | {"y": sign * frame["y"]}, "y", minimise=sign < 0)
+        made = Proposals("m", x, np.array([1.0, 0.5]), np.array([0.1, 0.1]), 0, fitted=Fitted(lambda x: (x[:, 0], None)))
+        made = dataclasses.replace(made, minimise=sign < 0)
+        _, said = page(data, made, tmp_path)
+        shown = "0.950" if sign > 0 else "\N{MINUS SIGN}0.950"
+        assert f"The prediction is 0.050 {above} the best one for a measured design (row 19, {shown})." in said
+        assert f"It is not {above} the best score of the data" in said
+        assert f"the best prediction for a measured design is {shown}" in said
+        assert _told(data, made)[1].endswith(f"best predicted y {sign:g} (for a measured design {0.95 * sign:g}) (0 s)")
+        less = dataclasses.replace(made, predicted=np.array([0.9, 0.5]))
+        _, said = page(data, less, tmp_path)
+        assert f"not {above} that for row 19, {shown}, so no gain over the measured designs is predicted." in said
+
+
 def test_a_gain_is_one_over_rows_that_satisfy_the_rules(tmp_path):
     a = np.arange(20) / 20
     data = Designs.from_frame({"a": a, "b": np.arange(20) % 7, "y": a}, "y", constraints=["a <= 0.5"], fixed=["b = 3"])
@@ -301,6 +321,27 @@ def test_the_page_of_several_targets_says_what_that_of_one_does(tmp_path):
     ):  # fmt: skip
         assert part in said, part
     assert re.search(r'<div class="charts two"><figure>', text)
+
+
+def test_a_gain_is_said_to_be_too_high_where_a_model_explains_little(tmp_path):
+    front = two_targets(True)
+    assert "too high" not in front_page(front, tmp_path)[1]
+    made = dataclasses.replace(front.made[1], quality=dataclasses.replace(front.made[1].quality, r2=0.43))
+    noisy = dataclasses.replace(front, made=(front.made[0], made))
+    told = "expected gain is too high where noise is large (R2 out of fold: Cost / EUR 0.43)"
+    assert f"The proposals are expected to add 14.2. The {told}." in front_page(noisy, tmp_path)[1]
+    assert f"the {told}" in about_front(noisy)["value"]
+
+
+def test_variables_on_log_scales_that_vary_together_are_told():
+    """By their logarithms, as the models see them: the numbers themselves are correlated by 0.87 and -0.28."""
+    rng = np.random.default_rng(0)
+    a = 10 ** rng.uniform(-2, 2, 40)
+    for b, size in ((a**3, "1.00"), (1 / a, "\N{MINUS SIGN}1.00")):
+        frame = {"still": np.ones(40), "kind": ["x", "y"] * 20, "a": a, "c": rng.uniform(size=40), "b": b}
+        assert abs(np.corrcoef(a, b)[0, 1]) < TOGETHER
+        [said] = _of_correlation(Designs.from_frame(frame | {"y": rng.normal(size=40)}, "y", logs=["a", "b"]))
+        assert said.endswith(f": a and b (correlation {size}).")
 
 
 def test_where_a_model_has_no_skill_no_gain_is_stated(tmp_path):

@@ -130,6 +130,7 @@ def test_terminal_table_shows_the_same_numbers(runs):
     assert text.isascii()
     for r in rows(read(runs)):
         line = next(line for line in text.splitlines() if line.startswith(r.label + " "))
-        assert f"{r.score.value:.1f} [{r.score.low:.1f}, {r.score.high:.1f}]" in line
+        digits = 1 if max(abs(r.score.value), abs(r.score.low), abs(r.score.high)) >= 10 else 2
+        assert f"{r.score.value:.{digits}f} [{r.score.low:.{digits}f}, {r.score.high:.{digits}f}]" in line
     assert headline(runs).startswith("Best in the simulator: TD3+BC, score ")
     assert headline(runs).isascii()

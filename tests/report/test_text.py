@@ -23,7 +23,11 @@ def test_shares_are_shown_in_percent():
 
 def test_signs_separators_and_lists():
     assert score(-1234.56) == "\N{MINUS SIGN}1,234.6"
-    assert score(2.0, signed=True) == "+2.0"
+    assert score(20.0, signed=True) == "+20.0"
+    assert score(0.0) == "0.0"
+    rate = Interval(0.74, 0.66, 0.82)  # of a task without a reference, where one decimal would hide the interval
+    assert (score(rate), brackets(rate)) == ("0.74", "[0.66, 0.82]")
+    assert (score(2.0, beside=(0.5, 31.0)), brackets(Interval(2.0, -9.5, 13.0))) == ("2.0", "[\N{MINUS SIGN}9.5, 13.0]")
     assert count(1234567) == "1,234,567"
-    assert brackets(Interval(1.0, -2.0, float("inf"))) == "[\N{MINUS SIGN}2.0, \N{INFINITY}]"
+    assert brackets(Interval(1.0, -2.0, float("inf"))) == "[\N{MINUS SIGN}2.00, \N{INFINITY}]"
     assert words(["a", "b", "c"]) == "a, b and c"

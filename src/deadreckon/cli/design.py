@@ -63,7 +63,7 @@ class Design:
     of scored designs); None: no limit"""
     apart: float | None = None
     """smallest distance between proposals, in typical distances; None: 0.1, or less if otherwise there are too few proposals"""
-    repeat: bool = False  # whether designs that are in the data may be proposed
+    repeat: bool = False  # whether designs that are in the data, or nearly, may be proposed
     problem: str | None = None  # problem with an oracle, instead of --data (see `design problems`)
     budget: Literal["full", "cpu"] | None = None
     """sizes of fitted models, of methods that have published ones; None: full for a problem, cpu (minutes) for --data"""
@@ -141,6 +141,7 @@ def _write_proposals(method: Any, data: Any, problem: Any, options: Design, out:
         ways: dict[str, Any] = {"repeat": options.repeat, "validate": problem is None}
         made = method.propose(data, options.n, seed=options.seed, out=out / "fits", watch=watch, **ways)
     scores = None if problem is None else problem.score(made)
+    from deadreckon.mbo.batch import repeats_told
     from deadreckon.mbo.nn_distance import nn_distance
     from deadreckon.mbo.proposal_table import about, added_columns
     from deadreckon.report.design import write_design
@@ -150,8 +151,8 @@ def _write_proposals(method: Any, data: Any, problem: Any, options: Design, out:
     written = data.write(out / "proposals.csv", made.x, more)
     for line in _told(data, made):
         print(line)
-    if problem is None and made.warning:
-        print(f"! {made.warning}", file=sys.stderr)
+    for line in [*repeats_told(data, made.x), *([made.warning] if problem is None and made.warning else [])]:
+        print(f"! {line}", file=sys.stderr)
     if scores is not None:
         print(f"{scores}\nthe oracle is {problem.about if problem else ''}")
     print(written)
@@ -160,7 +161,7 @@ def _write_proposals(method: Any, data: Any, problem: Any, options: Design, out:
 
 
 def _told(data: Any, made: Any) -> list[str]:
-    from deadreckon.mbo.effects import best_permitted
+    from deadreckon.mbo.effects import best_permitted, most_expected
 
     best, most = (float(data.shown(scores.max())) for scores in (data.y, made.predicted))
     tied = int((data.y == data.y.max()).sum())
@@ -169,6 +170,8 @@ def _told(data: Any, made: Any) -> list[str]:
     inside = f", within the rules {within:,.4g}" if within != best else ""
     lines = [f"{size_told(data)}; best {data.target} {best:,.4g}{ties}{inside}"]
     predicted = f", best predicted {data.target} {most:,.4g}" if made.predicts else ""
+    if made.predicts and made.fitted is not None:
+        predicted += f" (for a measured design {float(data.shown(most_expected(data, made.fitted)[1])):,.4g})"
     lines.append(f"{made.method}: {len(made):,} proposals{predicted} ({made.seconds:,.0f} s)")
     if made.compared:
         return [*lines, *map(str, made.compared), made.reason]

@@ -76,6 +76,7 @@ def write_proposals(options: Any, asked: dict[str, Any]) -> None:
 
     Those in `--minimise` are made small, and the schema's own target where the schema says so.
     """
+    from deadreckon.mbo.batch import repeats_told
     from deadreckon.mbo.design_schema import DesignSchema
     from deadreckon.mbo.designs import Designs
     from deadreckon.mbo.front import propose_front, targets_of
@@ -101,7 +102,7 @@ def write_proposals(options: Any, asked: dict[str, Any]) -> None:
         written = data[0].write(out / "proposals.csv", x, more)
         for line in told(front):
             print(line)
-        for line in (*front.notes, *front.warnings):
+        for line in (*front.notes, *repeats_told(data[0], x), *front.warnings):
             print(f"! {line}", file=sys.stderr)
         print(written)
         write_beside(data[0].decode(x) | more, about_front(front), out / "proposals.xlsx")

@@ -1,4 +1,4 @@
-"""Design from data alone: methods that propose designs from scored ones."""
+"""Offline model-based optimisation (design from data alone): methods that propose designs from scored ones."""
 
 from deadreckon.mbo.baselines import BestOfData, Jitter, Random
 from deadreckon.mbo.cbas import CbAS

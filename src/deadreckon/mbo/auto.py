@@ -1,11 +1,12 @@
-"""The method by a rule that was fixed before any table was seen: what ranks unseen designs best, else the process.
+"""The default method: the model that ranks held-out designs best, or the Gaussian process if it is about as good.
 
-Up to `networks_from` rows the method is the Gaussian process, cross-validated: fitting networks several times would take longer
-than the table is worth. From there on the process, an ensemble and a model that ranks are all fitted on the same four fifths of
-the designs and asked about the rest. The one with the greatest rank correlation is taken, because proposals are chosen by their
-order; but the process where it is within one standard error of that (Breiman et al. 1984), since it tells noise from doubt.
-Where no method's order can be distinguished from chance, the process is taken and a warning says so. With a kappa it is taken
-untried, since it alone ranks by deviations too.
+Below `networks_from` rows the method is the Gaussian process, with cross-validation: fitting networks several times would take
+too long for a small table. From there on, the process, an ensemble and a ranking model (RaM) are fitted to the same designs,
+about four fifths of them, and predict the rest. The one with the greatest rank correlation is used, because proposals are
+chosen by the order of their predictions. The process is preferred if it is within one standard error of the best (Breiman et
+al. 1984), since it separates the noise of measurements from the uncertainty of the model. If no method's order can be
+distinguished from chance, the process is used and a warning says so. With a non-zero kappa the process is used without a
+comparison, since only it can rank by standard deviations as well. The rule was fixed before it was applied to any table.
 """
 
 from dataclasses import replace
@@ -22,28 +23,28 @@ from deadreckon.randomness import generator
 from deadreckon.stats.ranks import spearman
 from deadreckon.training.hyperparameters import Count, Number, Sizes, host
 
-DRAWS = 200  # of rows, for the standard error of a difference
+DRAWS = 200  # bootstrap resamples for the standard error of a difference
 
 
 class Auto(Designer):
-    """The Gaussian process, an ensemble or a model that ranks: by their predictions of designs that they have not seen."""
+    """The Gaussian process, an ensemble or a ranking model, chosen by their predictions of held-out designs."""
 
-    revision: ClassVar[int] = 4
-    equal_rows: ClassVar[bool] = False  # that of the method that it takes counts
+    revision: ClassVar[int] = 5
+    equal_rows: ClassVar[bool] = False  # the chosen method warns itself
 
     kappa: Number = host(0.0)
     """standard deviations added to the prediction of a Gaussian process, which is then taken: below 0 cautious, above 0 bold"""
-    networks_from: Count = host(500)  # number of designs from which on networks are tried beside the Gaussian process
+    networks_from: Count = host(500)  # number of designs from which on networks are compared with the Gaussian process
     hidden: Sizes = host((256, 256))  # width of each hidden layer of networks
     steps: Count = host(2000)  # updates of networks
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return "Auto"
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
-        """Proposals of the method that the rule takes, with the quality of all that were tried."""
+        """Proposals of the method chosen by the rule, with the quality of all methods that were compared."""
         gp = GP(kappa=self.kappa)
         if self.kappa or len(setting.data) < self.networks_from:
             return gp.solve(setting)
@@ -55,7 +56,7 @@ class Auto(Designer):
             return gp.solve(setting)
         at, reason = chosen(compared)
         method, quality = tried[at], compared[at]
-        # Judged it is already: what it proposes is calibrated by that.
+        # It was evaluated above, and its proposals are calibrated with that result, so it is not cross-validated again.
         if isinstance(method, GP):
             method = method.replace(folds=0)
         method.warn_of_errors(setting.data)
@@ -64,7 +65,7 @@ class Auto(Designer):
 
 
 def chosen(compared: list[Quality]) -> tuple[int, str]:
-    """The index of the method that is taken, the first unless another is better by more than one standard error, and why."""
+    """The index of the method to use (the first, unless another is better by more than one standard error), and the reason."""
     first, rank = compared[0], [each.rank_correlation for each in compared]
     best = int(np.argmax(rank))
     if not any(each.skilled for each in compared):
@@ -82,8 +83,8 @@ def chosen(compared: list[Quality]) -> tuple[int, str]:
 
 
 def standard_error(observed: np.ndarray, a: np.ndarray, b: np.ndarray, units: np.ndarray | None = None) -> float:
-    """Of the difference of the rank correlations of two predictions (rows,) of the same scores, by drawing units anew, of
-    which each row is one where they are None."""
+    """Bootstrap standard error of the difference between the rank correlations of two predictions, `a` and `b` (rows,), with
+    the same scores (rows,). Whole `units` (rows,) are resampled, or single rows if it is None."""
     rng, found = generator(0, "rows drawn anew"), []
     codes = np.arange(len(observed)) if units is None else units
     of = [np.flatnonzero(codes == code) for code in np.unique(codes)]

@@ -19,33 +19,33 @@ class BestOfData(Designer):
     from_data: ClassVar[bool] = True
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
-        """Those that satisfy the rules, the same for every seed.
+        """The best designs that satisfy the rules, the same for every seed.
 
         Raises:
             UserError: the data has fewer such designs than requested.
         """
         data, n = setting.data, setting.n
         rows = data.best(len(data))
-        # As the page has it: decimals of a table are rounded, so a mixture of 0.33, 0.33 and 0.33 is one.
+        # The same check as on the page: decimals of a table are rounded, so 0.33, 0.33 and 0.33 count as a mixture.
         rows = (rows if data.repair.free else rows[(keeping(data) & on_steps(data))[rows]])[:n]
         if n > len(rows):
             within = "" if data.repair.free else " that satisfy the rules"
             raise UserError(f"{data.name} has {len(rows):,} designs{within}, fewer than the {n:,} asked for")
-        # Their scores were measured, which says nothing of how far they would scatter.
+        # The predictions are measured scores, and the standard deviation of a new measurement is not known.
         return [Proposals(self.label, data.x[rows], data.y[rows], np.full(n, np.nan), seed) for seed in setting.seeds]
 
 
 class Jitter(Designer):
-    """The best designs of the data with small normal errors: what is found near them without a model."""
+    """The best designs of the data with small normal perturbations: a search near them without a model."""
 
     revision: ClassVar[int] = 1
     equal_rows: ClassVar[bool] = False  # nothing is fitted
 
-    best: Count = static(12)  # designs of the data that are moved
-    scale: NonNegative = 0.03  # standard deviation of the errors, in standard deviations of each variable
+    best: Count = static(12)  # number of best designs of the data that are perturbed
+    scale: NonNegative = 0.03  # standard deviation of the perturbations, in standard deviations of each variable
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
-        """A draw for every seed; the designs take turns."""
+        """One draw per seed; the best designs are perturbed in turn."""
         data, view = setting.data, setting.data.coordinates
         z = view.encode(data.x[np.resize(data.best(min(self.best, len(data))), setting.n)])
         draws = [np.random.default_rng(seed).standard_normal(z.shape) for seed in setting.seeds]
@@ -54,13 +54,13 @@ class Jitter(Designer):
 
 
 class Random(Designer):
-    """Each variable drawn for itself: continuous ones evenly between their bounds (those of the data where it has none)."""
+    """Random designs: each variable is drawn independently and uniformly, numbers within their bounds or the data's range."""
 
     revision: ClassVar[int] = 1
     equal_rows: ClassVar[bool] = False  # nothing is fitted
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
-        """A draw for every seed."""
+        """One draw per seed."""
         data, found = setting.data, []
         nan = np.full(setting.n, np.nan)
         for seed in setting.seeds:

@@ -1,7 +1,7 @@
-"""Batches of proposals: all different, some distance apart, not in the data, and within all rules.
+"""Batches of proposals: all different, some distance apart and from the data, and within all rules.
 
-A method's own proposals are kept as they are where they satisfy that, in their order. What is missing is filled from designs
-around them and around the best of the data, those that the method predicts the highest scores for first.
+A method's designs are moved to the nearest ones that satisfy all rules, and are then taken in their order. The batch is
+completed with random variations of these designs and of the best designs of the data, those with the highest predictions first.
 """
 
 from collections.abc import Callable
@@ -10,53 +10,67 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.nn_distance import distance_to_others, nearest_scored, nn_distance, usual_distance
+from deadreckon.mbo.nn_distance import (
+    distance_to_others,
+    distance_to_tried,
+    nearest_scored,
+    nn_distance,
+    tried,
+    usual_distance,
+)
 from deadreckon.mbo.rules import written
 from deadreckon.randomness import generator
 
-Value = Callable[[np.ndarray], np.ndarray]  # (m, variables) designs -> (m,) what to make large
-APART = 0.1  # least distance between proposals, in typical distances between neighbours of the data, where none is asked for
-ROUNDS = 12  # of filling; that distance is halved in each from the third on, and none in the last four
+Value = Callable[[np.ndarray], np.ndarray]  # (m, variables) designs -> (m,) values to maximise
+# Default of the least distance of proposals from each other and from the data, in typical distances between neighbours of the
+# data. It is the same for both, because a design near a measured row or near another proposal would repeat that experiment; and
+# it is small compared with distances over which scores change, so that it hardly costs any score.
+APART = 0.1
+ROUNDS = 12  # rounds of completion; the least distances are halved in each from the third on, and are 0 in the last four
 TRIED = 4  # designs tried in a round for each that is missing
-NEAREST, FURTHEST = 0.05, 1.0  # deviations of the first and the last round's designs from those that they are made of
+NEAREST, FURTHEST = 0.05, 1.0  # size of the random changes in the first and the last round, in ranges of the data
 
 
 def batch(
     data: Designs, x: np.ndarray, n: int, value: Value | None = None, *, repeat: bool = False, seed: int = 0
 ) -> np.ndarray:
-    """Different designs, made of those of a method.
+    """A batch of n different designs: those of a method, completed with random variations.
 
     Args:
-        data: scored designs. None of them is proposed unless `repeat`, nor one of those without a score.
-        x: (m, variables) of the method, in the order in which they are wanted.
-        n: how many.
-        value: by which missing ones are chosen; None: at random.
-        repeat: whether designs of the data may be proposed, and those without a score.
-        seed: of the designs that are tried.
+        data: scored designs. Unless `repeat`, none of these and of those without a score is proposed, nor, if there are enough
+            others, any design that is nearly the same as one of them.
+        x: (m, variables) designs of the method, in order of preference.
+        n: size of the batch.
+        value: function that ranks the variations, the greatest values first; None: they are chosen at random.
+        repeat: whether designs of the data may be proposed, including those without a score.
+        seed: random seed of the variations.
 
     Returns:
         (n, variables) float32.
 
     Raises:
-        UserError: there are not so many designs, or none was found.
+        UserError: fewer than n such designs were found.
     """
     rng = generator(seed, "filling a batch")
     apart, strict = least_distance(data), data.rules.apart is not None
+    away = 0.0 if repeat else least_from_data(data)
     chosen = Chosen(data, repeat)
     usable = repaired(data, x)
-    chosen.add(usable, n, apart)
-    sources = np.concatenate([usable[:n], data.x[data.best(min(n, len(data)))]])
+    chosen.add(usable, n, apart, away)
+    found, sources = [usable], np.concatenate([usable[:n], data.x[data.best(min(n, len(data)))]])
     for i in range(ROUNDS):
         missing = n - len(chosen.x)
         if missing <= 0:
             break
         reach = NEAREST * (FURTHEST / NEAREST) ** (i / (ROUNDS - 1))
-        tried = sources[rng.integers(len(sources), size=max(TRIED * missing, 32))]
-        tried = repaired(data, moved(data, tried, reach, rng))
-        if value is not None and len(tried):
-            tried = tried[np.argsort(-np.asarray(value(tried)), kind="stable")]
-        eased = 0.0 if i >= ROUNDS - 4 else apart * 0.5 ** max(i - 1, 0)
-        chosen.add(tried, n, apart if strict else eased)
+        around = sources[rng.integers(len(sources), size=max(TRIED * missing, 32))]
+        around = repaired(data, moved(data, around, reach, rng))
+        if value is not None and len(around):
+            around = around[np.argsort(-np.asarray(value(around)), kind="stable")]
+        found.append(around)
+        eased = 0.0 if i >= ROUNDS - 4 else 0.5 ** max(i - 1, 0)
+        chosen.add(around, n, apart if strict else apart * eased, away * eased)
+    chosen.add(np.concatenate(found), n, apart if strict else 0.0)  # those that were too near, if there are no others
     if len(chosen.x) < n:
         asked = ["differ", *([] if repeat else ["are not in the data (--repeat allows those)"])]
         asked += [f"lie {data.rules.apart:g} typical distances apart"] if strict else []
@@ -69,12 +83,40 @@ def batch(
 
 
 def least_distance(data: Designs) -> float:
-    """Between proposals, by their places (`Coordinates.place`)."""
+    """Least distance between proposals, in the space of `Coordinates.place`."""
     return (APART if data.rules.apart is None else data.rules.apart) * usual_distance(data)
 
 
+def least_from_data(data: Designs) -> float:
+    """Least distance of proposals from designs of the table, in the same space; not above one that is given for proposals."""
+    return min(APART, data.rules.apart or APART) * usual_distance(data)
+
+
+def nearly_tried(data: Designs, x: np.ndarray) -> np.ndarray:
+    """(m,) bool: which designs are nearer to one of the table than `least_from_data`."""
+    return distance_to_tried(data, x) < least_from_data(data) * (1 - 1e-9)
+
+
+def untried(data: Designs, x: np.ndarray, n: int) -> np.ndarray:
+    """Those of (m, variables) designs that are not nearly in the table (`nearly_tried`), if there are `n`; else all."""
+    new = ~nearly_tried(data, x)
+    return x[new] if new.sum() >= n else x
+
+
+def repeats_told(data: Designs, x: np.ndarray) -> list[str]:
+    """A message on proposals that are nearly, but not exactly, designs of the table; exact repeats were requested."""
+    count = int((nearly_tried(data, x) & (distance_to_tried(data, x) > 0)).sum())
+    if not count:
+        return []
+    return [
+        f"{count:,} of {len(x):,} proposals nearly {'repeats' if count == 1 else 'repeat'} a design of the table (less than "
+        f"{least_from_data(data) / usual_distance(data):g} typical distances away): there are too few others, or repeats were "
+        "allowed"
+    ]
+
+
 class Chosen:
-    """Designs that were taken, one after the other."""
+    """The designs of a batch that have been chosen so far."""
 
     def __init__(self, data: Designs, repeat: bool = False):
         self.data = data
@@ -82,8 +124,10 @@ class Chosen:
         self.z = data.coordinates.place(data.x[:0])
         self.known = taken(data, repeat)
 
-    def add(self, x: np.ndarray, n: int, apart: float) -> None:
-        """Takes those that are new and at least so far, by their places, from all that were taken, until there are n."""
+    def add(self, x: np.ndarray, n: int, apart: float, away: float = 0.0) -> None:
+        """Adds designs (m, variables) that are new, at least `apart` from all chosen ones, and at least `away` from those of
+        the table (`Coordinates.place`), until there are n."""
+        x = x[distance_to_tried(self.data, x) >= away] if away and len(x) else x
         for row, key, z in zip(x, keys(self.data, x), self.data.coordinates.place(x)):
             if len(self.x) >= n:
                 return
@@ -95,25 +139,25 @@ class Chosen:
 
 
 def taken(data: Designs, repeat: bool) -> set[bytes]:
-    """Keys of the designs that are not proposed: those of the data, and those that were tried or planned and have no score."""
-    old = data.x if data.unscored is None else np.concatenate([data.x, data.unscored])
-    return set() if repeat else set(keys(data, old))
+    """Keys of the designs that are not proposed: those of the table, scored or not; none if `repeat`."""
+    return set() if repeat else set(keys(data, tried(data)))
 
 
 def keys(data: Designs, x: np.ndarray) -> list[bytes]:
-    """What tells (rows, variables) designs apart: whole numbers, levels and steps as they are, other numbers to six digits.
+    """Keys of (rows, variables) designs; designs with equal keys count as the same experiment.
 
-    The seventh is no other experiment, but where it is the first that differs: of values between 1,000 and 1,001 it counts.
+    Whole numbers, levels and numbers in steps are exact. Others have six significant digits, and up to three more if the range
+    of the data is small compared with its values: between 1,000 and 1,001 the seventh digit matters.
     """
     largest, spread = np.abs(data.x).max(0), np.ptp(data.x, axis=0)
     alike = np.floor(np.log10(np.where(spread > 0, largest / np.where(spread > 0, spread, 1.0), 1.0))).clip(0, 3)
     exact = [v.kind != "continuous" or v.step is not None for v in data.variables]
-    digits = [9 if e else 6 + int(a) for e, a in zip(exact, alike)]  # nine are what 32 bits hold
+    digits = [9 if e else 6 + int(a) for e, a in zip(exact, alike)]  # nine significant digits identify a float32
     return [",".join(f"{value + 0.0:.{d}g}" for value, d in zip(row, digits)).encode() for row in x]
 
 
 def repaired(data: Designs, x: np.ndarray) -> np.ndarray:
-    """(rows, variables) those that satisfy all rules after the nearest such designs were looked for."""
+    """(rows, variables) designs, moved to the nearest ones that satisfy all rules; those without such a one are left out."""
     if not len(x):
         return np.asarray(x, np.float32)
     moved, good = data.repair.exact(np.asarray(x, np.float32))
@@ -125,7 +169,7 @@ def repaired(data: Designs, x: np.ndarray) -> np.ndarray:
 
 
 def pulled(data: Designs, x: np.ndarray, limit: float) -> np.ndarray:
-    """Designs that lie further from the data than the limit, moved towards the nearest scored one."""
+    """(rows, variables) designs; those more than `limit` typical distances from the data are moved towards the nearest row."""
     far, rows = nearest_scored(data, x)
     far = far / usual_distance(data)
     over = far > limit
@@ -136,10 +180,10 @@ def pulled(data: Designs, x: np.ndarray, limit: float) -> np.ndarray:
 
 
 def moved(data: Designs, x: np.ndarray, reach: float, rng: np.random.Generator) -> np.ndarray:
-    """Designs around these: a random part of the variables of each is changed, at least one.
+    """Random variations of (rows, variables) designs: in each a random subset of the variables is changed, at least one.
 
-    Numbers move by a normal deviate of `reach` ranges of the data, whole numbers, ordered levels and numbers in steps by one
-    step or more, categories to any level.
+    Numbers change by a normal deviate with a standard deviation of `reach` ranges of the data (of its logarithms on a log
+    scale); whole numbers, ordered levels and numbers in steps by at least one step. Categories change to a random level.
     """
     x = np.array(x, np.float64)
     fixed = [column for column, _ in data.rules.fixed]
@@ -168,10 +212,10 @@ def moved(data: Designs, x: np.ndarray, reach: float, rng: np.random.Generator) 
 
 
 def check_batch(data: Designs, x: np.ndarray, repeat: bool) -> None:
-    """Refuses proposals that break a rule, or that are the same or in the data; what `batch` made is none of that.
+    """Refuses proposals that violate a rule, coincide, or are in the data; a safeguard, as `batch` makes none of these.
 
     Raises:
-        UserError: with the proposal and the rule.
+        UserError: one line with the proposal and the rule.
     """
     for i, row in enumerate(written(data.variables, x)):
         if (rule := data.rules.broken(data.variables, row)) is not None:

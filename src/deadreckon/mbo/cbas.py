@@ -1,14 +1,14 @@
 """CbAS: conditioning by adaptive sampling (Brookes, Park and Listgarten 2019), and autofocused oracles (Fannjiang and
 Listgarten 2020).
 
-A generative model p_0 of the data's designs is bent towards high scores without leaving what it knows: designs are drawn from
-the present model q, counted by
+A generative model p_0 of the data's designs is adapted towards high scores. In each round designs are sampled from the current
+model q and weighted by
 
     w = p_0(x | z) / q(x | z) P(y >= c | x)
 
-and q is fitted to them, with c a percentile of what is believed of the drawn designs, never falling. P comes from an ensemble
-on the data. Autofocusing fits the ensemble again in every round, with each design of the data counted by (q(x | z) / p_0(x |
-z))^a: it gets better where q draws.
+and q is fitted to them. The threshold c is a percentile of the predicted scores of the sampled designs and never decreases. P
+comes from an ensemble fitted to the data. Autofocusing refits the ensemble in every round, with the weights (q(x | z) /
+p_0(x | z))^a of the data's designs, so that it becomes more accurate where q samples.
 """
 
 from typing import Annotated, Any, ClassVar, NamedTuple
@@ -27,28 +27,28 @@ from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Range, Sizes, host, static
 
-LOG_RATIO = 10.0  # log-ratios of densities beyond this decide alone, and are cut
-STD = 0.1  # least deviation of a decoded coordinate
+LOG_RATIO = 10.0  # limit at which log-ratios of densities are clipped, so that no single design dominates
+STD = 0.1  # least standard deviation of a decoded coordinate
 
 
 class Layout(NamedTuple):
-    """Coordinates: numbers first, then groups of categorical variables with equally many levels."""
+    """Order of the coordinates: numbers first, then groups of categorical variables with equally many levels."""
 
     numbers: int
-    groups: tuple[tuple[int, int], ...]  # variables and their levels
+    groups: tuple[tuple[int, int], ...]  # number of variables, and of the levels of each
 
     @classmethod
     def of(cls, view: Coordinates) -> "Layout":
-        """Of these coordinates."""
+        """The layout of some coordinates."""
         return cls(len(view.numeric), tuple((len(columns), levels) for columns, levels in view.groups))
 
     @property
     def outputs(self) -> int:
-        """What a decoder gives: a mean and a log-deviation a number, a logit a level."""
+        """Size of a decoder's output: a mean and a log standard deviation per number, a logit per level."""
         return 2 * self.numbers + sum(count * levels for count, levels in self.groups)
 
     def parts(self, out: Float[Array, "b o"]) -> tuple[Array, Array, list[Array]]:
-        """Means, log-deviations, and (b, variables, levels) log-probabilities of each group."""
+        """Means and log standard deviations of numbers, and (b, variables, levels) log-probabilities of each group."""
         mean, log_std, at = out[:, : self.numbers], out[:, self.numbers : 2 * self.numbers], 2 * self.numbers
         groups = []
         for count, levels in self.groups:
@@ -58,7 +58,7 @@ class Layout(NamedTuple):
         return mean, jnp.clip(log_std, jnp.log(STD), 1.0), groups
 
     def log_prob(self, out: Float[Array, "b o"], x: Float[Array, "b z"]) -> Float[Array, "b"]:
-        """Of coordinates under a decoder's output."""
+        """Log-likelihood of coordinates under a decoder's output."""
         mean, log_std, groups = self.parts(out)
         total = jax.scipy.stats.norm.logpdf(x[:, : self.numbers], mean, jnp.exp(log_std)).sum(-1)
         at = self.numbers
@@ -69,7 +69,7 @@ class Layout(NamedTuple):
         return total
 
     def draw(self, out: Float[Array, "b o"], key: Array) -> Float[Array, "b z"]:
-        """Coordinates from a decoder's output."""
+        """Samples coordinates from a decoder's output."""
         mean, log_std, groups = self.parts(out)
         k_numbers, k_groups = keys(key, "numbers", "groups")
         drawn = [mean + jnp.exp(log_std) * jax.random.normal(k_numbers, mean.shape)]
@@ -80,7 +80,7 @@ class Layout(NamedTuple):
 
 
 def with_first(logits: Float[Array, "b v l1"]) -> Float[Array, "b v l"]:
-    """All levels' logits: that of the first is zero and not among the coordinates."""
+    """The logits of all levels: that of the first is zero and is not among the coordinates."""
     return jnp.concatenate([jnp.zeros_like(logits[..., :1]), logits], -1)
 
 
@@ -98,23 +98,23 @@ class Generator(NamedTuple):
         return layout.log_prob(self.decoder(latent), x) - divergence
 
     def encode(self, x: Float[Array, "b z"]) -> tuple[Array, Array]:
-        """Mean and log-deviation of the latents of designs."""
+        """Mean and log standard deviation of the latent variables of designs."""
         mean, log_std = jnp.split(self.encoder(x), 2, -1)
         return mean, jnp.clip(log_std, -6.0, 2.0)
 
 
 class Autoencoding(eqx.Module):
-    """What `fit` trains: the generator of the data's designs."""
+    """The learner: the generator of the data's designs."""
 
     settings: "CbAS"
     layout: Layout = eqx.field(static=True)
 
     def needs(self, spec):
-        """Designs."""
+        """Batches of designs."""
         return BatchSpec(columns=(), batch_size=self.settings.batch_size)
 
     def init(self, spec, key):
-        """A fresh generator and its optimiser."""
+        """An initial generator and its optimiser state."""
         ke, kd = keys(key, "encoder", "decoder")
         latent, hidden = self.settings.latent_size, self.settings.hidden
         encoder = MLP.create(spec.size, hidden, 2 * latent, ke)
@@ -122,7 +122,7 @@ class Autoencoding(eqx.Module):
         return made, init_opt(made)
 
     def update(self, state, batch: Batch, *, step, key):
-        """One step."""
+        """One update of the generator."""
         assert batch.extra is not None
         generator, opt = state
         even = jnp.ones(self.settings.batch_size)
@@ -131,7 +131,7 @@ class Autoencoding(eqx.Module):
 
 
 def learn(generator: Generator, opt: Any, layout: Layout, x: Array, weight: Array, lr: Any, key: Array):
-    """One step of a generator on weighted designs: the new one, its optimiser, and the mean bound."""
+    """One update of a generator on weighted designs: the new one, its optimiser state, and the mean evidence lower bound."""
 
     def loss(generator: Generator) -> tuple[Array, Array]:
         bound = generator.elbo(layout, x, key)
@@ -142,7 +142,7 @@ def learn(generator: Generator, opt: Any, layout: Layout, x: Array, weight: Arra
 
 
 class Rounds(NamedTuple):
-    """What a round passes to the next: q and its optimiser, the ensemble and its, and the threshold c."""
+    """State between rounds: q and its optimiser state, the ensemble and its optimiser state, and the threshold c."""
 
     q: Generator
     opt: Any
@@ -171,11 +171,11 @@ class CbAS(Designer):
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return "Autofocus" if self.refit > 0 else "CbAS"
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
-        """Designs drawn from the last q."""
+        """Designs sampled from the last q."""
         view = setting.data.coordinates
         layout = Layout.of(view)
         ensemble = Gaussian(self.lr, self.members, self.hidden, 2, "relu", self.batch_size)
@@ -198,7 +198,7 @@ class CbAS(Designer):
 
 
 def _draw(layout: Layout, q: Generator, key: Array, count: int) -> tuple[Array, Array]:
-    """Designs, some of them out of bounds, and their latents."""
+    """Samples designs, some of them out of bounds; returns their coordinates and latent variables."""
     kz, kx = keys(key, "latent", "design")
     latent = jax.random.normal(kz, (count, q.decoder.weights[0].shape[0]))
     return layout.draw(q.decoder(latent), kx), latent
@@ -206,10 +206,10 @@ def _draw(layout: Layout, q: Generator, key: Array, count: int) -> tuple[Array, 
 
 @eqx.filter_jit
 def _round(of: CbAS, layout: Layout, prior: Generator, state: Rounds, x, y, weight, key, low, high) -> Rounds:
-    """One round: draw, count, fit q; then, autofocused, the ensemble."""
+    """One round: sample and weight designs, fit q, and with autofocusing refit the ensemble."""
     k_draw, k_generator, k_ensemble = keys(key, "draw", "generator", "ensemble")
     drawn, latent = _draw(layout, state.q, k_draw, of.samples)
-    mean, std = mixture(state.nets, jnp.clip(drawn, low, high))  # what would be proposed; densities are of what was drawn
+    mean, std = mixture(state.nets, jnp.clip(drawn, low, high))  # as they would be proposed; densities are of the samples
     threshold = jnp.maximum(state.threshold, jnp.percentile(mean, of.percentile))
     ratio = layout.log_prob(prior.decoder(latent), drawn) - layout.log_prob(state.q.decoder(latent), drawn)
     log_count = jnp.clip(ratio, -LOG_RATIO, LOG_RATIO) + jax.scipy.stats.norm.logsf((threshold - mean) / std)

@@ -1,7 +1,7 @@
 """COMs: conservative objective models (Trabucco, Kumar, Geng and Levine 2021).
 
-The model is kept from predicting more at designs that ascent finds than at those of the data: a penalty whose weight is adapted
-until the difference is `margin`.
+A penalty keeps the model from predicting higher scores for designs found by gradient ascent than for those of the data. Its
+weight is adapted until the difference is `margin`.
 """
 
 from typing import Any, ClassVar, NamedTuple
@@ -19,14 +19,14 @@ from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, host, static
 
-# Margin in deviations of the score, and learning rate of the designs, of the public code (2.0 there for standardised logits,
-# whose scale ours has a quarter of).
+# Margin in standard deviations of the score, and learning rate of the designs, of the public code (whose rate for discrete
+# designs is 2.0, with standardised logits; the logits here are a quarter as large).
 CONTINUOUS, DISCRETE = (0.5, 0.05), (2.0, 0.5)
-FIRST = 0.1  # weight of the penalty at first
+FIRST = 0.1  # initial weight of the penalty
 
 
 class State(NamedTuple):
-    """The model and the logarithm of the penalty's weight, each with its optimiser."""
+    """The model and the logarithm of the penalty's weight, each with its optimiser state."""
 
     net: MLP
     opt: optax.OptState
@@ -35,22 +35,22 @@ class State(NamedTuple):
 
 
 class Conservative(eqx.Module):
-    """What `fit` trains."""
+    """The learner: the model and the weight of its penalty."""
 
-    settings: "COMs"  # resolved: margin and the designs' learning rate are numbers
+    settings: "COMs"  # resolved: `margin` and `design_lr` are not None
 
     def needs(self, spec):
-        """Designs and scores."""
+        """Batches of designs and scores."""
         return BatchSpec(columns=(), batch_size=self.settings.batch_size)
 
     def init(self, spec, key):
-        """A fresh model, and little penalty."""
+        """An initial model and weight of the penalty, and their optimiser states."""
         net = MLP.create(spec.size, self.settings.hidden, 1, key, activation="relu")
         log_alpha = jnp.log(jnp.float32(FIRST))
         return State(net, init_opt(net), log_alpha, init_opt(log_alpha))
 
     def update(self, state: State, batch: Batch, *, step, key):
-        """One step of the model and one of the penalty's weight, which grows while the difference is above the margin."""
+        """One update of the model and one of the penalty's weight, which grows while the difference is above the margin."""
         assert batch.extra is not None
         x, y = batch.extra["x"], batch.extra["y"]
         beyond = jax.lax.stop_gradient(self.adversaries(state.net, x))
@@ -62,12 +62,12 @@ class Conservative(eqx.Module):
         return State(net, opt, log_alpha, alpha_opt), metrics | {"alpha": alpha}
 
     def adversaries(self, net: MLP, x: Array) -> Array:
-        """Where ascent leads from the data."""
+        """The coordinates that gradient ascent from those of the data reaches."""
         rise = lambda _, x: x + self.settings.design_lr * jax.grad(lambda x: predicted_score(net, x).sum())(x)  # noqa: E731
         return jax.lax.fori_loop(0, self.settings.ascent_steps, rise, x)
 
     def loss(self, net: MLP, x: Array, y: Array, beyond: Array, alpha: Array):
-        """Squared error, and how much more the model predicts beyond the data than on it."""
+        """Squared error plus `alpha` times the difference between the mean predictions at `beyond` and on the data."""
         on = predicted_score(net, x)
         error = jnp.square(on - y).mean()
         more = predicted_score(net, beyond).mean() - on.mean()
@@ -75,12 +75,12 @@ class Conservative(eqx.Module):
 
 
 def predicted_score(net: MLP, x: Float[Array, "b z"]) -> Float[Array, "b"]:
-    """The model's score."""
+    """The model's prediction of the standardised score."""
     return net(x)[..., 0]
 
 
 class COMs(Designer):
-    """A model that does not predict more where the data ends, and gradient ascent on it."""
+    """A model that is penalised for higher predictions away from the data, and gradient ascent on it."""
 
     revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"ascent": "ascent_steps"}
@@ -94,10 +94,10 @@ class COMs(Designer):
     """allowed overestimation, in standard deviations of the score; None: 0.5, or 2.0 for discrete designs"""
     ascent_steps: Count = static(50)  # gradient steps that move the designs, in training and after it
     design_lr: NonNegative | None = None
-    """step size of the designs, times the square root of the coordinates; None: 0.05, or 0.5 for discrete"""
+    """step size of the designs, times the square root of the number of coordinates; None: 0.05, or 0.5 for discrete designs"""
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
-        """From the best designs of the data, up the gradient."""
+        """Gradient ascent from the best designs of the data."""
         view, start = setting.data.coordinates, Search.start(setting.data, setting.n)
         margin, rate = DISCRETE if view.discrete else CONTINUOUS
         margin = margin if self.margin is None else self.margin

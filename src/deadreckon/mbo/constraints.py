@@ -1,6 +1,6 @@
-"""Linear constraints, forbidden combinations and fixed values, and how they are read from what people write.
+"""Linear constraints, forbidden combinations and fixed values, and their parsers.
 
-Numbers are fractions of the decimal numbers that are written, so that a mixture that must sum to 1 can do so exactly.
+Numbers are exact fractions of the decimal numbers as written, so that a mixture that must sum to 1 can do so exactly.
 """
 
 import operator
@@ -18,7 +18,7 @@ from deadreckon.errors import UserError, unknown
 from deadreckon.mbo.variables import Variable
 
 _NUMBER = r"(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][+-]?\d+)?"
-_LONGEST, _EXPONENT = 100, 300  # characters of a number, and its exponent of ten
+_LONGEST, _EXPONENT = 100, 300  # largest number of characters of a number, and largest exponent of ten
 _LARGEST = 1e300
 COMPARED = {
     "=": operator.eq, "!=": operator.ne, "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge,
@@ -28,13 +28,13 @@ _RELATION = re.compile(r"<=|>=|==|!=|=|<|>")
 
 @dataclass(frozen=True)
 class Linear:
-    """A weighted sum of numbers that is at most, or exactly, a bound.
+    """A linear constraint: a weighted sum of variables that must be at most, or exactly, a bound.
 
     Attributes:
         weights: (column of the designs, weight) of each variable in it.
         equal: whether the sum must equal the bound.
         bound: of the sum.
-        text: as it was given.
+        text: the constraint as given.
     """
 
     weights: tuple[tuple[int, Fraction], ...]
@@ -43,7 +43,7 @@ class Linear:
     text: str
 
     def holds(self, values: Sequence[Any]) -> bool:
-        """Whether a design, with its values as they are written, satisfies it."""
+        """Whether a design, with one exact number per variable, satisfies it."""
         total = sum(weight * values[column] for column, weight in self.weights)
         return total == self.bound if self.equal else total <= self.bound
 
@@ -53,10 +53,10 @@ class Clause:
     """A condition on one variable.
 
     Attributes:
-        column: of the designs.
-        relation: between its value and the given one: =, !=, <, <=, > or >=.
-        value: the given one; of levels the index of one, or the number that they are compared with.
-        levels: indices of the levels that satisfy it, in whatever order these stand; None of a number.
+        column: of the variable in the designs.
+        relation: between the variable and `value`: =, !=, <, <=, > or >=.
+        value: a number; for a variable with levels and = or != the index of a level.
+        levels: indices of the levels that satisfy the condition; None for a variable without levels.
     """
 
     column: int
@@ -69,7 +69,7 @@ class Clause:
         return COMPARED[self.relation](value, self.value) if self.levels is None else value in self.levels
 
     def met(self, values: np.ndarray) -> np.ndarray:
-        """(rows,) which values satisfy it, in floating point: both sides in 32 bits, as designs are."""
+        """(rows,) bool: which values satisfy it, with both sides in 32-bit floating point, like the designs."""
         if self.levels is not None:
             return np.isin(values, self.levels)
         with np.errstate(over="ignore"):  # a larger number than 32 bits hold is infinite
@@ -78,7 +78,7 @@ class Clause:
 
 @dataclass(frozen=True)
 class Forbidden:
-    """A combination of conditions that no proposal may satisfy all at once; `text` is as it was given."""
+    """Conditions that no proposal may satisfy all at once; `text` is the combination as given."""
 
     clauses: tuple[Clause, ...]
     text: str
@@ -96,7 +96,7 @@ def _column(given: str, variables: Sequence[Variable], name: str) -> int:
 
 
 def _bare(text: str) -> str:
-    """Signs within names in backticks, and within levels in quotes behind a relation, separate nothing."""
+    """The text with names in backticks, and levels in quotes after a relation, masked: signs in them separate nothing."""
 
     def hidden(match: re.Match[str]) -> str:
         before = match[1] or ""
@@ -106,13 +106,13 @@ def _bare(text: str) -> str:
 
 
 def quoted(value: Any) -> str:
-    """A value as a rule names it: texts in quotes that they do not hold."""
+    """A value as written in a rule: texts are put into quotes that they do not contain."""
     mark = next((mark for mark in "\"'`" if mark not in value), "") if isinstance(value, str) else ""
     return f"{mark}{value}{mark}"
 
 
 def _sides(text: str, name: str, what: str, several: str = "") -> tuple[str, str, str]:
-    """What stands before a relation, the relation, and what stands behind it; `several`: what to do about more than one."""
+    """The left side, the relation and the right side of a text; `several` is a hint for the error if there is more than one."""
     found = list(_RELATION.finditer(_bare(text)))
     if len(found) != 1:
         hint = f"; {several}levels that hold such signs stand in quotes" if found else ""
@@ -122,7 +122,11 @@ def _sides(text: str, name: str, what: str, several: str = "") -> tuple[str, str
 
 
 def read_linear(text: str, variables: Sequence[Variable], name: str) -> Linear:
-    """`a + 2 b <= 0.8` as a constraint."""
+    """Parses a constraint such as `a + 2 b <= 0.8`; `name` is that of the data, for errors.
+
+    Raises:
+        UserError: it cannot be parsed, or has a variable that is unknown or not numeric.
+    """
     left, relation, right = _sides(text, name, 'a constraint such as "a + b <= 0.8"', "two of them are two constraints; ")
     if relation not in ("<=", ">=", "="):
         raise UserError(f"{name}: constraint {text!r} takes <=, >= or =, not {relation}")
@@ -147,7 +151,7 @@ def read_linear(text: str, variables: Sequence[Variable], name: str) -> Linear:
 
 
 def _terms(side: str, text: str, variables: Sequence[Variable], name: str) -> list[tuple[Fraction, int | None]]:
-    """(factor, column) of each term of a sum; column None of numbers alone."""
+    """(factor, column) of each term of a sum; the column of a constant is None."""
     term = re.compile(rf"\s*([+-])?\s*({_NUMBER})?\s*\*?\s*(`[^`]+`|[^\W\d]\w*)?\s*")
     at, out = 0, []
     while at < len(side.rstrip()):
@@ -156,7 +160,7 @@ def _terms(side: str, text: str, variables: Sequence[Variable], name: str) -> li
             where = side[at:].strip()
             needed = "numbers have a decimal point" if where.startswith(",") else "a sum such as a + 2 b is needed"
             raise UserError(f"{name}: constraint {text!r} cannot be read at {where!r}; {needed}")
-        # It matches any text.
+        # This pattern matches any text.
         head, power, tail = re.match(r"([^eE]*)([eE]?)(.*)", found[2] or "").groups()  # pyrefly: ignore[missing-attribute]
         if power and {power + tail, power if tail[0] in "+-" else ""} & {v.name for v in variables}:
             times = f"{head} * {power}{tail}"
@@ -170,13 +174,17 @@ def _terms(side: str, text: str, variables: Sequence[Variable], name: str) -> li
 
 
 def conditions(text: str) -> list[str]:
-    """Of a forbidden combination; & within a name in backticks separates none."""
+    """The conditions of a forbidden combination, separated by & outside of backticks and quotes."""
     cuts = [i for i, sign in enumerate(_bare(text)) if sign == "&"]
     return [text[start + 1 : end] for start, end in pairwise([-1, *cuts, len(text)])]
 
 
 def read_clause(part: str, variables: Sequence[Variable], name: str, text: str) -> Clause:
-    """`temp > 80` as a condition."""
+    """Parses a condition such as `temp > 80`, a part of the forbidden combination `text`.
+
+    Raises:
+        UserError: it cannot be parsed, has an unknown variable or level, or a relation that the variable does not allow.
+    """
     what = f"each condition of the forbidden combination {text!r}"
     left, relation, right = _sides(part, name, what, "conditions are joined by &; ")
     column = _column(left, variables, name)
@@ -194,14 +202,18 @@ def read_clause(part: str, variables: Sequence[Variable], name: str, text: str) 
 
 
 def read_fixed(text: str, variables: Sequence[Variable], name: str) -> tuple[int, float]:
-    """`temp=60` as a column and what a design holds there."""
+    """Parses a fixed value such as `temp=60`: the column of the variable, and the value as designs hold it.
+
+    Raises:
+        UserError: it cannot be parsed, has an unknown variable or level, or a value that the variable does not allow.
+    """
     left, relation, right = _sides(text, name, 'a fixed value such as "temp=60"')
     if relation != "=":
         raise UserError(f"{name}: a fixed value is NAME=VALUE, got {text!r}")
     column = _column(left, variables, name)
     v = variables[column]
     value = float(_level(right, v, name) if v.leveled else _fraction(right, v, name))
-    slack = 2.0 * float(np.spacing(np.float32(abs(value))))  # bounds are the nearest within that 32 bits hold
+    slack = 2.0 * float(np.spacing(np.float32(abs(value))))  # bounds are rounded inwards to 32 bits
     if not v.leveled and not v.low - slack <= value <= v.high + slack:
         raise UserError(f"{name}: {v.name} is fixed at {value:g}, outside its bounds [{v.low:g}, {v.high:g}]")
     if v.kind == "integer" and value != round(value):
@@ -217,7 +229,7 @@ def _level(text: str, v: Variable, name: str) -> int:
     for i, level in enumerate(v.levels):
         if str(level).lower() == given.lower() if isinstance(level, bool) else str(level) == given:
             return i
-    number = _fraction(given, v, name) if is_number(given) else None  # 1.0 is the level 1
+    number = _fraction(given, v, name) if is_number(given) else None  # 1.0 names the level 1, too
     for i, level in enumerate(v.levels):
         if isinstance(level, int | float) and not isinstance(level, bool) and Fraction(str(level)) == number:
             return i
@@ -235,7 +247,7 @@ def _fraction(text: str, v: Variable, name: str) -> Fraction:
 
 
 def places(number: Fraction) -> int:
-    """Decimals of a number with finitely many of them."""
+    """Number of decimals of a number that has finitely many."""
     count = 0
     while number.denominator != 1:
         number, count = number * 10, count + 1
@@ -243,9 +255,9 @@ def places(number: Fraction) -> int:
 
 
 def _exact(text: str, name: str) -> Fraction:
-    """A number as it is written; raises ValueError where there is none.
+    """The exact value of a decimal number; raises ValueError for other texts.
 
-    As a fraction, 1e999999999 would have a billion digits; what no float holds is no bound of a design either.
+    Length and exponent are limited, because 1e999999999 would have a billion digits as a fraction, and designs are floats.
     """
     exponent = re.search(r"[eE]([+-]?\d+)\s*$", text)
     if len(text) > _LONGEST or (exponent is not None and abs(int(exponent[1])) > _EXPONENT):

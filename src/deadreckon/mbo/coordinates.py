@@ -1,4 +1,4 @@
-"""The standardised coordinates in which models see designs."""
+"""The standardised coordinates of designs, which are the inputs of models."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -11,18 +11,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """Numbers that methods search in, of mean 0 and deviation 1, and back.
+    """Mapping between designs and coordinates with mean 0 and standard deviation 1, in which methods search.
 
-    A categorical variable of V levels is V - 1 logits, as in Design-Bench: those of 0.6 one-hot + 0.4 uniform, less that of the
-    first level, which is then zero and left out; on a scale where they are -1, 0 or 1. The level with the highest is chosen.
+    A categorical variable with V levels has V - 1 logits, as in Design-Bench: those of 0.6 one-hot + 0.4 uniform, minus that of
+    the first level, which is then zero and left out; scaled to -1, 0 or 1. Decoding takes the level with the largest logit.
 
     Attributes:
-        numeric: (n,) columns of the designs that are numbers.
-        logs: (n,) which of these are seen as their logarithms.
-        mean, std: (n,) of these.
-        groups: columns with equally many levels, and how many.
+        designs: the designs that define the mapping.
+        numeric: (n,) columns of the designs that are numbers or ordered levels.
+        logs: (n,) bool: which of these are on a log scale.
+        mean, std: (n,) means and standard deviations of these, by which they are standardised.
+        groups: columns of the categorical variables with the same number of levels, and that number.
         low, high: (size,) bounds of the coordinates; infinite where there are none.
-        y_mean, y_std: of the scores, which methods see standardised too.
+        y_mean, y_std: mean and standard deviation of the scores, which are standardised as well.
     """
 
     designs: "Designs"
@@ -38,7 +39,7 @@ class Coordinates:
 
     @classmethod
     def of(cls, designs: "Designs") -> "Coordinates":
-        """Of these designs' variables and statistics."""
+        """The coordinates by the variables and statistics of some designs."""
         kinds = [v.kind for v in designs.variables]
         numeric = np.array([i for i, kind in enumerate(kinds) if kind != "categorical"], int)
         counts = sorted({len(v.levels) for v in designs.variables if v.kind == "categorical"})
@@ -49,7 +50,7 @@ class Coordinates:
         logs = np.array([designs.variables[i].log for i in numeric], bool)
         part = _logged(designs.x[:, numeric].astype(np.float64), logs)
         mean, std = part.mean(0), part.std(0)
-        std = np.where(np.ptp(part, axis=0) > 0, std, 1.0)  # that of a constant may be a rounding error
+        std = np.where(np.ptp(part, axis=0) > 0, std, 1.0)  # the std of a constant may be a rounding error
         bounds = np.array([(designs.variables[i].low, designs.variables[i].high) for i in numeric]).reshape(-1, 2)
         bounds = _logged(bounds.T, logs).T
         free = np.full(sum(len(columns) * (n - 1) for columns, n in groups), np.inf)
@@ -59,12 +60,12 @@ class Coordinates:
 
     @property
     def size(self) -> int:
-        """Coordinates a design."""
+        """Number of coordinates of a design."""
         return len(self.low)
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """(size,) least and greatest coordinates of what is proposed; those of fixed variables are the same."""
+        """(size,) least and greatest coordinates of proposals, which are equal for fixed variables."""
         low, high = self.low.copy(), self.high.copy()
         if self.designs.rules.fixed:
             x = self.designs.x[:1].copy()
@@ -82,7 +83,7 @@ class Coordinates:
 
     @property
     def discrete(self) -> bool:
-        """Whether most variables are categories."""
+        """Whether most variables are categorical."""
         return len(self.numeric) < len(self.designs.variables) / 2
 
     def encode(self, x: np.ndarray) -> np.ndarray:
@@ -96,10 +97,10 @@ class Coordinates:
         return np.concatenate(parts, 1).astype(np.float32)
 
     def place(self, x: np.ndarray) -> np.ndarray:
-        """(rows, features) float64 of (rows, variables) designs: where they lie for distances.
+        """(rows, features) float64 features of (rows, variables) designs, in which distances are measured.
 
-        Numbers are coordinates, categories one-hot, so that of one all levels are equally far from each other, whichever of
-        them is the first.
+        Numbers are the coordinates. Categories are one-hot, so that all levels are equally far from each other; in the
+        coordinates the first level is special.
         """
         x = np.asarray(x)
         parts = [self.encode(x)[:, : len(self.numeric)].astype(np.float64)]
@@ -109,7 +110,7 @@ class Coordinates:
         return np.concatenate(parts, 1)
 
     def decode(self, z: np.ndarray) -> np.ndarray:
-        """(rows, size) coordinates as (rows, variables) designs, within bounds, whole numbers rounded."""
+        """(rows, size) coordinates as (rows, variables) float32 designs, clipped to bounds, whole numbers rounded."""
         z = np.asarray(z, np.float64)
         out = np.empty((len(z), len(self.designs.variables)))
         count = len(self.numeric)
@@ -126,12 +127,12 @@ class Coordinates:
         return out.astype(np.float32)
 
     def score(self, y: np.ndarray) -> np.ndarray:
-        """Standardised scores as scores."""
+        """Scores from standardised scores."""
         return self.y_mean + self.y_std * np.asarray(y, np.float64)
 
 
 def _logged(x: np.ndarray, logs: np.ndarray) -> np.ndarray:
-    """(rows, n) numbers, those of some columns as their logarithms."""
+    """(rows, n) numbers, with the columns selected by `logs` (n,) replaced by their logarithms."""
     if not logs.any():
         return x
     x = np.array(x, np.float64)

@@ -1,7 +1,7 @@
 """DDOM: denoising diffusion for offline optimisation (Krishnamoorthy, Mashkaria and Grover 2023).
 
-A diffusion model of designs given their score is trained on the data, high scores counting more, and asked for designs with the
-highest score that was seen, with classifier-free guidance:
+A diffusion model of designs given their score is trained on the data, with larger weights for high scores. Designs are sampled
+for the highest score of the data, with classifier-free guidance:
 
     x_t = sqrt(a_t) x + sqrt(1 - a_t) e,   e_hat = (1 + g) e(x_t, t, y) - g e(x_t, t)
 """
@@ -23,35 +23,35 @@ from deadreckon.nets.optim import init_opt
 from deadreckon.randomness import key_for, keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, TwoOrMore, UnitInterval, static
 
-WAVES = 8  # pairs of a sine and a cosine that tell the time
-BETA = 0.1, 20.0  # of the variance-preserving diffusion (Song et al. 2021)
+WAVES = 8  # pairs of a sine and a cosine that encode the time
+BETA = 0.1, 20.0  # first and last noise rate of the variance-preserving diffusion (Song et al. 2021)
 
 
 def variance_left(t: Array) -> Array:
-    """a_t, the share of a design's variance that is left at time t of 0 .. 1."""
+    """a_t, the share of a design's variance that is left at time t in [0, 1]."""
     return jnp.exp(-t * BETA[0] - 0.5 * jnp.square(t) * (BETA[1] - BETA[0]))
 
 
 def inputs(x: Float[Array, "b z"], t: Float[Array, "b"], y: Float[Array, "b"], told: Float[Array, "b"]) -> Float[Array, "b i"]:
-    """The network's inputs: the noisy design, the time as waves, and the score if it is given."""
+    """The network's inputs: the noisy design, sines and cosines of the time, the score (0 where `told` is 0), and `told`."""
     angle = t[:, None] * 2.0 ** jnp.arange(WAVES) * jnp.pi / 2
     return jnp.concatenate([x, jnp.sin(angle), jnp.cos(angle), (told * y)[:, None], told[:, None]], -1)
 
 
 class Denoiser(Surrogate):
-    """The noise in a noisy design."""
+    """The learner: a network that predicts the noise in a noisy design."""
 
-    dropped: float = eqx.field(static=True, default=0.15)  # share of designs whose score is not told
+    dropped: float = eqx.field(static=True, default=0.15)  # share of designs whose score is hidden from the network
 
     def init(self, spec, key):
-        """A fresh network and its optimiser."""
+        """An initial network and its optimiser state."""
         size = spec.size + 2 * WAVES + 2
         make = lambda k: MLP.create(size, self.hidden, spec.size, k, activation=self.activation)  # noqa: E731
         nets = ensemble(make, 1, key)
         return nets, init_opt(nets)
 
     def loss(self, net: MLP, x, y, weight, key):
-        """Squared error of the noise, at times drawn evenly."""
+        """Weighted squared error of the predicted noise, at uniformly drawn times."""
         kt, ke, kd = keys(key, "time", "noise", "dropped")
         t, noise = jax.random.uniform(kt, (len(x),), minval=1e-3), jax.random.normal(ke, x.shape)
         told = (jax.random.uniform(kd, (len(x),)) >= self.dropped).astype(x.dtype)
@@ -65,7 +65,8 @@ class Denoiser(Surrogate):
 def sample(
     nets: MLP, y: Array, guidance: Array, low: Array, high: Array, key: Array, *, count: int, steps: int
 ) -> Float[Array, "n z"]:
-    """Designs with a score of `y`, from noise in `steps` steps of the deterministic sampler (Song, Meng and Ermon 2021)."""
+    """Coordinates of `count` designs for the standardised score `y`, from noise in `steps` steps of the deterministic sampler
+    (Song, Meng and Ermon 2021), clipped to `low` and `high` in every step."""
     net = jax.tree.map(lambda leaf: leaf[0], nets)
     scores, one = jnp.full((count,), y), jnp.ones(count)
 
@@ -76,7 +77,7 @@ def sample(
         noise = (1 + guidance) * given - guidance * free
         left, then = variance_left(t), variance_left(after)
         clean = jnp.clip((x - jnp.sqrt(1 - left) * noise) / jnp.sqrt(left), low, high)
-        noise = (x - jnp.sqrt(left) * clean) / jnp.sqrt(1 - left)  # what is left of it within bounds
+        noise = (x - jnp.sqrt(left) * clean) / jnp.sqrt(1 - left)  # the noise that leads to the clipped design
         return jnp.sqrt(then) * clean + jnp.sqrt(1 - then) * noise
 
     return jax.lax.fori_loop(0, steps, step, jax.random.normal(key, (count, len(low))))
@@ -92,19 +93,19 @@ class DDOM(Designer):
     steps: Count = static(10_000)  # updates of the model
     batch_size: Count = static(128)  # batch size (designs per update)
     lr: NonNegative = 1e-3  # learning rate of the model
-    bins: TwoOrMore = static(64)  # bins of the scores that weights are computed in
+    bins: TwoOrMore = static(64)  # number of bins of the scores in which weights are computed
     smoothing: UnitInterval = 0.01  # smoothing of the bins' counts, as a share of the designs (K)
     temperature: Positive = 0.1  # temperature of the bins' weights, in ranges of the scores (T)
     guidance: NonNegative = 2.0  # weight of classifier-free guidance
     sampling_steps: Count = static(200)  # diffusion steps from noise to a design
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
-        """Designs drawn for the highest score of the data, which is the method's prediction for them."""
+        """Designs sampled for the highest score of the data, which is the method's prediction for them."""
         data, view = setting.data, setting.data.coordinates
         learner = Denoiser(self.lr, 1, self.hidden, 1, "swish", self.batch_size)
         weight = counts(data.y, self.bins, self.smoothing, self.temperature)[:, None]
         best = (data.y.max() - view.y_mean) / view.y_std
-        # Noise has no bounds, designs do: those of the data where the variables have none.
+        # Noise is unbounded, but designs are clipped: to the range of the data if the variables have no bounds.
         seen = view.encode(data.x)
         low, high = (np.where(np.isfinite(b), b, e) for b, e in ((view.low, seen.min(0)), (view.high, seen.max(0))))
         found = []
@@ -112,5 +113,5 @@ class DDOM(Designer):
             key = key_for(jax.random.key(seed), "designs")
             x = sample(nets, best, self.guidance, low, high, key, count=setting.n, steps=self.sampling_steps)
             made = self.decoded(setting, seed, x, lambda x: (np.full(len(x), best), None))
-            found.append(replace(made, fitted=None))  # the score that was asked for, not a model of it
+            found.append(replace(made, fitted=None))  # the prediction is the requested score, not that of a model
         return found

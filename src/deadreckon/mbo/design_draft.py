@@ -1,4 +1,4 @@
-"""A draft of the schema of a table of experiments, for people to check and change."""
+"""A draft of the schema of a table of experiments, to be checked and edited by the user."""
 
 import contextlib
 from collections.abc import Mapping, Sequence
@@ -30,6 +30,9 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
 
     Returns:
         The schema, and one line for each choice that should be checked.
+
+    Raises:
+        UserError: the file cannot be read, or has no column of numbers.
     """
     table, dialect, told = read_designs(path, ways, numbers=() if target is None else (target,))
     table, name, names = trimmed(table, table.column_names), name_of(path), table.column_names
@@ -46,7 +49,7 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
     y = None
     for column in names:
         if column == target:
-            try:  # a score may have more digits than an input
+            try:  # not `variable_of`, as a score may have more digits than an input
                 y = numbers_of(name, table, column, rows)
             except UserError as error:
                 columns[column] = DesignColumn("target", about=str(error).removeprefix(f"{name}: "))
@@ -60,7 +63,7 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
             continue
         try:
             values, v = variable_of(name, table, column, None, None, None, rows)
-        except Mend as error:  # an input it is: leaving it out without a word would be worse than a refusal
+        except Mend as error:  # drafted as an input that is refused, as leaving it out could go unnoticed
             columns[column] = DesignColumn("input", about=str(error).removeprefix(f"{name}: "))
             told.append(f"{columns[column].about}; it is drafted as an input, and refused until then")
             continue
@@ -93,12 +96,12 @@ def _counted(values: np.ndarray) -> str:
 
 
 def _stacked(inputs: Mapping[str, tuple[Variable, np.ndarray]], rows: np.ndarray) -> np.ndarray:
-    """(rows, inputs) values, also of no inputs at all."""
+    """(rows, inputs) values; there may be no inputs."""
     return np.reshape([values for _, values in inputs.values()], (len(inputs), len(rows))).T
 
 
 def _names_of_rows(inputs: Mapping[str, tuple[Variable, np.ndarray]], rows: np.ndarray) -> dict[str, str]:
-    """The first column that names rows, and why, if there is one: without it there may be fewer different designs."""
+    """The first column that identifies rows, and the reason. At most one: without it there may be fewer different designs."""
     designs = len(np.unique(_stacked(inputs, rows), axis=0))
     for column, (v, values) in inputs.items():
         if why := name_of_rows(v, values, designs):
@@ -107,7 +110,7 @@ def _names_of_rows(inputs: Mapping[str, tuple[Variable, np.ndarray]], rows: np.n
 
 
 def _last_of_numbers(name: str, table: pa.Table, names: Sequence[str]) -> str:
-    """The last of the columns that holds numbers in half of the rows or more."""
+    """The last column that holds numbers, and these in at least half of the rows."""
     for column in reversed(names):
         values = flat(table, column, ignored=True)
         rows = np.flatnonzero(~is_missing(values))

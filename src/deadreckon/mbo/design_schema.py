@@ -1,4 +1,4 @@
-"""What each column of a table of experiments is, and what proposals must satisfy, as a TOML file that people check and change.
+"""The schema of a table of experiments: roles of its columns and rules of proposals, as a TOML file to check and edit.
 
     target = "yield"
     constraints = ["a + b <= 0.8"]
@@ -30,7 +30,7 @@ from deadreckon.mbo.variables import KINDS
 from deadreckon.names import shown
 
 ROLES = ("input", "target", "std_error", "weighted", "group", "ignore")
-# Entries of a column beside its role and unit; one that is ignored keeps those that it had.
+# The entries of a column in each role, beside role and unit; an ignored column may have any of them.
 _ENTRIES: dict[str, set[str]] = {
     "input": {"kind", "low", "high", "levels", "step", "log", "fix"},
     "target": set(),
@@ -43,20 +43,20 @@ _LISTS = ("constraints", "mixtures", "forbidden")
 
 @dataclass(frozen=True)
 class DesignColumn:
-    """What one column of a table of experiments is.
+    """Role and properties of a column of a table of experiments.
 
     Attributes:
-        role: `input` (a variable), `target` (the score), `std_error` (of the target), `weighted` (counts in the score beside
-            the target, such as a cost), `group` (of rows that are held out together, such as a batch) or `ignore`.
+        role: `input` (a variable), `target` (the score), `std_error` (of the target), `weighted` (added to the score with a
+            weight, such as a cost), `group` (of rows that are held out together, such as a batch) or `ignore`.
         kind: of an input, among `mbo.variables.KINDS`.
         low, high: its bounds; None: the range of the data.
         levels: of a categorical or ordinal input; of an ordinal one in order.
         step: proposals are multiples of it.
-        log: whether methods see its logarithm.
+        log: whether models use its logarithm.
         fix: the value that proposals have; None: it is searched.
         weight: of a weighted column.
-        unit: of its numbers, for whoever reads the file; nothing is done with it.
-        about: what the table holds there, a comment.
+        unit: of its numbers, for readers of the file; it has no effect.
+        about: a comment on the contents of the column.
     """
 
     role: str
@@ -74,11 +74,11 @@ class DesignColumn:
 
 @dataclass(frozen=True)
 class DesignSchema:
-    """Columns, rules and the way a file is read.
+    """Columns, rules of proposals, and options of the reader.
 
     Attributes:
         columns: by name.
-        minimise: whether the target is to be made small; counts for the column in that role alone, if there is one.
+        minimise: whether the target is minimised; if a column has that role, it applies to this column only.
         constraints, mixtures, forbidden: see `mbo.rules.Rules.of`.
         max_distance, apart: see `mbo.rules.Rules`.
         table: options of the reader of tables, such as `separator` and `decimal`.
@@ -98,7 +98,7 @@ class DesignSchema:
         return [name for name, column in self.columns.items() if column.role == role]
 
     def options(self) -> dict[str, Any]:
-        """As keywords of `Designs.from_frame`, with `target` among them."""
+        """The schema as keywords of `Designs.from_frame`, including `target`."""
         inputs = {name: column for name, column in self.columns.items() if column.role == "input"}
         targets, errors, groups = self.named("target"), self.named("std_error"), self.named("group")
         return {
@@ -119,11 +119,11 @@ class DesignSchema:
         }  # fmt: skip
 
     def called(self, more: Mapping[str, Any]) -> "DesignSchema":
-        """What it says in a call, where `more` are keywords of `Designs.from_frame`, with `target` among them.
+        """The schema for a call with further keywords `more` of `Designs.from_frame`, including `target`.
 
-        What the call makes an output (target, standard error, weighted) or groups has no other role, and what it ignores is no
-        input. The schema's own target, standard error and groups are ignored where the call names others. `minimise`, the
-        standard error and what is weighted are of its own target, and count for no other.
+        A column that the call uses as an output (target, standard error, weighted) or as groups loses its role in the schema,
+        and a column that it ignores is no input. The schema's target, standard error and groups are ignored if the call names
+        others. `minimise`, the standard error and weighted columns belong to the schema's target and apply to no other one.
         """
         own, said = self.named("target"), more.get("target")
         mine = not own or said in (None, *own)
@@ -138,15 +138,15 @@ class DesignSchema:
         return replace(self, columns=columns, minimise=self.minimise and mine)
 
     def read(self, path: Path | str, **more: Any) -> Designs:
-        """The designs of a file by this schema.
+        """Reads the designs of a file by this schema.
 
         Args:
             path: of the file.
-            more: keywords of `Designs.from_frame` that add to the schema's, entries of mappings and lists, others replace; and
-                those of the reader, which replace the schema's.
+            more: keywords of `Designs.from_frame`, whose mappings and lists are added to those of the schema and whose other
+                values replace them; and options of the reader, which replace those of the schema.
 
         Raises:
-            UserError: there is no target, a column is not in the file, or what `Designs.from_frame` refuses.
+            UserError: there is no target, a column is not in the file, or `Designs.from_frame` refuses the table.
         """
         ways = {**self.table, **{key: more.pop(key) for key in READING if key in more}}
         called = self.called(more)
@@ -169,7 +169,7 @@ class DesignSchema:
 
     @classmethod
     def load(cls, path: Path | str) -> "DesignSchema":
-        """Reads what `save` or somebody else wrote.
+        """Reads a schema from a TOML file.
 
         Raises:
             UserError: one line with the file, the column and what is wrong.
@@ -203,7 +203,7 @@ class DesignSchema:
         return cls(columns, **rest)
 
     def to_toml(self, about: str = "") -> str:
-        """As TOML, with what each column holds as comments."""
+        """The schema as TOML, with comments on the contents of the columns."""
         lines = [f"# {shown(about)}", ""] if about else []
         lines += [
             "# What proposals must satisfy. Examples:",
@@ -257,7 +257,8 @@ def _column(where: str, told: Any) -> DesignColumn:
 
 
 def together(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
-    """Options with others added: entries of mappings and lists; others replace, but for None, and False of what is set."""
+    """Merges options: mappings and tuples of `second` are added to those of `first`; other values replace them, except None,
+    and except False for a key of `first`."""
     out = dict(first)
     for key, value in second.items():
         before = out.get(key)

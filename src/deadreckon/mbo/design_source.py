@@ -9,16 +9,16 @@ from deadreckon.mbo.designs import Designs
 
 
 class DesignSource:
-    """Designs as `training.fit` takes rows: coordinates `x` and standardised scores `y`, in a batch's `extra`.
+    """Rows of designs for `training.fit`: coordinates `x` and standardised scores `y`, in a batch's `extra`.
 
     Args:
-        designs: what is learned from.
-        needs: of the learner; only the batch size counts.
-        more: further columns, a row per design.
+        designs: the training data.
+        needs: the learner's `BatchSpec`, of which only the batch size is used.
+        more: further columns, one row per design.
     """
 
     initial: dict[str, np.ndarray] | None = None
-    view: Any = None  # policies have one, designs have `spec`, their coordinates
+    view: Any = None  # the coordinates of policies; those of designs are `spec`
 
     def __init__(self, designs: Designs, needs: Any, more: Mapping[str, np.ndarray] | None = None):
         self.needs = needs
@@ -30,7 +30,7 @@ class DesignSource:
 
     @property
     def nbytes(self) -> int:
-        """Memory that all columns take."""
+        """Memory of all columns, in bytes."""
         return sum(column.nbytes for column in self.columns.values())
 
     def take(self, index: np.ndarray) -> dict[str, np.ndarray]:

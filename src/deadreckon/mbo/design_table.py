@@ -1,4 +1,4 @@
-"""A table of experiments before it becomes designs: how its file is read, and which of its rows have a score and all inputs."""
+"""Tables of experiments before they become designs: reading of files, and checks of which rows have a score and all inputs."""
 
 import shlex
 import warnings
@@ -16,40 +16,43 @@ from deadreckon.data.formats.dialect import Dialect
 from deadreckon.data.formats.kind import sniff
 from deadreckon.errors import UserError
 
-_SHOWN = 5  # runs of rows, and columns, that one message names
+_SHOWN = 5  # largest number of runs of rows, and of columns, in one message
 
 
 def read_designs(
     path: Path | str, ways: Mapping[str, Any], ignored: Collection[str] = (), numbers: Collection[str] = ()
 ) -> tuple[pa.Table, Dialect | None, list[str]]:
-    """What `data.formats.any_table.read_table` gives, with no line on columns that are ignored: these stay texts.
+    """Reads a table as `data.formats.any_table.read_table` does, except that ignored columns stay texts, without messages.
 
-    So do levels such as yes and no of other columns than `numbers`: a proposal has the words of the table, below which it may
-    be written.
+    Levels such as yes and no stay texts, too, unless the column is among `numbers`: proposals have the words of the table, so
+    that they can be appended to it.
 
     Args:
         path: of the file.
         ways: keywords of `read_table`.
         ignored: columns that are no part of the designs.
-        numbers: columns that are asked for as numbers, such as scores.
+        numbers: columns that must be numbers, such as scores.
+
+    Returns:
+        As `read_table`.
     """
     known = Known(texts=frozenset(ignored), flags=frozenset(numbers), pairs=False)
     return table_of_kind(path, sniff(path, ways.get("separator")), ways, known)
 
 
 def as_numbers(kinds: Mapping[str, str] | None) -> set[str]:
-    """The columns of which somebody has said that they hold numbers."""
+    """The columns whose given kind is continuous or integer."""
     return {name for name, kind in (kinds or {}).items() if kind in ("continuous", "integer")}
 
 
 def name_of(path: Path | str) -> str:
-    """What data is called: its file without endings."""
+    """The name of data: that of its file without the ending."""
     name = Path(path).name.removesuffix(".gz")
     return name.rpartition(".")[0] or name
 
 
 def trimmed(table: pa.Table, columns: Sequence[str]) -> pa.Table:
-    """The table, where the texts of these columns have no blanks at their ends, and cells of blanks alone are missing."""
+    """The table with blanks removed at both ends of the texts of these columns; cells of blanks only are missing."""
     for column in columns:
         if not is_text(table.column(column).type):
             continue
@@ -63,7 +66,7 @@ def trimmed(table: pa.Table, columns: Sequence[str]) -> pa.Table:
 
 
 def scored(name: str, table: pa.Table, targets: Sequence[str]) -> tuple[np.ndarray, str]:
-    """The rows that have a score of one of the targets, counted from 0, and the line that tells of the others, or nothing.
+    """The rows with a score of at least one target, counted from 0, and a message about the other rows, or an empty text.
 
     Raises:
         UserError: no row has one.
@@ -79,7 +82,7 @@ def scored(name: str, table: pa.Table, targets: Sequence[str]) -> tuple[np.ndarr
 
 
 def check_filled(name: str, table: pa.Table, inputs: Sequence[str], others: Sequence[str], rows: np.ndarray) -> None:
-    """Refuses columns that are empty in some of the rows that count.
+    """Refuses columns that are empty in some of the given rows.
 
     Raises:
         UserError: one line with all such columns and rows, and what can be done.
@@ -102,10 +105,10 @@ def check_filled(name: str, table: pa.Table, inputs: Sequence[str], others: Sequ
 
 
 def numbers_of(name: str, table: pa.Table, column: str, rows: np.ndarray) -> np.ndarray:
-    """(rows,) float64 of a column that must hold finite numbers, or truth values, in the rows that count.
+    """(rows,) float64 values of a column in the given rows, which must be finite numbers or truth values.
 
     Raises:
-        UserError: it does not, with the row.
+        UserError: one is not; the line names its row.
     """
     values = some_numbers(name, column, flat(table, column))[0][rows]
     if (wrong := ~np.isfinite(values)).any():
@@ -116,10 +119,10 @@ def numbers_of(name: str, table: pa.Table, column: str, rows: np.ndarray) -> np.
 
 
 def groups_of(name: str, table: pa.Table, column: str, rows: np.ndarray) -> np.ndarray:
-    """(rows,) number from 0 of the group of the rows that count, by a column of any values.
+    """(rows,) group number, from 0, of each of the given rows, by a column of any values.
 
     Raises:
-        UserError: there is one group alone, or each row has its own.
+        UserError: there is only one group, or each row is a group of its own.
     """
     values = flat(table, column)
     codes = compute.dictionary_encode(decoded(values)).indices.to_numpy(zero_copy_only=False)[rows]
@@ -131,12 +134,12 @@ def groups_of(name: str, table: pa.Table, column: str, rows: np.ndarray) -> np.n
 
 
 def score_name(target: str, weights: Mapping[str, float] | None) -> str:
-    """What a score is called: the target, with the columns that count beside it."""
+    """The name of a score: the target, plus the weighted columns."""
     return target + "".join(f" {'-' if weight < 0 else '+'} {abs(weight):g} {key}" for key, weight in (weights or {}).items())
 
 
 def rows_told(rows: np.ndarray, how: str = ", counted from 0") -> str:
-    """Rows as a message names them, ascending: row 3; rows 3, 5 to 9."""
+    """Ascending rows as written in a message: row 3; rows 3, 5 to 9."""
     runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
     named = [f"{run[0]}" if len(run) == 1 else f"{run[0]} to {run[-1]}" for run in runs[:_SHOWN]]
     rest = sum(map(len, runs[_SHOWN:]))
@@ -144,6 +147,6 @@ def rows_told(rows: np.ndarray, how: str = ", counted from 0") -> str:
 
 
 def warn(name: Path | str, lines: Sequence[str]) -> None:
-    """A warning for each line on a file or a table, from the caller of whoever calls this."""
+    """Issues a warning for each line about a file or a table, attributed to the caller of the calling function."""
     for line in lines:
         warnings.warn(f"{name}: {line}", stacklevel=3)

@@ -1,4 +1,4 @@
-"""The shape of a schema of designs in TOML: what `DesignSchema.load` reads is checked against it."""
+"""The types of a schema of designs in TOML, against which `DesignSchema.load` checks a file."""
 
 import datetime
 from typing import NotRequired, TypedDict
@@ -7,7 +7,7 @@ Value = str | bool | int | float | datetime.date | datetime.datetime | datetime.
 
 
 class ColumnValues(TypedDict):
-    """The shape of a column in TOML."""
+    """The types of a column's entries in TOML."""
 
     role: str
     kind: NotRequired[str]
@@ -22,7 +22,7 @@ class ColumnValues(TypedDict):
 
 
 class DesignValues(TypedDict):
-    """The shape of a schema in TOML."""
+    """The types of a schema's entries in TOML."""
 
     columns: dict[str, ColumnValues]
     minimise: NotRequired[bool]

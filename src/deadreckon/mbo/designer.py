@@ -1,4 +1,4 @@
-"""What every designer is asked and answers: designs that should score high, from scored designs alone (thesis chapter 6)."""
+"""The interface of design methods: proposals that should score high, from scored designs alone (thesis chapter 6)."""
 
 import contextlib
 import dataclasses
@@ -36,9 +36,9 @@ from deadreckon.training.hyperparameters import check_fields, described, on_devi
 from deadreckon.training.learner import unstack
 from deadreckon.training.revisions import revisions
 
-# Standardised means and deviations of coordinates (n, size); either may be None.
+# Coordinates (n, size) -> standardised means (n,) and standard deviations (n,); either may be None.
 Belief = Callable[[Array], tuple[Any, Any]]
-AROUND = 0.3  # deviation of further starts around a design, in standardised coordinates
+AROUND = 0.3  # standard deviation of further starting points around a design, in standardised coordinates
 
 
 @dataclass(frozen=True)
@@ -46,21 +46,22 @@ class Proposals(Shown):
     """Designs that a method proposes.
 
     Attributes:
-        method: the designer.
+        method: name of the method.
         x: (n, variables) as the data holds them; see `Designs.decode` for a table.
         predicted: (n,) the method's predictions of their scores; NaN if it has none.
-        predicted_std: (n,) standard deviation of a new measurement, noise included, or of the true score (`noisy`); NaN
-            likewise.
+        predicted_std: (n,) standard deviation of a new measurement, noise included, or of the true score (`noisy`); NaN if
+            the method has none.
         seed: random seed.
-        seconds: it took, of all seeds of a program together.
-        quality: how well the method predicts out of fold; None where that was not looked at.
-        fitted: the model, to be asked about other designs; None where the method has none of the score.
-        compared: what was said out of fold of all methods that were tried, if the method was chosen among them.
-        reason: why that one was chosen.
-        mean_std: (n,) standard deviation of the true score, the mean of ever more measurements. True scores are not in the
-            data, so it is multiplied as deviations of rows are. None where the method does not tell it from noise.
+        seconds: computation time of all seeds together.
+        quality: how well the method predicts held-out designs; None if that was not tested.
+        fitted: the model, for predictions of other designs; None if the method has no model of the score.
+        compared: the quality of all methods that were compared, if the method was chosen among several.
+        reason: why this method was chosen; None if it was not chosen among several.
+        mean_std: (n,) standard deviation of the true score, the expected value of a measurement. True scores are not observed,
+            so it is multiplied by the same factor as that of a row. None if the method does not separate it from noise.
         noisy: whether `predicted_std` is of a measurement, noise included.
-        beyond: deviation of the noise that one measurement has beyond that of a usual row, where rows are means of several.
+        beyond: standard deviation of the noise of a single measurement in addition to that of a usual row, which may be the
+            mean of several.
         minimise: whether the score was negated, as in `Designs`: `predicted` is then minus the value of the table.
     """
 
@@ -84,17 +85,17 @@ class Proposals(Shown):
 
     @property
     def predicts(self) -> bool:
-        """Whether the method believes anything of its designs' scores."""
+        """Whether the method predicts the scores of its designs."""
         return bool(np.isfinite(self.predicted).all())
 
     @property
     def of_what(self) -> str:
-        """What intervals are of."""
+        """The quantity that the intervals cover, in words."""
         return "a new measurement, noise included" if self.noisy else "the true score, without a measurement's noise"
 
     @property
     def warning(self) -> str | None:
-        """What should be known before anybody tries them; None where nothing."""
+        """A warning to read before the proposals are tried; None if there is none."""
         if self.quality is not None:
             return self.quality.warning
         if self.fitted is None and not np.isfinite(self.predicted_std).any():
@@ -103,14 +104,14 @@ class Proposals(Shown):
 
     @property
     def by_chance(self) -> bool:
-        """Whether it was tested, and the model's order of unseen designs cannot be distinguished from chance."""
+        """Whether the model was tested, and its order of unseen designs cannot be distinguished from chance."""
         return self.quality is not None and not self.quality.skilled
 
     def calibrated(self, quality: Quality) -> "Proposals":
         """The same proposals with predictions calibrated on scores of unseen designs, also those of the model.
 
-        Scores that calibrate have the noise of a row; what one measurement has beyond that (`beyond`) is added. Deviations of
-        true scores, which nobody has seen, are multiplied as those of rows are.
+        The scores of the calibration have the noise of a row; the further noise of a single measurement (`beyond`) is added.
+        The standard deviations of true scores, which are not observed, are multiplied by the same factor as those of rows.
         """
         if quality.calibration is None:
             return dataclasses.replace(self, quality=quality)
@@ -126,7 +127,7 @@ class Proposals(Shown):
 
 
 class DesignInput(NamedTuple):
-    """What a designer works on."""
+    """The arguments of `Designer.solve`; see `Designer.propose`."""
 
     data: Designs
     n: int
@@ -139,12 +140,18 @@ class DesignInput(NamedTuple):
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """(size,) least and greatest coordinates; those of fixed variables are the same."""
+        """(size,) least and greatest coordinates, which are equal for fixed variables."""
         low, high = self.data.coordinates.bounds
         return jnp.asarray(low), jnp.asarray(high)
 
     def train(self, learner: Any, steps: int, what: str, more: dict[str, np.ndarray] | None = None) -> list[Any]:
-        """States of a learner on the designs after `steps` updates, one per seed, gone on with from checkpoints.
+        """States of a learner after `steps` updates on the designs, one per seed; resumes from checkpoints in `out`.
+
+        Args:
+            learner: as for `training.fit`.
+            steps: number of updates.
+            what: name of the fit.
+            more: further columns of the rows; see `DesignSource`.
 
         Raises:
             UserError: it diverged (NaN or infinite numbers).
@@ -157,7 +164,7 @@ class DesignInput(NamedTuple):
         return unstack(job.states, len(self.seeds))
 
     def _folder(self, learner: Any, points: DesignSource, steps: int, what: str) -> Path:
-        """Where checkpoints lie: a folder of its own for all data and each setting."""
+        """The folder of checkpoints, a different one for each combination of data and settings."""
         assert self.out is not None
         data = hashlib.blake2b(digest_size=16)
         for column in points.columns.values():
@@ -171,7 +178,7 @@ class DesignInput(NamedTuple):
 
 
 class Designer(eqx.Module):
-    """Hyperparameters in, proposals out.
+    """Base class of design methods: its fields are hyperparameters, and `propose` returns proposals.
 
     Attributes:
         revision: raised in the class whose code has changed the proposals; here for the code that all designers share (class
@@ -179,8 +186,8 @@ class Designer(eqx.Module):
     """
 
     revision: ClassVar[int] = 1
-    from_data: ClassVar[bool] = False  # whether what it proposes are designs of the data, whatever is asked
-    equal_rows: ClassVar[bool] = True  # whether it fits something to which all rows are equally exact, whatever their errors
+    from_data: ClassVar[bool] = False  # whether it always proposes designs of the data
+    equal_rows: ClassVar[bool] = True  # whether its fit ignores the standard errors of rows
 
     def settings_text(self, data: Designs) -> str:
         """All settings that proposals for some data depend on, as text."""
@@ -201,16 +208,16 @@ class Designer(eqx.Module):
         """Designs that should score high.
 
         Args:
-            data: scored designs, all that is looked at.
+            data: scored designs, the only input.
             n: how many to propose.
             seed: random seed.
             out: folder of checkpoints, from which a killed fit resumes; None: no checkpoints.
             watch: called with the name of the fit, the updates done and the total.
-            distinct: whether proposals are made different and satisfy the rules of the data (`mbo.batch`); False: they are the
-                method's own, as in published comparisons.
+            distinct: whether proposals are made different and satisfy the rules of the data (`mbo.batch`); False: the method's
+                proposals are returned unchanged, as in published comparisons.
             repeat: whether designs of the data may be proposed.
-            validate: whether a method that can (`forward` and ensembles; `gp` always does) also fits a part of the data and
-                predicts the rest, which gives `Proposals.quality` and calibrated deviations.
+            validate: whether `forward` and ensembles also fit a part of the data and predict the rest, which gives
+                `Proposals.quality` and calibrated standard deviations (`gp` and `auto` always do).
 
         Raises:
             UserError: invalid settings, a fit that diverged, or fewer designs than requested.
@@ -230,7 +237,7 @@ class Designer(eqx.Module):
         repeat: bool = False,
         validate: bool = False,
     ) -> list[Proposals]:
-        """The same for several seeds, as one program where the method is a compiled one."""
+        """Proposals for several seeds, whose networks, if the method has any, are trained in one program; see `propose`."""
         check_asked(n, seeds)
         check_fields(self)
         if distinct and self.from_data and data.rules.apart is not None:
@@ -247,18 +254,18 @@ class Designer(eqx.Module):
         return [dataclasses.replace(each, seconds=seconds, minimise=data.minimise) for each in found]
 
     def warn_of_errors(self, data: Designs) -> None:
-        """A warning where the standard errors of rows differ, be they given or of replicates, and the fit sees none of it."""
+        """Warns if the standard errors of rows, given or from replicates, differ and the fit ignores them."""
         if self.equal_rows and data.std_error is not None and np.ptp(data.std_error) > 0:
             told = f"{data.name}: {self.label} treats all rows as equally exact in its fit, regardless of their standard errors"
             warnings.warn(f"{told} and replicates; the Gaussian process does not (--method gp)", stacklevel=3)
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return type(self).__name__
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
-        """What the designer is: proposals, one per seed."""
+        """The method itself, implemented by subclasses: proposals, one per seed."""
         raise NotImplementedError
 
     def replace(self, **changes: Any) -> Any:
@@ -269,18 +276,18 @@ class Designer(eqx.Module):
         self, setting: DesignInput, seed: int, z: Any, believed: Belief | None = None, noisy: bool = True,
         climbed: Callable[[Array], Any] | None = None,
     ) -> Proposals:  # fmt: skip
-        """Proposals of coordinates (n, size).
+        """Proposals from coordinates (n, size).
 
         Args:
-            setting: what was worked on.
+            setting: the arguments of the method.
             seed: of the proposals.
-            z: the coordinates; what is proposed are the designs nearest to them, with whole numbers and single levels.
-            believed: standardised means and deviations (n,), or None for these, of coordinates: it is asked about those of
-                the designs that are proposed. None: the method believes nothing.
-            climbed: value (n,) of coordinates that the method has climbed; numbers in steps that share a constraint are
-                searched by it (`local_search.on_grid`), and where nothing is `believed` it says which designs replace those
-                that coincide. None: the nearest such designs are taken.
-            noisy: whether deviations are those of a row, noise included; else of the true score.
+            z: the coordinates; the nearest designs, with whole numbers and single levels, are proposed.
+            believed: function from coordinates to standardised means and standard deviations (n,), either of which may be None;
+                evaluated at the proposed designs. None: the method makes no predictions.
+            climbed: function from coordinates to the value (n,) that the method has maximised. It guides the search over
+                numbers in steps that share a constraint (`local_search.on_grid`) and, if `believed` is None, ranks the designs
+                that replace coinciding ones. None: no such search.
+            noisy: whether standard deviations are those of a row, noise included; else those of the true score.
         """
         view = setting.data.coordinates
         x = view.decode(np.asarray(z))
@@ -304,10 +311,10 @@ class Designer(eqx.Module):
 
 
 def check_asked(n: int, seeds: Sequence[int]) -> None:
-    """Refuses a count of proposals, or seeds, that are none.
+    """Refuses an invalid number of proposals and invalid seeds.
 
     Raises:
-        UserError: with the count or the seeds.
+        UserError: n is below 1, there is no seed, or one is not in 0 .. 2^32 - 1.
     """
     if n < 1:
         raise UserError(f"n must be 1 or more, got {n}")
@@ -316,14 +323,14 @@ def check_asked(n: int, seeds: Sequence[int]) -> None:
 
 
 class Search(NamedTuple):
-    """Designs on their way up: coordinates (m, size) and their optimiser."""
+    """State of a gradient ascent: coordinates (m, size) of designs, and the optimiser state."""
 
     x: Float[Array, "m z"]
     opt: optax.OptState
 
     @classmethod
     def start(cls, data: Designs, n: int, worst: bool = False) -> "Search":
-        """From the best designs of the data, or the worst; where these are too few, from places around them, too."""
+        """Starts at the n best designs of the data, or the worst, and at random points near them if there are fewer."""
         view, rows = data.coordinates, data.best(min(n, len(data)), worst)
         x = view.encode(data.x[np.resize(rows, n)])
         away = np.random.default_rng(0).standard_normal(x[len(rows) :].shape)
@@ -334,7 +341,7 @@ class Search(NamedTuple):
         return cls(x, init_opt(x))
 
     def ascend(self, value: Callable[[Array], Array], lr: Any, low: Array, high: Array) -> "Search":
-        """One step of Adam up the gradient of `value` ((m, size) -> (m,)), each design for itself, kept within bounds."""
+        """One step of gradient ascent (Adam) on `value` ((m, size) -> (m,)) for each design, clipped to bounds."""
         grads = jax.grad(lambda x: -value(x).sum())(self.x)
         x, opt = apply_gradients(self.x, grads, self.opt, lr)
         return Search(jnp.clip(x, low, high), opt)

@@ -1,4 +1,4 @@
-"""Scored designs: inputs x with one score y each, what every variable may be, and the coordinates that methods see."""
+"""Scored designs: inputs x with one score y each, the domains of the variables, and the coordinates that models use."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -35,7 +35,7 @@ from deadreckon.mbo.rules import NO_RULES, Rules
 from deadreckon.mbo.variables import FEWEST, Variable, codes, complete_designs, filled, name_of_rows, variable_of
 from deadreckon.provided import Shown
 
-LARGEST = 1e150  # score: squares of larger ones would overflow
+LARGEST = 1e150  # largest absolute score: squares of larger ones would overflow
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,21 +43,22 @@ class Designs(Shown):
     """Immutable designs and their scores.
 
     Attributes:
-        x: (rows, variables) float32; of a categorical variable the index of its level.
+        x: (rows, variables) float32; for a categorical or ordinal variable the index of the level.
         y: (rows,) float64, the score to maximise.
-        variables: one a column of `x`.
+        variables: one per column of `x`.
         name: of the data, used in errors and tables.
         target: name of the score.
         minimise: whether the score was negated: `y` is then minus the value of the table.
         rules: that proposals must satisfy; the data need not.
-        replicates: (rows,) how many measurements a row is the mean of; None: one each.
+        replicates: (rows,) number of measurements of which each row is the mean; None: one each.
         std_error: (rows,) standard error of `y`; None: not known.
-        groups: (rows,) number from 0 of the group that each row is of, such as a batch: rows of one are held out together where
-            predictions are tested (`replicates.units`); None: there are none.
-        table_rows: (rows,) the first row of the table that each is, counted from 0; None: they are the table's own.
-        pooling: what was done with rows of the same design (`mbo.replicates.pooled`), in words; None: nothing.
-        noticed: what may be a mistake in the table, and columns that are not used, a line each.
-        unscored: (k, variables) float32 designs without a score, such as failed or planned runs: nothing is learned from them,
+        groups: (rows,) number, from 0, of the group of each row, such as a batch: rows of a group are held out together when
+            predictions are tested (`replicates.units`); None: there are no groups.
+        table_rows: (rows,) the row of the table, counted from 0, that each row is from, of pooled ones the first; None: the
+            same rows as in the table.
+        pooling: how rows of the same design were pooled (`mbo.replicates.pooled`), in words; None: they were not.
+        noticed: messages on possible mistakes in the table and on columns that are not used, one line each.
+        unscored: (k, variables) float32 designs without a score, such as failed or planned runs: models are not fitted to them,
             and they are not proposed again; None: there are none.
     """
 
@@ -117,7 +118,11 @@ class Designs(Shown):
     def from_arrays(
         cls, x: np.ndarray, y: np.ndarray, variables: Sequence[Variable] | None = None, *, name: str = "designs"
     ) -> "Designs":
-        """Designs of arrays; without `variables` all are continuous and without bounds."""
+        """Designs from arrays (rows, variables) and (rows,); without `variables` all are continuous and without bounds.
+
+        Raises:
+            UserError: shapes, values or scores that are not valid.
+        """
         x = np.asarray(x)
         if variables is None:
             variables = [Variable(f"x{i}") for i in range(x.shape[1] if x.ndim == 2 else 0)]
@@ -125,12 +130,15 @@ class Designs(Shown):
 
     @classmethod
     def from_csv(cls, path: Path | str, target: str, **options: Any) -> "Designs":
-        """Designs of a file of a table: CSV in any dialect, Parquet, a spreadsheet, SQLite or DuckDB.
+        """Designs from a file with a table: CSV in any dialect, Parquet, a spreadsheet, SQLite or DuckDB.
 
         Args:
             path: of the file.
-            target: the column to make large.
+            target: the column to maximise.
             options: as for `from_frame`, and those of the reader (`data.formats.any_table.read_table`).
+
+        Raises:
+            UserError: as `from_frame` and `read_table`.
         """
         ways = {key: options.pop(key) for key in READING if key in options}
         ignored = set(options.get("ignore", ())) - set(options.get("targets", ()))
@@ -162,30 +170,31 @@ class Designs(Shown):
         noticed: Sequence[str] = (),
         **rules: Any,
     ) -> "Designs":
-        """Designs of a table, a row each, without blanks at ends of texts. Rows without a score are left out, told, and not
-        proposed again.
+        """Designs from a table with one row per design. Rows without a score are left out, with a warning, and are not proposed
+        again. Blanks at both ends of texts are removed.
 
         Args:
             frame: a pandas, polars or pyarrow table, or a mapping of column names to values.
-            target: the column to make large.
-            kinds: among `KINDS` by column. Otherwise texts, categories and truth values are categorical, whole numbers
-                integer, and all else continuous. Row numbers that a table library wrote, without a name, are left out.
-            bounds: lowest and highest value by column, both allowed. Otherwise those of the data: nothing beyond what has been
-                seen is proposed unless one says that it exists.
-            levels: all levels of a categorical column, where the data lacks some.
-            ignore: columns that are no inputs.
-            minimise: make the target small instead.
+            target: the column to maximise.
+            kinds: {column: kind, among `KINDS`}. By default texts, categories and truth values are categorical, whole numbers
+                integer, and all others continuous. Row numbers that a table library wrote, without a name, are left out.
+            bounds: {column: lowest and highest value}, both inclusive. By default those of the data, so that nothing outside
+                the range of the data is proposed.
+            levels: {column: all its levels}, if the data lacks some; for ordinal columns in their order.
+            ignore: columns that are not inputs.
+            minimise: minimise the target instead.
             name: of the data, used in errors.
-            steps: of columns of numbers: proposals are multiples of these.
-            logs: columns of positive numbers that methods see on a logarithmic scale.
+            steps: {column of numbers: step}; proposals are multiples of it.
+            logs: columns of positive numbers that models use on a log scale.
             std_error: column with the standard error of the target.
-            groups: column with the group of each row, such as its batch or day, of which rows may have in common what no column
-                says: predictions are tested on groups that a model has not seen. It is no input.
-            weights: further columns that count, such as a cost: the score is the target plus the sum of weight times column.
-            pool: whether rows of the same design become one, with the mean score (`mbo.replicates.pooled`).
-            targets: all scores that are asked for of this table, one after the other: a row with none of them is left out.
-            noticed: what was told of the table before.
-            rules: that proposals must satisfy; see `mbo.rules.Rules.of`.
+            groups: column with the group of each row, such as its batch or day. Rows of a group may share influences that were
+                not recorded, so predictions are tested on held-out groups. The column is not an input.
+            weights: {column: weight} of further parts of the score, such as a cost: the score is the target plus the sum of
+                weight times column.
+            pool: whether rows of the same design are pooled into one, with the mean score (`mbo.replicates.pooled`).
+            targets: all targets for which this table is read; a row with none of them is left out. By default `target` alone.
+            noticed: earlier messages on the table, such as those of its reader.
+            rules: of proposals; see `mbo.rules.Rules.of`.
 
         Raises:
             UserError: one line with column and row, or rules that no design satisfies.
@@ -228,7 +237,7 @@ class Designs(Shown):
             )
             columns.append(values)
             variables.append(replace(variable, step=(steps or {}).get(column), log=column in logs))
-        error = None if std_error is None else errors_of(name, table, std_error, rows)
+        error, unknown = (None, []) if std_error is None else errors_of(name, table, std_error, rows)
         x, scores = np.stack(columns, 1), -y if minimise else y
         designs, said = len(np.unique(x, axis=0)), {*(kinds or {}), *(levels or {})}
         for v, values in zip(variables, columns):
@@ -241,7 +250,7 @@ class Designs(Shown):
             unscored=complete_designs(name, table, variables, rows) if planned else None,
         )  # fmt: skip
         made.repair.check_possible()
-        slips = [*doubts.of_inputs(variables, x, rows, bounds, made.rules), *slips]
+        slips = [*unknown, *doubts.of_inputs(variables, x, rows, bounds, made.rules), *slips]
         warn(name, slips := [*slips, *doubts.of_outcomes(variables, x, target, raw)])
         unused = [f"not used: {', '.join(left)}"] if (left := [each for each in ignore if each not in targets]) else []
         made = replace(made, noticed=(*noticed, *told, *slips, *unused))
@@ -250,27 +259,27 @@ class Designs(Shown):
         return replace(made, noticed=(*made.noticed, *together)) if together else made
 
     def shown(self, scores: Any) -> Any:
-        """Scores as the table has them: turned around again where its target was to be made small."""
+        """Scores with the sign of the table: negated again if its target is minimised."""
         return -scores if self.minimise else scores
 
     @cached_property
     def repair(self) -> Repair:
-        """What moves designs to where all rules hold."""
+        """The object that moves designs to the nearest ones that satisfy all rules."""
         return Repair(self)
 
     @cached_property
     def recipes(self) -> np.ndarray:
-        """(rows,) number of the recipe of each row: rows of one are replicates, or nearly so (`replicates.recipes`)."""
+        """(rows,) recipe number of each row: rows of a recipe are replicates, or nearly so (`replicates.recipes`)."""
         return recipes(self)
 
     @cached_property
     def units(self) -> np.ndarray:
-        """(rows,) number of what each row is held out with: a group, or a recipe (`replicates.units`)."""
+        """(rows,) number of the unit, a group or a recipe, that each row is held out with (`replicates.units`)."""
         return units(self)
 
     @cached_property
     def coordinates(self) -> "Coordinates":
-        """How methods see these designs."""
+        """The coordinates of these designs, in which methods search."""
         return Coordinates.of(self)
 
     def check(self, x: np.ndarray) -> None:
@@ -295,24 +304,24 @@ class Designs(Shown):
             raise UserError(f"{self.name}: {v.name} is {value:g} in row {row}, {asked} is needed")
 
     def part(self, rows: np.ndarray, name: str | None = None) -> "Designs":
-        """Some of the designs, under another name if one is given."""
+        """The given rows of the designs, with another name if one is given."""
         kept = ("replicates", "std_error", "groups")
         some = {key: None if (of := getattr(self, key)) is None else of[rows] for key in kept}
         some["table_rows"] = self.numbered(rows)
         return replace(self, x=self.x[rows], y=self.y[rows], name=name or self.name, **some)
 
     def numbered(self, rows: np.ndarray) -> np.ndarray:
-        """The rows of the table, counted from 0, that some of the designs stand in; of replicates the first."""
+        """The rows of the table, counted from 0, that the given rows of the designs are from; for pooled ones the first."""
         rows = np.arange(len(self))[rows]
         return rows if self.table_rows is None else self.table_rows[rows]
 
     def best(self, count: int, worst: bool = False) -> np.ndarray:
-        """(count,) rows with the highest scores, or the lowest; over again from the first where there are fewer."""
+        """(count,) rows with the highest scores, or the lowest, in order; repeated from the first if there are fewer."""
         order = np.argsort(self.y if worst else -self.y, kind="stable")
         return np.resize(order, count)
 
     def encode(self, frame: Any) -> np.ndarray:
-        """(rows, variables) of a table with these variables as columns.
+        """(rows, variables) float32 designs from a table with these variables as columns.
 
         Raises:
             UserError: a column is missing, a value is out of bounds, or a level is not known.
@@ -331,19 +340,19 @@ class Designs(Shown):
         return x.astype(np.float32)
 
     def decode(self, x: np.ndarray) -> dict[str, list[Any]]:
-        """A table of designs (rows, variables): names to values, whole numbers as such, levels by name."""
+        """Designs (rows, variables) as a table: {variable: values}, integers as int, and levels by name."""
         out: dict[str, list[Any]] = {}
         for v, column in zip(self.variables, np.asarray(x).T):
             if v.leveled:
                 out[v.name] = [v.levels[int(i)] for i in column]
             else:
-                # The shortest number that float32 cannot tell from it: 2.7 rather than 2.700000047683716.
+                # The shortest decimal number with the same float32: 2.7 rather than 2.700000047683716.
                 shortest = lambda i: float(str(np.float32(i)))  # noqa: E731
                 out[v.name] = [int(i) if v.kind == "integer" else shortest(i) for i in column]
         return out
 
     def write(self, path: Path | str, x: np.ndarray, more: Mapping[str, Sequence[float]] | None = None) -> Path:
-        """Writes designs as rows of the same table, with more columns behind; CSV (see `csv_out`)."""
+        """Writes designs as CSV with the columns of the table, followed by further ones (see `csv_out`); returns the path."""
         with replacing(path) as temporary:
             write_table({**self.decode(x), **{key: list(value) for key, value in (more or {}).items()}}, temporary)
         return Path(path)

@@ -1,4 +1,4 @@
-"""What may be a mistake in a table of experiments and is read all the same: one line each."""
+"""Messages on possible mistakes in a table of experiments, which is read all the same; one line each."""
 
 import re
 import shlex
@@ -14,19 +14,19 @@ from deadreckon.mbo.rules import NO_RULES, Rules
 from deadreckon.mbo.variables import Variable
 from deadreckon.stats.ranks import spearman
 
-_RANGES = 3.0  # ranges of all other values that lie between these and a value that is far
-_SEVERAL = 2  # rows of a level more than which another, of one row, may be a slip of
-_ALIKE = 0.8  # similarity of two texts (`difflib`) from which on they are written nearly alike
-_FEW = 0.2  # share of rows up to which what others hold may be broken by a slip
-_FEWEST = 3  # different values among the others, fewer of which say nothing of their range
-ROUNDED = 0.01  # share of a sum by which decimals that were rounded may change it
-_SLACKS = np.geomspace(1e-6, ROUNDED, 41)  # of a whole, by which parts miss it; the least first, so that traces are parts too
-_RELATED = 1e-3  # deviation, in those of the variables, by which a linear relation may be missed
-_SAME = 0.98  # rank correlation with the score from which on an input may be another outcome
-_LEAST = 0.01  # weight of a column within the space of constant sums, of parts of one at least a hundredth
-_MANY = 200  # variables beyond which sums are not looked for
+_RANGES = 3.0  # least distance of an outlier from all other values, in ranges of these
+_SEVERAL = 2  # a level in a single row may be a misspelling of one that is in more rows than this
+_ALIKE = 0.8  # least similarity of two texts (`difflib`) that may be spellings of the same
+_FEW = 0.2  # largest share of rows whose violations of a sum may be errors in these rows
+_FEWEST = 3  # least number of different values whose range is meaningful
+ROUNDED = 0.01  # relative error of a sum that rounded decimals may cause
+_SLACKS = np.geomspace(1e-6, ROUNDED, 41)  # tolerances of a sum, in wholes; the least first, so that traces count as parts
+_RELATED = 1e-3  # tolerance of a linear relation, in standard deviations of the variables
+_SAME = 0.98  # rank correlation with the score above which an input may be another outcome
+_LEAST = 0.01  # least weight of a column in the space of constant sums; each of k parts of a whole has 1 / k
+_MANY = 200  # number of variables from which on sums are not searched
 _GROUPS = re.compile(r"(batch|lot|plate|operator|day|campaign)(es|s)?(_?(id|no|nr|number|name))?")
-_WHOLES = (1, 100)  # what parts of a whole sum to
+_WHOLES = (1, 100)  # sums of the parts of a whole
 
 
 def of_inputs(
@@ -36,15 +36,16 @@ def of_inputs(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     rules: Rules = NO_RULES,
 ) -> list[str]:
-    """Levels that are written nearly alike, numbers that are far from all others, run numbers, sums that hold and nobody has
-    said, and sums that somebody has said and rows break.
+    """Messages on the inputs: columns that look like groups or run numbers, levels that are spelled nearly alike, outliers,
+    sums and linear relations that hold but are not among the rules, and rows that violate sums among the rules.
 
     Args:
         variables: of the designs.
-        x: (rows, variables) float64, as the table has them.
-        rows: (rows,) where they stand in the table, counted from 0.
-        bounds: that somebody gave, which say that the number is meant; the range of the data, as in a draft, does not.
-        rules: that proposals satisfy.
+        x: (rows, variables) float64, as in the table.
+        rows: (rows,) their rows in the table, counted from 0.
+        bounds: bounds given by the user, within which an outlier is intended, unless they are the range of the data, as in a
+            draft.
+        rules: of proposals.
     """
     lines = []
     for column, v in enumerate(variables):
@@ -81,7 +82,7 @@ def _not_meant(bounds: tuple[float, float] | None, values: np.ndarray) -> bool:
 
 
 def _of_levels(v: Variable, values: np.ndarray) -> list[str]:
-    """Levels that differ in case alone, and those of one row that are nearly written as another of several rows."""
+    """Messages on levels that differ only in case, and on levels of one row that are spelled nearly like a frequent one."""
     lines, count = [], np.bincount(values.astype(int), minlength=len(v.levels))
     texts = [(str(level), n) for level, n in zip(v.levels, count) if isinstance(level, str)]
     alike: dict[str, list[str]] = {}
@@ -101,15 +102,18 @@ def _of_levels(v: Variable, values: np.ndarray) -> list[str]:
 
 
 def _run_number(v: Variable, values: np.ndarray) -> bool:
-    """Whether whole numbers are those of runs: consecutive, and each in one row."""
+    """Whether values look like run numbers: consecutive integers, each in one row."""
     return v.kind == "integer" and np.ptp(values) + 1 == len(values) == len(np.unique(values))
 
 
 def unsaid_sums(variables: Sequence[Variable], x: np.ndarray, rules: Rules = NO_RULES) -> list[tuple[list[int], int]]:
-    """Columns that vary and sum to 1 or to 100 in every row but for roundings, and that no equality is about.
+    """Groups of columns that vary and sum to 1 or to 100 in every row, up to rounding, and are in no equality of the rules.
 
-    Within the space of all sums that are the same in every row, the projection of a column's direction has the same weight on
-    each column of its group and none on others, where no other sum is constant.
+    The linear combinations of columns that are the same in every row form a space. The projection of a column's unit vector
+    onto it has equal weights on all columns of its group and none on others, if no other combination is constant.
+
+    Returns:
+        (columns, sum) of each group.
     """
     said = said_in(rules)
     varied = np.ptp(x, axis=0) > 0
@@ -133,12 +137,12 @@ def unsaid_sums(variables: Sequence[Variable], x: np.ndarray, rules: Rules = NO_
 
 
 def said_in(rules: Rules) -> set[int]:
-    """Columns that equalities are about."""
+    """Columns that occur in equalities."""
     return {column for each in rules.linear if each.equal for column, _ in each.weights}
 
 
 def _of_relations(variables: Sequence[Variable], x: np.ndarray, known: set[int]) -> list[str]:
-    """Variables that satisfy a linear relation in every row, where each level adds a number; `known` ones are not looked at."""
+    """Messages on variables with a linear relation in every row (levels as dummy variables); `known` columns are skipped."""
     parts, of = [], []
     for i, v in enumerate(variables):
         if i in known or np.ptp(x[:, i]) == 0:
@@ -167,7 +171,7 @@ def _of_relations(variables: Sequence[Variable], x: np.ndarray, known: set[int])
 
 
 def of_outcomes(variables: Sequence[Variable], x: np.ndarray, target: str, y: np.ndarray) -> list[str]:
-    """Numbers that nearly order the rows as the scores (rows,) `y` do, as another outcome of the same experiment does."""
+    """Messages on numbers that order the rows nearly like the scores `y` (rows,), as another outcome of an experiment does."""
     lines = []
     for i, v in enumerate(variables):
         if not v.leveled and np.ptp(x[:, i]) > 0 and abs(found := spearman(x[:, i], y)) > _SAME:
@@ -181,12 +185,12 @@ def _within(share: np.ndarray) -> bool:
 
 
 def sum_of(names: Sequence[str], whole: int) -> str:
-    """A sum as a constraint says it."""
+    """A sum, written as a constraint."""
     return f"{' + '.join(name if name.isidentifier() else f'`{name}`' for name in names)} = {whole}"
 
 
 def _of_sum(rule: Linear, x: np.ndarray, rows: np.ndarray) -> list[str]:
-    """The rows that break an equality by more than a hundredth of its terms, and what may be wrong."""
+    """A message, if any, on rows that violate an equality by more than a hundredth of its terms."""
     terms = np.stack([float(weight) * x[:, column] for column, weight in rule.weights], 1)
     total, slack = terms.sum(1), ROUNDED * np.maximum(np.abs(terms).sum(1), abs(float(rule.bound)))
     broken = np.abs(total - float(rule.bound)) > slack
@@ -201,12 +205,12 @@ def _of_sum(rule: Linear, x: np.ndarray, rows: np.ndarray) -> list[str]:
 
 
 def of_target(target: str, y: np.ndarray, rows: np.ndarray) -> list[str]:
-    """A score that has two values only, or one that is far from all others.
+    """Messages on a score that has only the values 0 and 1, or an outlier.
 
     Args:
         target: its column.
-        y: (rows,) as the table has it.
-        rows: (rows,) where they stand in the table, counted from 0.
+        y: (rows,) as in the table.
+        rows: (rows,) their rows in the table, counted from 0.
     """
     if set(np.unique(y)) == {0.0, 1.0}:
         return [f"{target} has only the values 0 and 1: predictions are of its mean (a rate), and may lie below 0 or above 1"]
@@ -215,11 +219,11 @@ def of_target(target: str, y: np.ndarray, rows: np.ndarray) -> list[str]:
 
 
 def far(values: np.ndarray) -> int | None:
-    """The row of the least or the greatest value, if it is far from all others.
+    """The row of the least or the greatest value, if it is an outlier; else None.
 
-    It is where it lies more than three times the range of all others away from them, and also more than their range of
-    logarithms on the scale of these, so that long tails are none: of the values where all have one sign, else of the
-    distance from the median in median deviations. Zero is a value of its own, as of a control, and is never far.
+    It is one if its distance from all others is more than three times their range, and on a log scale also more than their
+    range there, so that long tails are not outliers. The log scale is that of the values if all have the same sign, else that
+    of their distances from the median in median absolute deviations. Zero, as for a control, is never an outlier.
     """
     if len(values) <= _FEWEST:
         return None
@@ -248,6 +252,6 @@ def _far(name: str, values: np.ndarray, row: int, rows: np.ndarray) -> str:
 
 
 def _excluded(rules: Rules, column: int, value: float) -> bool:
-    """Whether no proposal has this value, by what is said of this variable alone."""
+    """Whether no proposal has this value, by the rules on this variable alone."""
     alone = [each for each in rules.linear if [c for c, _ in each.weights] == [column]]
     return column in dict(rules.fixed) or not all(each.holds([Fraction(str(value))] * (column + 1)) for each in alone)

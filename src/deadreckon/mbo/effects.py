@@ -1,8 +1,8 @@
-"""What a fitted model says that each variable does: averages over the data, and cuts through one design.
+"""Effects of variables according to a fitted model: partial dependence over the data, and cuts through one design.
 
-The average is partial dependence (Friedman 2001, 8.2): the model's prediction with one variable set to a value in all rows and
-the others as they are, averaged over rows. Where a variable belongs to a sum that must equal a number, the others of the sum
-are scaled to make room for it, as in Cox's traces for mixtures (Cornell 2002), since no mixture can change in one part alone.
+Partial dependence (Friedman 2001, 8.2) is the model's prediction with one variable set to a value in all rows and the others
+unchanged, averaged over rows. If the variable is in a sum that must equal a number, the other terms of the sum are scaled
+accordingly, as in Cox's traces for mixtures (Cornell 2002), because a mixture cannot change in only one component.
 """
 
 from collections.abc import Iterable
@@ -18,29 +18,30 @@ from deadreckon.mbo.rules import NO_RULES, at_value, written
 from deadreckon.randomness import generator
 from deadreckon.stats.interval import ALPHA
 
-ROWS = 100  # of the data at most that are averaged over
-VALUES = 15  # of a variable of numbers
-LEVELS = 12  # at most of one with levels: those that most rows have
-MOST = 40  # variables that are looked at
-SOME = 10  # rows that choose these, where there are more
-SLACK = 1e-6  # of bounds and sums, by which rounding errors may miss them
+ROWS = 100  # largest number of rows that are averaged over
+VALUES = 15  # number of values of a numeric variable
+LEVELS = 12  # largest number of levels of a variable: the most frequent ones
+MOST = 40  # largest number of variables
+LIKELY = 1_000  # rows, those with the greatest scores, among which the one with the greatest prediction is searched
+SOME = 10  # rows by which variables are selected if there are more
+SLACK = 1e-6  # tolerance of bounds and sums for rounding errors
 
 
 @dataclass(frozen=True, eq=False)
 class Effect:
-    """What predictions do as one variable changes.
+    """Predictions as a function of one variable.
 
     Attributes:
-        column: of the designs.
+        column: of the variable in the designs.
         values: (g,) of the variable, as designs hold them.
-        mean, std: (g,) predictions and their standard deviations; None where the model has none of these.
-        change: the greatest less the least of the means.
-        change_std: standard deviation of this difference; None where it is not known.
-        rows: the 10th and 90th percentile of the same difference in single rows; None in cuts.
-        rows_std: standard deviations of the difference in the two rows nearest to these percentiles; None likewise.
-        allowed: (g,) where the design would satisfy bounds, constraints and forbidden combinations; None: not looked at.
-        freedom: degrees of freedom of the deviations, which few members of an ensemble tell; infinite where they are the
-            model's.
+        mean, std: (g,) predictions and their standard deviations; the latter are None if the model has none.
+        change: the greatest minus the least of the means.
+        change_std: standard deviation of this difference; None if it is not known.
+        rows: the 10th and 90th percentile of the same difference in single rows; None for cuts.
+        rows_std: standard deviations of the difference in the two rows nearest to these percentiles; None if not known.
+        allowed: (g,) bool: whether the design satisfies bounds, constraints and forbidden combinations; None: not tested.
+        freedom: degrees of freedom of the standard deviations, which are few if these are estimated from the members of an
+            ensemble; else infinite.
     """
 
     column: int
@@ -56,15 +57,15 @@ class Effect:
 
     @property
     def half(self) -> float:
-        """Deviations from the estimate to the ends of its 95 % interval (Student's)."""
+        """Half the width of a 95 % interval, in standard deviations (Student's t)."""
         return critical(1, self.freedom)
 
     def distinct(self, variables: int) -> bool | None:
-        """Whether the average change is distinguishable from zero, at 5 % for so many variables together; None: not known."""
+        """Whether the average change is significant, at 5 % for so many variables together; None: not known."""
         return None if self.change_std is None else self.change > critical(variables, self.freedom) * self.change_std
 
     def depends(self, variables: int) -> bool:
-        """Whether a change that is not significant on average is so in a single row: it depends on other variables."""
+        """Whether a change that is not significant on average is significant in a single row: it depends on other variables."""
         if self.rows is None or self.rows_std is None or self.distinct(variables) is not False:
             return False
         most = critical(2 * variables, self.freedom)
@@ -72,15 +73,15 @@ class Effect:
 
 
 def critical(tests: int, freedom: float = np.inf) -> float:
-    """Standard deviations beyond which a difference is significant, at 5 % for all tests together (Bonferroni), by Student's
-    distribution where they have few degrees of freedom."""
+    """Critical value of a difference, in standard deviations: at 5 % for all tests together (Bonferroni), by Student's t
+    distribution with `freedom` degrees of freedom."""
     return float(-stdtrit(freedom, ALPHA / 2 / max(tests, 1)))
 
 
 def averages(data: Designs, fitted: Fitted) -> list[Effect]:
-    """Of each variable on average over at most `ROWS` rows, the greatest change first; at most `MOST` variables.
+    """Partial dependence on each variable over at most `ROWS` rows, the greatest change first; at most `MOST` variables.
 
-    Variables that are the same in all rows are left out: nothing is known of what they do.
+    Variables that are the same in all rows are left out, because their effect is not known.
     """
     columns = np.flatnonzero(np.ptp(data.x, axis=0) > 0)
     if len(columns) > MOST:
@@ -91,7 +92,7 @@ def averages(data: Designs, fitted: Fitted) -> list[Effect]:
 
 
 def drawn(data: Designs, count: int) -> np.ndarray:
-    """At most so many rows of the data, drawn with a seed that never changes."""
+    """At most `count` rows of the data, drawn with a fixed seed."""
     if len(data) <= count:
         return np.arange(len(data))
     return np.sort(generator(0, "rows of effects").choice(len(data), count, replace=False))
@@ -125,7 +126,7 @@ def _std_of_difference(covariance: np.ndarray, i: int, j: int) -> float:
 
 
 def _most_changing(data: Designs, fitted: Fitted, columns: np.ndarray) -> np.ndarray:
-    """The `MOST` columns in which the average over `SOME` rows changes most between least, middle and greatest value."""
+    """The `MOST` columns for which the average over `SOME` rows changes most between least, middle and greatest value."""
     x = data.x[drawn(data, SOME)].astype(np.float64)
     change = np.empty(len(columns))
     for i, column in enumerate(columns):
@@ -137,7 +138,7 @@ def _most_changing(data: Designs, fitted: Fitted, columns: np.ndarray) -> np.nda
 
 
 def cuts(data: Designs, fitted: Fitted, design: np.ndarray, columns: list[int]) -> list[Effect]:
-    """Through a design (variables,): one variable changes, beyond the data where bounds say so, and the others are held."""
+    """Cuts through a design (variables,): one variable changes within its bounds, also beyond the data; the others are held."""
     found = []
     for column in columns:
         values = np.unique(np.append(grid(data, column, bounds=True), design[column]))
@@ -148,7 +149,7 @@ def cuts(data: Designs, fitted: Fitted, design: np.ndarray, columns: list[int]) 
 
 
 def grid(data: Designs, column: int, bounds: bool = False) -> np.ndarray:
-    """(g,) values of a variable, ascending: evenly between the ends of the data (or bounds), or whole numbers, or levels."""
+    """(g,) ascending values of a variable: evenly spaced in the range of the data (or bounds), whole numbers, or levels."""
     v, seen = data.variables[column], data.x[:, column].astype(np.float64)
     if v.leveled:
         count = np.bincount(seen.astype(int), minlength=len(v.levels))
@@ -161,10 +162,10 @@ def grid(data: Designs, column: int, bounds: bool = False) -> np.ndarray:
 
 
 def with_value(data: Designs, x: np.ndarray, column: int, value: float | np.ndarray) -> np.ndarray:
-    """(rows, variables) designs in which a variable has a value; others in an equality with it make room to keep the sum.
+    """(rows, variables) designs with a value of a variable, and the other terms of equalities scaled to keep the sums.
 
-    They are scaled, and those that reach a bound stay there, as long as others can make room. Fixed values and steps are not
-    kept: what is asked is what the model says, and whether such a design may be is told by `allowed`.
+    Terms that reach a bound are held there, as long as others can compensate. Fixed values and steps are not kept: the designs
+    are for predictions, and `allowed` returns which of them satisfy the rules.
     """
     x = np.array(x, np.float64)
     x[:, column] = value
@@ -208,7 +209,7 @@ def _to_sum(part: np.ndarray, weight: np.ndarray, total: np.ndarray, held: np.nd
 
 
 def keeping(data: Designs) -> np.ndarray:
-    """(rows,) which designs of the data satisfy all rules of proposals but steps; sums up to the rounding of their parts."""
+    """(rows,) bool: which designs of the data satisfy all rules of proposals but steps, sums up to the rounding of terms."""
     good = allowed(data, data.x.astype(np.float64), rounded=True)
     for column, value in data.rules.fixed:
         good &= at_value(data.x[:, column], value)
@@ -216,14 +217,14 @@ def keeping(data: Designs) -> np.ndarray:
 
 
 def on_steps(data: Designs) -> np.ndarray:
-    """(rows,) which designs of the data have multiples of the steps of all variables that have one."""
+    """(rows,) bool: which designs of the data have multiples of the steps of all variables that have one."""
     return np.array([NO_RULES.broken(data.variables, row) is None for row in written(data.variables, data.x)], bool)
 
 
 def permitted(data: Designs) -> np.ndarray:
-    """(rows,) which designs of the data satisfy all rules of proposals but steps; all of them where none does.
+    """(rows,) bool: which designs of the data satisfy all rules of proposals but steps; all if none does.
 
-    What others have scored is no measure of what can be gained.
+    The scores of other designs are no reference for the gain by proposals.
     """
     good = keeping(data)
     return good if good.any() else np.ones(len(data), bool)
@@ -234,13 +235,25 @@ def best_permitted(data: Designs) -> int:
     return int(np.where(permitted(data), data.y, -np.inf).argmax())
 
 
+def most_expected(data: Designs, fitted: Fitted) -> tuple[int, float]:
+    """The measured row with the greatest prediction among those that satisfy the rules, and that prediction.
+
+    The greatest of many measurements is partly due to noise, and a prediction is not: the predicted gain of a proposal over the
+    data is therefore a difference of two predictions. Only the `LIKELY` rows with the greatest scores are considered.
+    """
+    good = permitted(data)
+    rows = np.flatnonzero(good)[np.argsort(-data.y[good], kind="stable")[:LIKELY]]
+    mean = fitted.predict(data.x[rows])[0]
+    return int(rows[mean.argmax()]), float(mean.max())
+
+
 def allowed(data: Designs, x: np.ndarray, rounded: bool = False) -> np.ndarray:
-    """(rows,) which designs satisfy bounds, linear constraints and forbidden combinations, to rounding errors.
+    """(rows,) bool: which designs satisfy bounds, linear constraints and forbidden combinations, up to rounding errors.
 
     Args:
         data: scored designs, with the rules.
         x: (rows, variables) designs.
-        rounded: whether they are of a table, whose decimals are rounded: a mixture of 0.33, 0.33 and 0.33 is one.
+        rounded: whether they are from a table, whose decimals are rounded: 0.33, 0.33 and 0.33 count as a mixture.
     """
     good = data.repair.allowed(x)
     for i, v in enumerate(data.variables):

@@ -16,23 +16,23 @@ def interval(mean: np.ndarray, std: np.ndarray | None) -> tuple[np.ndarray, np.n
 
 
 def shown_interval(data: Designs, mean: np.ndarray, std: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """The same in the target's own sign, the lower end first."""
+    """The same interval with the sign of the table's target, the lower end first."""
     low, high = (data.shown(end) for end in interval(mean, std))
     return (high, low) if data.minimise else (low, high)
 
 
 def first_choice(made: Proposals, far: np.ndarray) -> int | None:
-    """The proposal to try if only one is: that of the greatest lower end of the interval, or else of the greatest prediction.
+    """The proposal to try if only one is tried: that with the greatest lower end of its interval, or else prediction.
 
-    Where the model predicts an order alone, that is its first. Proposals farther than `FAR` from the data count only where all
-    are.
+    If the model predicts only an order, it is the first in that order. Proposals farther than `FAR` from the data are
+    considered only if all are.
 
     Args:
         made: the proposals.
-        far: (n,) distances to the data, in typical ones (`mbo.nn_distance`).
+        far: (n,) distances to the data, in typical distances (`mbo.nn_distance`).
 
     Returns:
-        Its index; None where the method has no model of the score, or one whose order cannot be distinguished from chance.
+        Its index; None if the method has no model of the score, or one whose order cannot be distinguished from chance.
     """
     if made.fitted is None or made.by_chance:
         return None

@@ -10,7 +10,7 @@ import numpy as np
 from deadreckon.mbo.calibration import Calibration
 from deadreckon.mbo.designs import Designs
 
-BLOCK = 512  # designs that a model is asked about at once: one shape, which is compiled once
+BLOCK = 512  # designs per call of a model: one shape, which is compiled once
 
 # (m, variables) designs -> (m,) means, and (m,) standard deviations or None.
 Predict = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray | None]]
@@ -20,16 +20,16 @@ Average = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """What the model of a method says of designs, in the scores of the data (`Designs.y`).
+    """The predictions of a method's model for designs, in units of the data's scores (`Designs.y`).
 
     Attributes:
-        predictions: means, and standard deviations of one new measurement (None where the model has none).
-        averages: means of groups of designs, and the covariance of the averages of groups; None where it is not known how
-            predictions of different designs go together.
-        calibration: how scores follow from predictions; None where that was not looked at.
-        beyond: deviation of the noise that one measurement has beyond that of the rows which calibrated it.
-        is_order: predictions are not scores but only their order, in standard deviations over the data.
-        freedom: degrees of freedom of the covariance of averages: of an ensemble, whose members tell it, one less than these.
+        predictions: means, and standard deviations of one new measurement (None if the model has none).
+        averages: means of groups of designs, and the covariance of the averages of groups; None if the covariance of
+            predictions is not known.
+        calibration: of the predictions; None if they were not tested.
+        beyond: standard deviation of the noise of a single measurement in addition to that of the rows of the calibration.
+        is_order: whether predictions are no scores but define only an order, in standard deviations over the data.
+        freedom: degrees of freedom of the covariance of averages: for an ensemble the number of members minus one.
     """
 
     predictions: Predict
@@ -49,7 +49,7 @@ class Fitted:
     def average(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """(g, r) means of (g, r, variables) groups of designs, and (g, g) calibrated covariance of their averages or None.
 
-        There is none either of a model of whose own deviations nothing is kept.
+        The covariance is also None if the calibration does not use the model's standard deviations.
         """
         if self.averages is None:
             return self.predict(x.reshape(-1, x.shape[-1]))[0].reshape(x.shape[:2]), None
@@ -60,14 +60,15 @@ class Fitted:
         return mean, factor**2 * covariance if self.calibration.scale else None
 
     def calibrated(self, calibration: Calibration, beyond: float = 0.0) -> "Fitted":
-        """The same with means and deviations as this makes them."""
+        """The same model with calibrated means and standard deviations."""
         return replace(self, calibration=calibration, beyond=beyond)
 
     @classmethod
     def of(
         cls, data: Designs, believed: Callable[[Any], tuple[Any, Any]], beyond: float = 0.0, *, is_order: bool = False
     ) -> "Fitted":
-        """Of a function from coordinates to standardised means and rows' deviations (or None), as `Designer.decoded` takes."""
+        """A model given by a function from coordinates to standardised means and standard deviations of rows (or None); see
+        `believed` of `Designer.decoded`."""
 
         def predictions(x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
             z = data.coordinates.encode(x)
@@ -84,7 +85,7 @@ class Fitted:
 
 
 def in_blocks(function: Callable[[Any], Any], z: np.ndarray) -> list[Any]:
-    """What a function of (rows, size) arrays says of blocks of `BLOCK` rows; the last is filled up with its last row."""
+    """Values of a function of (rows, size) arrays on blocks of `BLOCK` rows; the last block is padded with its last row."""
     out = []
     for i in range(0, len(z), BLOCK):
         part = z[i : i + BLOCK]
@@ -93,5 +94,5 @@ def in_blocks(function: Callable[[Any], Any], z: np.ndarray) -> list[Any]:
 
 
 def covariance_of_members(means: np.ndarray) -> np.ndarray:
-    """(g, g) covariance of averages over groups, from (members, g, r) means that the members of an ensemble have."""
+    """(g, g) covariance of averages over groups, from (members, g, r) means predicted by the members of an ensemble."""
     return np.atleast_2d(np.cov(means.mean(2), rowvar=False))

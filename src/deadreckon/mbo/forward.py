@@ -1,7 +1,8 @@
 """Forward models: one network or a bootstrapped ensemble of the score, and gradient ascent on its prediction (thesis 6.5).
 
-Settings of the public baselines: 2048 x 2048, Gaussian likelihood, 200 steps of 0.01 sqrt(d) from the best designs. Their
-"mean" ensemble takes the minimum; here both are what they are called.
+The settings are those of the public baselines: two hidden layers of 2048 units, a Gaussian likelihood, and 200 steps of size
+0.01 sqrt(d) from the best designs, where d is the number of coordinates. The public "mean" ensemble takes the minimum of its
+members; here "mean" is their mean and "min" their minimum.
 """
 
 from collections.abc import Callable
@@ -18,34 +19,35 @@ from deadreckon.data.batch import redrawn
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.fitted import Fitted, covariance_of_members, in_blocks
+from deadreckon.mbo.replicates import row_weights
 from deadreckon.mbo.surrogate import Surrogate, climb
 from deadreckon.mbo.validation import Predict, Quality, held_out, judged, unseen
 from deadreckon.nets.mlp import MLP, minimum
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, static
 
-HELD = 2000  # designs at most that are held out to judge a model
-LOG_STD = -5.0, 2.0  # bounds of the predicted log-deviation, in deviations of the score
+HELD = 2000  # largest number of designs that are held out to evaluate a model
+LOG_STD = -5.0, 2.0  # bounds of the predicted log standard deviation, for standardised scores
 
 
 class Gaussian(Surrogate):
-    """Mean and log-deviation of the score by maximum likelihood."""
+    """The learner: mean and log standard deviation of the score by maximum likelihood."""
 
     def loss(self, net: MLP, x, y, weight, key):
-        """Negative log-likelihood, weighted by how often a design counts."""
+        """Weighted negative log-likelihood, and metrics."""
         mean, log_std = believed(net, x)
         error = 0.5 * jnp.square((y - mean) / jnp.exp(log_std)) + log_std
         return (error * weight).mean(), {"nll": error.mean(), "error": jnp.square(y - mean).mean()}
 
 
 def believed(net: MLP, x: Float[Array, "b z"]) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
-    """Mean and log-deviation."""
+    """Predicted mean and log standard deviation of the standardised score."""
     out = net(x)
     return out[..., 0], jnp.clip(out[..., 1], *LOG_STD)
 
 
 @jax.jit
 def means_of(nets: MLP, x: Array) -> Float[Array, "k b"]:
-    """What each member believes."""
+    """The mean predicted by each member."""
     return jax.vmap(lambda net: believed(net, x)[0])(nets)
 
 
@@ -63,7 +65,7 @@ def least_of(nets: MLP, x: Array) -> Array:
 
 @jax.jit
 def mixture(nets: MLP, x: Array) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
-    """Mean and deviation of the members' mixture: what each is unsure of, and how far they disagree."""
+    """Mean and standard deviation of the members' mixture; its variance is their mean variance plus that of their means."""
     mean, log_std = jax.vmap(lambda net: believed(net, x))(nets)
     return mean.mean(0), jnp.sqrt(jnp.exp(2 * log_std).mean(0) + mean.var(0))
 
@@ -85,18 +87,18 @@ class Forward(Designer):
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return "Forward" if self.members == 1 else f"Ensemble, {self.objective}"
 
     @property
     def _value(self) -> Callable[[MLP, Array], Array]:
-        """What it predicts, and climbs."""
+        """The prediction, which gradient ascent maximises."""
         return mean_of if self.objective == "mean" else least_of
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
-        """From the best designs of the data, up the gradient."""
+        """Gradient ascent from the best designs of the data."""
         learner = Gaussian(self.lr, self.members, self.hidden, 2, "relu", self.batch_size)
-        # The same bootstrap samples whatever the seed: lanes of one program share their rows.
+        # The same bootstrap resamples for all seeds, because the lanes of one program share their rows.
         weight = {"weight": redrawn(len(setting.data), self.members, 0)}
         states = setting.train(learner, self.steps, "forward", weight)
         view, start = setting.data.coordinates, Search.start(setting.data, setting.n)
@@ -111,7 +113,7 @@ class Forward(Designer):
         return found if quality is None else [each.calibrated(quality) for each in found]
 
     def _fitted(self, fitted: Fitted | None, data: Designs, nets: MLP) -> Fitted | None:
-        """The model, with how averages over designs go together: as the members' do, where these are several."""
+        """The model; for an ensemble with the covariance of averages over designs, by that of its members."""
         if fitted is None or self.members < 2 or self.objective != "mean":
             return fitted
 
@@ -124,7 +126,7 @@ class Forward(Designer):
         return replace(fitted, averages=averages, freedom=self.members - 1)
 
     def unseen(self, setting: DesignInput, x: np.ndarray, error: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """What it says of scores of other designs: (m,) means and deviations with noise, whatever standard errors are known."""
+        """(m,) predicted means and standard deviations, noise included, of scores of other designs; `error` is ignored."""
         learner, data = Gaussian(self.lr, self.members, self.hidden, 2, "relu", self.batch_size), setting.data
         weight = {"weight": redrawn(len(data), self.members, 0)}
         nets = setting.train(learner, self.steps, "held-out", weight)[0][0]
@@ -135,15 +137,15 @@ class Forward(Designer):
 
 
 def on_held_out(method: Any, setting: DesignInput, scored: bool = True) -> Quality | None:
-    """How well a method predicts designs that it is not fitted on and that calibrate it (`validation.held_out`).
+    """The quality of a method's predictions of held-out designs, by which it is also calibrated (`validation.held_out`).
 
     Args:
-        method: with `unseen`, which fits it on some designs and predicts others.
-        setting: with all the designs.
-        scored: whether it predicts scores, and not their order alone.
+        method: has `unseen`, which fits it to some designs and predicts others.
+        setting: with all designs.
+        scored: whether it predicts scores, and not only their order.
 
     Returns:
-        None where there are too few designs.
+        The quality; None if there are too few designs.
     """
     data = setting.data
     if (out := held_out(data, HELD)) is None:
@@ -154,4 +156,5 @@ def on_held_out(method: Any, setting: DesignInput, scored: bool = True) -> Quali
         return partial(method.unseen, setting._replace(data=part, seeds=setting.seeds[:1]))
 
     mean, std = unseen(data, held, rest, model)
-    return replace(judged(data.y[held], mean, std, fold, method.label, scored=scored), units=data.units[held])
+    found = judged(data.y[held], mean, std, fold, method.label, scored=scored, weight=row_weights(data)[held])
+    return replace(found, units=data.units[held])

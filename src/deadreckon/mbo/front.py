@@ -1,9 +1,9 @@
-"""Several targets at once: designs that are expected to move the front of the data, from a Gaussian process for each target.
+"""Several targets: designs that are expected to extend the Pareto front of the data, by a Gaussian process for each target.
 
-Candidates are found by climbing augmented Chebyshev scalarisations of the predicted means with random weights (Knowles 2006),
-within all rules. Of these a batch is chosen greedily by the expected improvement of the hypervolume, over joint draws of the
-true scores of candidates and of the data's front, whose scores are noisy too (Daulton et al. 2021). A candidate's gain never
-grows as others are chosen, so that only the first of a sorted list is counted anew, until it stays first (Minoux 1978).
+Candidates are found by maximising augmented Chebyshev scalarisations of the predicted means with random weights (Knowles 2006),
+within all rules. From these a batch is chosen greedily by expected hypervolume improvement, over joint draws of the true scores
+of candidates and of the data's front, whose scores are noisy as well (Daulton et al. 2021). A candidate's gain never grows as
+others are chosen, so that only the gain of the best one is computed again, until it stays the best (Minoux 1978).
 """
 
 from collections.abc import Callable, Sequence
@@ -13,36 +13,39 @@ from typing import Any
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.mbo.batch import batch, check_batch, least_distance
+from deadreckon.mbo.batch import batch, check_batch, least_distance, untried
 from deadreckon.mbo.calibration import Calibration
 from deadreckon.mbo.designer import DesignInput, Proposals, check_asked
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.effects import keeping, permitted
 from deadreckon.mbo.gp import GP, search
-from deadreckon.mbo.hypervolume import hypervolume, improvement, non_dominated, range_of, reference_of
+from deadreckon.mbo.hypervolume import dominators, hypervolume, improvement, non_dominated, range_of, reference_of
 from deadreckon.mbo.process import Process, fit
 from deadreckon.mbo.validation import Quality
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.randomness import generator
 
-WEIGHTS = 12  # scalarisations that are climbed, beside one for each target alone
+WEIGHTS = 12  # number of random scalarisations, in addition to one for each target
 ROUNDS = 15  # of each search
-KEPT = 32  # designs that each search keeps at least
-DRAWS = 32  # of the true scores
-AUGMENTED = 0.05  # weight of the sum of scores beside the least of them
+KEPT = 32  # least number of designs that each search keeps
+DRAWS = 32  # joint draws of the true scores
+MOST = 300  # largest number of rows of the data whose true scores are drawn for the reported gain
+EXPLAINED = 0.8  # out-of-fold R2 of a target below which the gain is reported to be too high
+AUGMENTED = 0.05  # weight of the sum of scores, which augments the least of them
 LABEL = "GP for each target, expected hypervolume improvement"
 
 
 @dataclass(frozen=True)
 class Front:
-    """Proposals for several targets; all scores are as `Designs.y`, to be made large.
+    """Proposals for several targets; all scores are maximised, like `Designs.y`.
 
     Attributes:
         data: (targets,) the same designs with the scores of each target.
         made: (targets,) the same proposals with the predictions for each target.
         reference: (targets,) the point from which hypervolumes are measured.
-        before: hypervolume of the data's scores, as they were measured, of rows that satisfy the rules; of all where none does.
-        gain: expected increase of the hypervolume of the data's true scores by the proposals' true scores.
+        before: hypervolume of the measured scores of the rows that satisfy the rules, or of all rows if none does.
+        gain: expected increase of the hypervolume of the data's true scores by the proposals' true scores. The data are all
+            rows of `contenders`, not only the measured front: if noise is large, others may be as good.
     """
 
     data: tuple[Designs, ...]
@@ -58,7 +61,7 @@ class Front:
 
     @property
     def best(self) -> np.ndarray:
-        """(rows,) which rows of the data are on its front."""
+        """(rows,) bool: which rows of the data are on its front."""
         return on_front(self.data)
 
     @property
@@ -67,22 +70,28 @@ class Front:
         return np.stack([each.predicted for each in self.made], 1)
 
     def shown(self, scores: np.ndarray) -> np.ndarray:
-        """(..., targets) scores as the table has them."""
+        """(..., targets) scores with the signs of the table."""
         return np.stack([each.shown(scores[..., k]) for k, each in enumerate(self.data)], -1)
 
     @property
     def unskilled(self) -> list[str]:
-        """Targets of which the models' orders cannot be distinguished from chance, so that the gain is not known."""
+        """Targets for which the model's order of unseen designs cannot be distinguished from chance: the gain is not known."""
         return [each.target for each, made in zip(self.data, self.made) if made.by_chance]
 
     @property
+    def noisy(self) -> list[str]:
+        """Targets for which the model's out-of-fold R2 is below `EXPLAINED`, with R2."""
+        pairs = [(each.target, made.quality.r2) for each, made in zip(self.data, self.made) if made.quality is not None]
+        return [f"{target} {r2:.2f}" for target, r2 in pairs if r2 < EXPLAINED]
+
+    @property
     def warnings(self) -> list[str]:
-        """What should be known before anybody tries the proposals, by target."""
+        """Warnings to read before the proposals are tried, by target."""
         return [f"{each.target}: {made.warning}" for each, made in zip(self.data, self.made) if made.warning]
 
     @property
     def notes(self) -> list[str]:
-        """Why the hypervolume or the gain is not what one may take it for."""
+        """Remarks that are needed to interpret the hypervolume and the gain."""
         lines = []
         if not keeping(self.data[0]).any():
             lines.append("no row of the data satisfies the rules of the proposals, so that the hypervolume is that of all rows")
@@ -93,17 +102,19 @@ class Front:
                 "no proposal is expected to add anything, above the reference point in all targets and beyond the front; "
                 "they are those of the greatest predictions, all targets together"
             )
+        elif not self.unskilled and (noisy := self.noisy):
+            lines.append(f"the expected gain is too high where noise is large (R2 out of fold: {', '.join(noisy)})")
         return lines
 
 
 @dataclass(frozen=True)
 class Scalarised:
-    """The augmented Chebyshev scalarisation of several processes of the same designs, as `mbo.gp.search` takes a process.
+    """The augmented Chebyshev scalarisation of several processes of the same designs, used as a process in `mbo.gp.search`.
 
     Attributes:
-        processes: one a target.
-        weight: (targets,) of the scores over the front's range.
-        origin, span: (targets,) what scores are counted from, and in what unit.
+        processes: one per target.
+        weight: (targets,) weights of the scores in units of `span`.
+        origin, span: (targets,) origin and unit of the scores.
     """
 
     processes: tuple[Process, ...]
@@ -116,12 +127,12 @@ class Scalarised:
         return self.weight * (mean - self.origin) / self.span
 
     def mean(self, x: np.ndarray) -> np.ndarray:
-        """(m,) the least weighted score, and a little of their sum."""
+        """(m,) the least weighted score, plus `AUGMENTED` times their sum."""
         parts = self._parts(x)
         return parts.min(1) + AUGMENTED * parts.sum(1)
 
     def slope(self, x: np.ndarray, kappa: float) -> np.ndarray:
-        """(m, features) its gradient; `kappa` is none of it."""
+        """(m, features) gradient of `mean`; `kappa` is ignored."""
         least = self._parts(x).argmin(1)
         total: Any = 0.0
         for k, each in enumerate(self.processes):
@@ -139,19 +150,19 @@ def propose_front(
     repeat: bool = False,
     watch: Watcher = unwatched,
 ) -> Front:
-    """Designs that are expected to move the front of several targets.
+    """Designs that are expected to extend the front of several targets.
 
     Args:
         data: the same designs, with the scores of one target each (`targets_of`).
         n: how many to propose; all different.
         seed: random seed.
-        reference: (targets,) point from which hypervolumes are measured, as the table has the scores; None: `reference_of`.
+        reference: (targets,) point from which hypervolumes are measured, with the signs of the table; None: `reference_of`.
         repeat: whether designs of the data may be proposed.
         watch: called with the name of the fit, the targets done and the total.
 
     Raises:
-        UserError: fewer than two targets, a seed that is none, a reference point of another size or without finite numbers, or
-            fewer designs than requested.
+        UserError: fewer than two targets, an invalid seed, a reference point of another size or with numbers that are not
+            finite, or fewer designs than requested.
     """
     data, gp = tuple(data), GP()
     check_asked(n, [seed])
@@ -173,6 +184,7 @@ def propose_front(
         qualities.append(quality and replace(quality, method=each.target))
     rows = np.flatnonzero(on_front(data))
     pool = candidates(data[0], tuple(processes), low, span, n, seed)
+    pool = pool if repeat else untried(data[0], pool, 2 * n)
     gains = Gains(processes, pool, data[0].x[rows], point, seed)
     value = Scalarised(tuple(processes), np.ones(len(data)), low, span).mean
     order = gains.greedy(2 * n, value(pool), data[0].coordinates.place(pool), least_distance(data[0]))
@@ -180,7 +192,7 @@ def propose_front(
     check_batch(data[0], x, repeat)
     made = tuple(_predicted(each, process, x, seed, quality) for each, process, quality in zip(data, processes, qualities))
     worth = [None if quality is None else quality.calibration for quality in qualities]
-    gain = Gains(processes, x, data[0].x[rows], point, seed, worth).total()
+    gain = Gains(processes, x, data[0].x[contenders(data[0], processes)], point, seed, worth).total()
     return Front(data, made, point, hypervolume(y[rows], point), gain)
 
 
@@ -192,17 +204,31 @@ def _predicted(data: Designs, process: Process, x: np.ndarray, seed: int, qualit
 
 
 def on_front(data: Sequence[Designs]) -> np.ndarray:
-    """(rows,) which designs of the data are on its front, of those that `permitted` lets count."""
+    """(rows,) bool: which designs of the data are on the Pareto front of those that are `permitted`."""
     rows = np.flatnonzero(permitted(data[0]))
     found = np.zeros(len(data[0]), bool)
     found[rows[non_dominated(np.stack([each.y[rows] for each in data], 1))]] = True
     return found
 
 
+def contenders(data: Designs, processes: Sequence[Process]) -> np.ndarray:
+    """Rows of the data that may be on the front of its true scores: those that are `permitted`, at most `MOST`.
+
+    If there are more, those that the fewest others dominate by their predictions are used: a random sample would miss the few
+    that matter, and the greatest measured scores are partly due to noise.
+    """
+    rows = np.flatnonzero(permitted(data))
+    if len(rows) <= MOST:
+        return rows
+    parts = np.array_split(data.x[rows], -(-len(rows) // MOST))  # covariances with all rows at once are too many
+    mean = np.stack([np.concatenate([process.mean(part) for part in parts]) for process in processes], 1)
+    return rows[np.argsort(dominators(mean), kind="stable")[:MOST]]
+
+
 def candidates(
     data: Designs, processes: tuple[Process, ...], low: np.ndarray, span: np.ndarray, n: int, seed: int
 ) -> np.ndarray:
-    """(m, variables) different designs that are good by some weighting of the targets, from `low` on in units of `span`."""
+    """(m, variables) different designs with great scalarised scores for some weights; `low` and `span` are origin and unit."""
     count = len(processes)
     drawn = generator(seed, "weights of targets").dirichlet(np.ones(count), WEIGHTS)
     alone = 0.02 + (1 - 0.02 * count) * np.eye(count)
@@ -214,15 +240,15 @@ def candidates(
 
 
 class Gains:
-    """Joint draws of the true scores of candidates and of the data's front, and what candidates add to the hypervolume.
+    """Joint draws of the true scores of candidates and of the data's front, and the expected gains of hypervolume.
 
     Args:
-        processes: one a target, independent of each other.
+        processes: one per target, independent of each other.
         x: (m, variables) candidates.
-        front: (f, variables) designs of the data that none dominates.
+        front: (f, variables) designs of the data, among which the front of each draw is found.
         reference: (targets,) point of the hypervolume.
         seed: of the draws.
-        calibrations: one a target, which say what its predictions are worth; None: draws are as the process has them.
+        calibrations: one per target, which are applied to the draws; None: draws are those of the process.
     """
 
     def __init__(
@@ -236,16 +262,16 @@ class Gains:
         self.fronts = [_kept(each, reference) for each in y[:, len(x) :]]
 
     def of(self, i: int, fronts: Sequence[np.ndarray]) -> float:
-        """What one candidate is expected to add."""
+        """The expected hypervolume improvement by one candidate, given the front of each draw."""
         return float(np.mean([improvement(y[i], front, self.reference) for y, front in zip(self.y, fronts)]))
 
     def greedy(self, n: int, value: np.ndarray, z: np.ndarray | None = None, apart: float = 0.0) -> np.ndarray:
-        """(n,) or fewer candidates, in the order in which they are chosen; each adds most to those before it.
+        """(n,) or fewer candidates, in the order in which they are chosen; each has the greatest gain given those before it.
 
         Args:
             n: how many.
-            value: (candidates,) by which they are chosen where none adds anything.
-            z: (candidates, size) their coordinates, where they must lie apart.
+            value: (candidates,) by which they are chosen if none has a gain.
+            z: (candidates, features) of `Coordinates.place`, if there is a least distance.
             apart: least distance between those that are chosen.
         """
         fronts = list(self.fronts)
@@ -256,7 +282,7 @@ class Gains:
             while (i := int(gain.argmax())) not in fresh and gain[i] > 0:
                 gain[i] = self.of(i, fronts)
                 fresh.add(i)
-            if gain[i] == -np.inf:  # all others lie too near
+            if gain[i] == -np.inf:  # all others are too near
                 break
             if gain[i] <= 0:
                 i = int(np.where(gain > -np.inf, value, -np.inf).argmax())
@@ -268,7 +294,7 @@ class Gains:
         return np.array(order)
 
     def total(self) -> float:
-        """What all candidates together are expected to add."""
+        """The expected hypervolume improvement by all candidates together."""
         volume: Callable[[np.ndarray], float] = lambda y: hypervolume(y, self.reference)  # noqa: E731
         both = [volume(np.concatenate([front, y])) - volume(front) for front, y in zip(self.fronts, self.y)]
         return float(np.mean(both))
@@ -283,7 +309,7 @@ def _draws(process: Process, x: np.ndarray, rng: np.random.Generator, calibratio
 
 
 def _kept(y: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """The rows that count in the hypervolume."""
+    """The non-dominated rows above the reference point, which determine the hypervolume."""
     y = y[(y > reference).all(1)]
     return y[non_dominated(y)] if len(y) else y
 
@@ -292,13 +318,14 @@ def targets_of(read: Callable[..., Designs], targets: Sequence[str], minimise: S
     """The same designs with the scores of each target.
 
     Args:
-        read: of one target (`target`, `minimise`, `ignore`, `targets` and more), such as `Designs.from_frame` of a table.
+        read: function that returns designs, called with `target`, `minimise`, `ignore`, `targets` and `options`, such as
+            `Designs.from_frame` of a table.
         targets: columns of the scores.
-        minimise: those of them that are to be made small.
-        options: keywords of `read`.
+        minimise: those of them that are minimised.
+        options: further keywords of `read`.
 
     Raises:
-        UserError: a target is there twice, or is none.
+        UserError: there are fewer than two different targets, or one in `minimise` is not a target.
     """
     if len(set(targets)) < max(len(targets), 2):
         raise UserError(f"a front needs two different targets or more, got {', '.join(targets)}")

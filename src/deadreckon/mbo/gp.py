@@ -1,16 +1,16 @@
 """A Gaussian process for tables of experiments, and a batch of designs that it predicts high scores for.
 
-The process is that of `mbo.process`. Its prediction m + kappa s is climbed from designs of the data and from random ones, by
-random changes and gradient steps that are kept within all rules; the batch is chosen greedily, each design given those
-before it (their fantasised scores are the means, which changes s alone; Ginsbourger et al. 2010), at a least distance from
-them.
+The process is that of `mbo.process`. The criterion m + kappa s is maximised from designs of the data and from random ones, by
+random changes and gradient steps that are kept within all rules. The batch is chosen greedily: each design given those before
+it, at a least distance from them. The scores of these are set to their predicted means, which changes only s (the kriging
+believer of Ginsbourger et al. 2010).
 """
 
 from typing import ClassVar
 
 import numpy as np
 
-from deadreckon.mbo.batch import batch, moved
+from deadreckon.mbo.batch import batch, moved, untried
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.fitted import Fitted
@@ -21,14 +21,14 @@ from deadreckon.mbo.validation import Predict, Quality, checkable, cross_validat
 from deadreckon.randomness import generator
 from deadreckon.training.hyperparameters import Count, CountOrZero, Number, host
 
-KEPT = 128  # designs that a search keeps at least
-DRAWN = 512  # random designs that it begins with
+KEPT = 128  # least number of designs that a search keeps
+DRAWN = 512  # number of random designs at its start
 
 
 class GP(Designer):
-    """The greatest predicted score under a Gaussian process with a length for each variable, and categories."""
+    """The greatest predicted scores under a Gaussian process with a length scale for each variable, also for categories."""
 
-    revision: ClassVar[int] = 5
+    revision: ClassVar[int] = 6
     equal_rows: ClassVar[bool] = False
 
     kappa: Number = host(0.0)
@@ -37,20 +37,22 @@ class GP(Designer):
     fit_rows: Count = host(400)  # largest number of designs on which the hyperparameters are fitted
     rounds: Count = host(40)  # rounds of the search
     folds: CountOrZero = host(5)
-    """folds of the cross-validation that calibrates the intervals; 0: none. Of more than `max_rows` designs a fifth is held out
-    once instead"""
+    """folds of the cross-validation that calibrates the intervals; 0: none; with more than `max_rows` designs a fifth is held
+    out once instead"""
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return "GP"
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
-        """One process for all seeds, which differ in their searches."""
+        """One process for all seeds, which differ only in the random search."""
         process, quality = fit(self.used(setting.data), rows=self.fit_rows), self.quality(setting)
         found = []
         for seed in setting.seeds:
             pool = search(setting.data, process, self.kappa, self.rounds, max(KEPT, 4 * setting.n), seed)
+            if setting.distinct and not setting.repeat:
+                pool = untried(setting.data, pool, 2 * setting.n)
             order = greedy(process, pool, self.kappa, 2 * setting.n)
             if setting.distinct:
                 score = lambda x: sum_of(process, x, self.kappa)  # noqa: E731
@@ -58,7 +60,7 @@ class GP(Designer):
             else:
                 x = np.resize(pool[order], (setting.n, pool.shape[1])).astype(np.float32)
             mean, std = process.posterior(x)
-            # What is calibrated is the deviation of a row, with its noise, and not that of the mean.
+            # The calibration is for the standard deviation of a row, noise included, and not for that of the true score.
             measured = np.hypot(std, process.noise)
             fitted = Fitted(process.measured, process.averages)
             made = Proposals(self.label, x, mean, measured, seed, fitted=fitted, mean_std=std, beyond=process.beyond)
@@ -66,7 +68,7 @@ class GP(Designer):
         return found
 
     def used(self, data: Designs) -> Designs:
-        """The designs that are fitted."""
+        """The designs in the fit: all, or the best and a random sample of the others (`max_rows`)."""
         order = data.best(len(data))
         if len(order) <= self.max_rows:
             return data
@@ -77,8 +79,8 @@ class GP(Designer):
     def quality(self, setting: DesignInput) -> Quality | None:
         """The quality of its predictions; None if it is not tested, or if there are too few designs.
 
-        Where not all designs are used, those that are were chosen by their scores, and are better than others by their noise
-        too: they would not show how far. So it is judged on designs that are drawn from all.
+        If not all designs are in the fit, half of those that are were selected by their scores, and thus partly by their noise,
+        which would bias a cross-validation. The method is then tested on held-out designs drawn from all.
         """
         data = setting.data
         if self.folds < 2:
@@ -91,12 +93,13 @@ class GP(Designer):
         return cross_validated(data, self.predictor, self.label, self.folds)
 
     def unseen(self, setting: DesignInput, x: np.ndarray, error: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """What it says of scores of other designs, with their standard errors: (m,) means and deviations with noise."""
+        """(m,) predicted means and standard deviations, noise included, of scores of other designs with standard errors `error`
+        (m,)."""
         setting.watch("held-out", 0, 1)
         return self.predictor(self.used(setting.data))(x, error)
 
     def predictor(self, data: Designs) -> Predict:
-        """What a process of some designs says of the scores of others: mean, and deviation with noise."""
+        """A function that predicts means and standard deviations of scores, noise included, by a process fitted to `data`."""
         process = fit(data, rows=self.fit_rows)
 
         def predict(x: np.ndarray, error: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -115,7 +118,7 @@ def sum_of(process: Process, x: np.ndarray, kappa: float) -> np.ndarray:
 
 
 def search(data: Designs, process: Process, kappa: float, rounds: int, kept: int, seed: int) -> np.ndarray:
-    """(kept, variables) or fewer different designs of great m + kappa s, the greatest first, within bounds and constraints."""
+    """(kept, variables) or fewer different designs with great m + kappa s, the greatest first, that satisfy the rules."""
     rng = generator(seed, "search of designs")
     start = data.x[rng.integers(len(data), size=DRAWN)]
     x = np.concatenate([data.x[data.best(min(len(data), 64))], moved(data, start, 1.0, rng), start[:64]])
@@ -124,7 +127,7 @@ def search(data: Designs, process: Process, kappa: float, rounds: int, kept: int
 
 
 def _uphill(data: Designs, process: Process, x: np.ndarray, kappa: float, rng: np.random.Generator) -> np.ndarray:
-    """A step of each design up the gradient in its numbers, of a random length."""
+    """A gradient step of random length of each design, in its numbers."""
     view = data.coordinates
     count = len(view.numeric)
     if not count:
@@ -137,7 +140,7 @@ def _uphill(data: Designs, process: Process, x: np.ndarray, kappa: float, rng: n
 
 
 def greedy(process: Process, x: np.ndarray, kappa: float, n: int) -> np.ndarray:
-    """(n,) or fewer rows in the order in which they are chosen: each has the greatest m + kappa s given those before it."""
+    """(n,) or fewer rows of `x` in the order in which they are chosen: each has the greatest m + kappa s given those before."""
     mean = process.mean(x) / process.y_std
     if not kappa:
         return np.argsort(-mean, kind="stable")[:n]

@@ -1,12 +1,12 @@
-"""Bayesian optimisation without asking: a Gaussian process on the data, and designs of greatest expected improvement (thesis
-6.5).
+"""Bayesian optimisation without new evaluations: a Gaussian process on the data, and designs of greatest expected improvement
+(thesis 6.5).
 
 scikit-learn fits the kernel by marginal likelihood; the improvement over the best score of the data,
 
     EI(x) = s (u Phi(u) + phi(u)),   u = (m - y_best) / s,
 
-is climbed on its logarithm, which has a slope where the improvement itself is nought (Ament et al. 2023). Nothing is random but
-the designs of the data that are used, where these are too many.
+is maximised by its logarithm, whose gradient does not vanish where the improvement itself is numerically zero (Ament et al.
+2023). The only random part is the selection of rows if there are too many, with a fixed seed.
 """
 
 import warnings
@@ -22,8 +22,8 @@ from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
 from deadreckon.mbo.surrogate import climb
 from deadreckon.training.hyperparameters import Count, NonNegative, static
 
-NOISE = 1e-3  # least variance of the noise, in variances of the score: with less, 32 bits do not hold the inverse
-FAR = 5.0  # deviations below the best from where on log EI is that of its asymptote
+NOISE = 1e-3  # least variance of the noise, in variances of the score: with less, the inverse is inaccurate in 32 bits
+FAR = 5.0  # standard deviations below the best score beyond which log EI is computed from its asymptotic series
 
 
 class Process(NamedTuple):
@@ -31,13 +31,13 @@ class Process(NamedTuple):
 
     Attributes:
         x: (rows, size) coordinates of the data.
-        alpha: (rows,) of the mean k(x) alpha.
-        whiten: (rows, rows) inverse of the Cholesky factor of the kernel matrix with noise; of that matrix itself the inverse
+        alpha: (rows,) coefficients of the posterior mean k(x) alpha.
+        whiten: (rows, rows) inverse of the Cholesky factor of the kernel matrix with noise; the inverse of the matrix itself
             would lose twice as many digits.
         scale: signal variance.
-        length: of the RBF kernel; of the inner product its constant.
+        length: length scale of the RBF kernel, or the constant sigma_0 of the inner-product kernel.
         best: standardised score to improve on.
-        rbf: which of the two kernels it has (1 or 0).
+        rbf: 1 for the RBF kernel, 0 for the inner product.
     """
 
     x: Float[Array, "r z"]
@@ -50,7 +50,7 @@ class Process(NamedTuple):
 
     @jax.jit
     def posterior(self, x: Float[Array, "b z"]) -> tuple[Float[Array, "b"], Float[Array, "b"]]:
-        """Mean and deviation, without noise."""
+        """Mean and standard deviation of the true score, without noise."""
         inner, own = x @ self.x.T, jnp.square(x).sum(-1)
         distance = jnp.maximum(own[:, None] + jnp.square(self.x).sum(-1) - 2 * inner, 0.0)
         near = jnp.where(self.rbf > 0, jnp.exp(-0.5 * distance / jnp.square(self.length)), jnp.square(self.length) + inner)
@@ -90,11 +90,11 @@ class GPBO(Designer):
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return "GP-BO"
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
-        """From the best designs of the data, up the logarithm of the improvement; the same for every seed."""
+        """Gradient ascent on log EI from the best designs of the data; the same for every seed."""
         view = setting.data.coordinates
         process = self.fit(setting)
         lr, start = self.design_lr * view.size**0.5, Search.start(setting.data, setting.n)
@@ -102,7 +102,7 @@ class GPBO(Designer):
         return [self.decoded(setting, seed, x, process.posterior, noisy=False) for seed in setting.seeds]
 
     def fit(self, setting: DesignInput) -> Process:
-        """The process.
+        """Fits the process.
 
         Raises:
             UserError: scikit-learn is not installed.
@@ -126,7 +126,7 @@ class GPBO(Designer):
         signal = kernels.ConstantKernel(1.0 if rbf else 1.0 / size, (1e-6, 1e3))
         kernel: Any = signal * shape + kernels.WhiteKernel(0.1, (NOISE, 1e1))
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", ConvergenceWarning)  # data without noise sits on the noise's lower bound
+            warnings.simplefilter("ignore", ConvergenceWarning)  # without noise in the data its variance is at the bound
             found: Any = GaussianProcessRegressor(kernel, alpha=1e-8, random_state=0).fit(z, y).kernel_
         product = found.k1
         whiten = np.linalg.inv(np.linalg.cholesky(found(z) + 1e-8 * np.eye(len(z))))

@@ -1,4 +1,4 @@
-"""The grids on which designs are proposed where rules tie variables together."""
+"""The grids of values on which variables in rules are proposed."""
 
 import math
 from collections.abc import Sequence
@@ -10,18 +10,18 @@ from deadreckon.mbo.constraints import Linear
 from deadreckon.mbo.rules import Rules
 from deadreckon.mbo.variables import Variable
 
-FINE = 4  # digits below the range of a constrained variable to which proposals are rounded, so that sums are exact
-OF_LOGS = 2  # likewise below the least value of one that is seen as its logarithm, whose range says nothing of its decades
-LEAST = 100  # values that a shared grid leaves each variable
-COARSER = (0, 1, 2, 3, 4, -1, -2, -3)  # digits by which the grids that are tried are coarser than the usual ones
+FINE = 4  # decimal digits, below those of its range, to which a constrained variable is rounded, so that sums are exact
+OF_LOGS = 2  # the same below those of the least value of a variable on a log scale, as its values may span decades
+LEAST = 100  # least number of values that a shared grid has for each variable
+COARSER = (0, 1, 2, 3, 4, -1, -2, -3)  # digits by which the alternative grids are coarser than the usual one
 
 
 def grids(variables: Sequence[Variable], rules: Rules, decimals: Sequence[int], x: np.ndarray) -> list[list[Fraction | None]]:
-    """Steps in which each variable is proposed, on several grids, the usual ones first; None: any number, or a level.
+    """Steps of each variable on several alternative grids, the usual ones first; None: any number, or a level.
 
-    The numbers of an equality share one grid, the finest that any of them asks for and 32 bits hold in all, unless that
-    leaves one of them fewer than `LEAST` values: a sum is met by multiples of its coarsest grid alone. On coarser ones a
-    program is easier; finer ones are needed by weights such as in 2 a + 4 b = 1.
+    The variables of an equality share one grid, because a sum can only be satisfied by multiples of its coarsest step: the
+    finest grid that any of them needs and that 32 bits represent for all, except for a variable that would have fewer than
+    `LEAST` values. Coarser grids make programs easier; finer ones are needed for weights such as in 2 a + 4 b = 1.
 
     Args:
         variables: of the designs.
@@ -31,8 +31,8 @@ def grids(variables: Sequence[Variable], rules: Rules, decimals: Sequence[int], 
     """
     touched = rules.touched
     plain: list[Fraction | None] = [None] * len(variables)
-    wanted: dict[int, int] = {}  # digits of those whose grid is ours to choose
-    held: dict[int, int] = {}  # by 32 bits
+    wanted: dict[int, int] = {}  # exponent of ten of the step, for variables without a given one
+    held: dict[int, int] = {}  # the same for the finest step that 32 bits represent
     reach: dict[int, float] = {}
     for i, v in enumerate(variables):
         if v.step is not None:
@@ -47,7 +47,7 @@ def grids(variables: Sequence[Variable], rules: Rules, decimals: Sequence[int], 
             usual = math.floor(math.log10(reach[i])) - FINE
             fine = min(usual, math.floor(math.log10(low)) - OF_LOGS) if v.log else usual
             wanted[i] = min(fine, -decimals[i])
-            # Numbers of 32 bits that are as far apart as the largest ones.
+            # The distance between neighbouring 32-bit numbers is greatest at the largest value.
             held[i] = math.ceil(math.log10(np.spacing(np.nextafter(np.float32(largest), np.float32(0)))))
     shared = _shared(rules, set(wanted))
     out: list[list[Fraction | None]] = []
@@ -69,7 +69,7 @@ def grids(variables: Sequence[Variable], rules: Rules, decimals: Sequence[int], 
 
 
 def _shared(rules: Rules, columns: set[int]) -> list[list[int]]:
-    """Those of the columns that equalities bind together, also by way of others."""
+    """Groups of the given columns that equalities connect, directly or through other columns."""
     free = {c for each in rules.linear for c, _ in each.weights} - {column for column, _ in rules.fixed}
     groups = tied([each for each in rules.linear if each.equal], free)
     shared = [{c for each in group for c, _ in each.weights} & free & columns for group in groups]
@@ -77,7 +77,7 @@ def _shared(rules: Rules, columns: set[int]) -> list[list[int]]:
 
 
 def tied(equalities: Sequence[Linear], free: set[int]) -> list[list[Linear]]:
-    """Equalities by groups that share `free` columns, also by way of others."""
+    """Groups of equalities that share `free` columns, directly or through other equalities."""
     groups: list[tuple[set[int], list[Linear]]] = []
     for each in equalities:
         columns = {column for column, _ in each.weights} & free

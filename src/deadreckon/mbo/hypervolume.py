@@ -1,7 +1,7 @@
-"""Fronts of several scores that are all to be made large, and the volume that they dominate, exactly.
+"""Pareto fronts of several scores, all of which are maximised, and their exact hypervolume.
 
-The volume is summed over slices of the last score (Zitzler 2001; While et al. 2006), each the volume of the rows above it in
-one score less: n log n steps for two scores, n^2 for three, and more for each further one.
+The volume is a sum over slices of the last score (Zitzler 2001; While et al. 2006), each of which is a hypervolume in one score
+less: O(n log n) for two scores, O(n^2 log n) for three, and a further factor n for each further score.
 """
 
 import numpy as np
@@ -10,20 +10,26 @@ BLOCK = 256  # rows that are compared with all at once
 
 
 def non_dominated(y: np.ndarray) -> np.ndarray:
-    """(rows,) which of (rows, scores) no other row is at least as good as in all scores and better in one; twins all are."""
-    beaten = np.zeros(len(y), bool)
+    """(rows,) bool: which rows of `y` (rows, scores) no other row dominates, i.e. is at least as good as in all scores and
+    better in one. Equal rows do not dominate each other."""
+    return dominators(y) == 0
+
+
+def dominators(y: np.ndarray) -> np.ndarray:
+    """(rows,) number of rows of `y` (rows, scores) that dominate each row."""
+    count = np.zeros(len(y), int)
     for i in range(0, len(y), BLOCK):  # all pairs at once are too many for large tables
         some = y[i : i + BLOCK, None]
-        beaten |= ((some >= y).all(2) & (some > y).any(2)).any(0)
-    return ~beaten
+        count += ((some >= y).all(2) & (some > y).any(2)).sum(0)
+    return count
 
 
 def hypervolume(y: np.ndarray, reference: np.ndarray) -> float:
-    """The volume between a reference point and (rows, scores): what one of the rows is at least as good as in all scores.
+    """Hypervolume: the volume of the points above the reference point that at least one row dominates.
 
     Args:
-        y: (rows, scores), one score or more; rows that are not above the reference in all scores count nothing.
-        reference: (scores,) the corner from which it is measured.
+        y: (rows, scores), one score or more; rows that are not above the reference in all scores add nothing.
+        reference: (scores,) the reference point.
     """
     y = np.asarray(y, np.float64) - reference
     y = y[(y > 0).all(1)]
@@ -33,7 +39,7 @@ def hypervolume(y: np.ndarray, reference: np.ndarray) -> float:
         return float(y.max())
     y = y[np.argsort(-y[:, -1], kind="stable")]
     if y.shape[1] == 2:
-        # From the highest row down, each adds what it reaches further, by its height.
+        # In descending order of the last score, each row adds its gain in the first score times its last score.
         further = np.diff(np.maximum.accumulate(y[:, 0]), prepend=0.0)
         return float(further @ y[:, 1])
     thick = y[:, -1] - np.append(y[1:, -1], 0.0)
@@ -42,7 +48,7 @@ def hypervolume(y: np.ndarray, reference: np.ndarray) -> float:
 
 
 def improvement(point: np.ndarray, front: np.ndarray, reference: np.ndarray) -> float:
-    """How much the hypervolume of (rows, scores) grows by one point (scores,): its own box, less what is dominated there."""
+    """Increase of the hypervolume of a front (rows, scores) by a point (scores,): its box minus the dominated part of it."""
     above = point - reference
     if (above <= 0).any():
         return 0.0
@@ -50,7 +56,7 @@ def improvement(point: np.ndarray, front: np.ndarray, reference: np.ndarray) -> 
 
 
 def range_of(y: np.ndarray, counts: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """(scores,) the least scores of the front, and its ranges; of a score in which it is flat that of all rows.
+    """(scores,) least scores of the front, and (scores,) its ranges; for a score that is constant there that of all rows.
 
     Args:
         y: (rows, scores).

@@ -1,9 +1,9 @@
-"""Equalities met in whole numbers of grid steps, near to where they nearly hold.
+"""Solutions of equalities in whole numbers of grid steps, near a point that nearly satisfies them.
 
-With n_i the steps of a variable and W_i whole weights, W_1 n_1 + W_2 n_2 + ... = T has solutions near almost every point once
-three variables may move: offsets of two of them within a window are tried, and what is left must divide by the weight of the
-third, the pivot. Two equalities at once have two pivots, and their determinant in the place of the weight. Branch and bound
-takes minutes for weights such as molar masses, whose relaxations are nearly all feasible.
+With n_i the value of a variable in steps and W_i integer weights, W_1 n_1 + W_2 n_2 + ... = T has solutions near almost every
+point if at least three variables may change: offsets of two of them within a window are tried, and the remainder must be
+divisible by the weight of the third, the pivot. Two equalities at once have two pivots, with their determinant in place of the
+weight. Branch and bound takes minutes for weights such as molar masses, for which nearly all relaxations are feasible.
 """
 
 import math
@@ -14,22 +14,22 @@ from itertools import combinations
 
 import numpy as np
 
-MOST = 1_500_000  # offsets of a pair that are tried at once
-PAIRS = 4  # of variables that are tried, until one has a solution
-AT_ONCE = 2  # equalities that are met together
+MOST = 1_500_000  # largest number of combinations of a pair's offsets
+PAIRS = 4  # largest number of pairs of variables that are tried until one has a solution
+AT_ONCE = 2  # largest number of equalities that are solved together
 _LARGEST = 2**62
 
 
 @dataclass(frozen=True)
 class System:
-    """Weighted sums of the same numbers, each of which must equal a bound.
+    """Equalities of weighted sums of the same variables.
 
     Attributes:
-        columns: (n,) of the designs, those that may move.
-        steps: (n,) of their grids.
-        weights: (m, n).
-        rest: of each sum, (column, weight) of those that stay where they are.
-        bounds: (m,) of the sums.
+        columns: (n,) columns of the designs that may change.
+        steps: (n,) steps of their grids.
+        weights: (m, n) of these columns in each sum.
+        rest: (m,) for each sum, (column, weight) of the variables that stay fixed.
+        bounds: (m,) values that the sums must have.
     """
 
     columns: tuple[int, ...]
@@ -42,14 +42,14 @@ class System:
 def moved(
     system: System, steps: Sequence[int], ends: Sequence[tuple[float, float]], values: Sequence[Fraction], cost: Sequence[float]
 ) -> list[int] | None:
-    """Steps of the variables that may move, near to the given ones, with which the equalities hold; None: none was found.
+    """Values, in steps, of the variables that may change that satisfy the equalities near the given ones; None: not found.
 
     Args:
         system: one equality, or `AT_ONCE`.
-        steps: of each variable, where it is.
-        ends: first and last step of each; infinite where there is none.
-        values: of all columns of the designs; those that stay are looked up here.
-        cost: of a step of each.
+        steps: (n,) current value of each variable, in steps.
+        ends: (n,) least and greatest value of each, in steps; infinite if there is none.
+        values: of all columns of the design, for those that stay fixed.
+        cost: (n,) of one step of each; the solution with the least cost is taken.
     """
     weights: list[list[int]] = []
     missing: list[int] = []
@@ -68,10 +68,10 @@ def moved(
     if not choices:
         return None
     determinant, pivots = min(choices, key=lambda choice: abs(choice[0]))
-    # Those with many values first: of few there are few combinations.
+    # Variables with many values first: few values have few combinations.
     others = sorted((i for i in range(len(steps)) if i not in pivots), key=lambda i: ends[i][0] - ends[i][1])
     pairs = [*combinations(others, 2)][:PAIRS] or [(i,) for i in others] or [()]
-    few = min(8 * abs(determinant) + 1000, MOST)  # among which there are about eight solutions, if they lie evenly
+    few = min(8 * abs(determinant) + 1000, MOST)  # about eight solutions are expected among so many
     for pair, total in [*((pair, few) for pair in pairs), (pairs[0], MOST)]:
         offsets = _offsets(pair, steps, ends, total)
         reach = [
@@ -105,7 +105,7 @@ def _determinant(weights: list[list[int]], at: tuple[int, ...]) -> int:
 
 
 def _cramer(weights: list[list[int]], at: tuple[int, ...], over: list[np.ndarray]) -> list[np.ndarray]:
-    """What the pivots have to change by, times the determinant."""
+    """Changes of the pivots that remove the residuals `over`, times the determinant (Cramer's rule)."""
     if len(at) == 1:
         return over
     (a, b), (c, d) = ([row[i] for i in at] for row in weights)
@@ -115,7 +115,7 @@ def _cramer(weights: list[list[int]], at: tuple[int, ...], over: list[np.ndarray
 def _offsets(
     pair: tuple[int, ...], steps: Sequence[int], ends: Sequence[tuple[float, float]], total: int
 ) -> list[np.ndarray]:  # fmt: skip
-    """(k,) offsets of each variable, about `total` combinations within bounds; what one does not use of them the others may."""
+    """(k,) offsets of each variable: about `total` combinations within bounds. If one has few values, the others have more."""
     room = {i: (max(ends[i][0] - steps[i], -total), min(ends[i][1] - steps[i], total)) for i in pair}
     found: dict[int, np.ndarray] = {}
     for left, i in zip(range(len(pair), 0, -1), sorted(pair, key=lambda i: room[i][1] - room[i][0])):

@@ -1,4 +1,4 @@
-"""A search of designs of great value by random changes, among those that satisfy bounds and linear constraints."""
+"""Local search for designs of great value by random changes, among those that satisfy bounds and linear constraints."""
 
 from collections.abc import Callable
 
@@ -7,8 +7,8 @@ import numpy as np
 from deadreckon.mbo.batch import Value, least_distance, moved, pulled
 from deadreckon.mbo.designs import Designs
 
-REACH = 0.5, 0.003  # of random changes in the first and the last round, in ranges of the data
-NEAR, AFTER = 0.1, 12  # of those of designs that were climbed to before, and the rounds
+REACH = 0.5, 0.003  # size of the random changes in the first and the last round, in ranges of the data
+NEAR, AFTER = 0.1, 12  # size of the first changes, and number of rounds, for designs that were found by gradient ascent
 
 
 def improved(
@@ -24,14 +24,14 @@ def improved(
     """(kept, variables) or fewer different designs, those of the greatest values that were found, the greatest first.
 
     Args:
-        data: with the rules.
-        x: (m, variables) where it begins.
-        value: of designs.
-        rounds: of changes.
-        kept: designs that are gone on with after each round; they lie apart, so that they do not all become the same one.
+        data: scored designs, with the rules.
+        x: (m, variables) initial designs.
+        value: function to maximise.
+        rounds: number of rounds of changes.
+        kept: number of designs kept after each round, at a least distance, so that they do not all become the same one.
         rng: of the changes.
-        more: (k, variables) designs that are tried beside (k, variables) others, such as steps up a gradient.
-        reach: of the changes in the first and the last round, in ranges of the data.
+        more: function from (k, variables) designs to (k, variables) further ones to try, such as gradient steps; None: none.
+        reach: size of the changes in the first and the last round, in ranges of the data.
     """
     x = allowed(data, x)
     worth, apart = value(x), least_distance(data)
@@ -48,10 +48,9 @@ def improved(
 
 
 def on_grid(data: Designs, x: np.ndarray, value: Value, rng: np.random.Generator) -> np.ndarray:
-    """Designs that a method has climbed to, as good ones around them where numbers in steps share a constraint.
+    """Designs found by gradient ascent, improved by a local search if numbers in steps share a constraint; else unchanged.
 
-    The nearest allowed design to one that breaks a sum, often no neighbour of the best, can be worth much less. Others are
-    given back as they are.
+    The design nearest to one that violates a sum is often not the best one nearby, and can have a much smaller value.
     """
     if not data.repair.tied_steps:
         return x
@@ -59,7 +58,7 @@ def on_grid(data: Designs, x: np.ndarray, value: Value, rng: np.random.Generator
 
 
 def spaced(data: Designs, x: np.ndarray, value: np.ndarray, apart: float, kept: int) -> np.ndarray:
-    """(kept,) or fewer rows, the greatest values first, of which none lies nearer than `apart` to one before it."""
+    """(kept,) or fewer rows, the greatest values first, none of which is nearer than `apart` to an earlier one."""
     z = data.coordinates.place(x)
     free, order = np.ones(len(z), bool), []
     for i in np.argsort(-value, kind="stable"):
@@ -72,10 +71,10 @@ def spaced(data: Designs, x: np.ndarray, value: np.ndarray, apart: float, kept: 
 
 
 def allowed(data: Designs, x: np.ndarray) -> np.ndarray:
-    """Designs within bounds and linear constraints, without those that are forbidden; all that satisfy the rules nearly."""
+    """(rows, variables) designs moved into bounds and linear constraints, up to rounding errors, without forbidden ones."""
     x = data.repair.nearly(x)
     if data.rules.max_distance is not None:
         x = pulled(data, x.astype(np.float32), data.rules.max_distance).astype(np.float64)
     good = data.repair.allowed(x)
-    # Where all are forbidden, the nearest ones that are not are looked for one by one.
+    # If all are forbidden, the nearest ones that are not are computed one by one, for a few.
     return x[good] if good.any() else data.repair.exact(x[:8])[0].astype(np.float64)

@@ -1,8 +1,8 @@
 """MINs: model inversion networks (Kumar and Levine 2020).
 
-The inverse of the score, a design from a score and noise, x = G(z, y), is learned as a conditional Wasserstein GAN with
-gradient penalty, high scores counting more. Designs are generated for a score beyond the data's, as far as a forward model
-agrees: by ascent on
+The inverse of the score, a generator x = G(z, y) of designs from noise and a score, is trained as a conditional Wasserstein GAN
+with gradient penalty, with larger weights for high scores. Designs are generated for scores above those of the data, as far as
+a forward model f agrees, by gradient ascent on
 
     y - l (f(G(z, y)) - y)^2 + log p(z) / size(z)      over z and y
 """
@@ -25,11 +25,11 @@ from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.randomness import key_for, keys
 from deadreckon.training.hyperparameters import Count, NonNegative, Positive, Sizes, TwoOrMore, UnitInterval, host, static
 
-PENALTY = 10.0  # of the gradient's norm
+PENALTY = 10.0  # weight of the gradient penalty
 
 
 class Pair(NamedTuple):
-    """Generator and critic, with their optimisers."""
+    """Generator and critic, with their optimiser states."""
 
     generator: MLP
     critic: MLP
@@ -38,21 +38,21 @@ class Pair(NamedTuple):
 
 
 def made(generator: MLP, z: Float[Array, "b l"], y: Float[Array, "b"]) -> Float[Array, "b z"]:
-    """G(z, y)."""
+    """The generated designs, G(z, y)."""
     return generator(jnp.concatenate([z, y[:, None]], -1))
 
 
 class Inversion(eqx.Module):
-    """What `fit` trains: a conditional Wasserstein GAN with gradient penalty."""
+    """The learner: a conditional Wasserstein GAN with gradient penalty."""
 
     settings: "MINs"
 
     def needs(self, spec):
-        """Designs, scores and how much each counts."""
+        """Batches of designs, scores and weights."""
         return BatchSpec(columns=(), batch_size=self.settings.batch_size)
 
     def init(self, spec, key):
-        """Fresh networks."""
+        """Initial networks and optimiser states."""
         kg, kc = keys(key, "generator", "critic")
         settings = self.settings
         generator = MLP.create(settings.latent_size + 1, settings.hidden, spec.size, kg)
@@ -60,7 +60,7 @@ class Inversion(eqx.Module):
         return Pair(generator, critic, init_opt(generator), init_opt(critic))
 
     def update(self, state: Pair, batch: Batch, *, step, key):
-        """One step of the critic, and every `critic_updates` of them one of the generator."""
+        """One update of the critic, and after every `critic_updates` of them one of the generator."""
         assert batch.extra is not None
         x, y, weight = batch.extra["x"], batch.extra["y"], batch.extra["weight"]
         kz, ke = keys(key, "latent", "between")
@@ -103,7 +103,7 @@ class MINs(Designer):
     critic_updates: Count = static(5)  # critic updates per generator update
     batch_size: Count = static(128)  # batch size (designs per update)
     lr: NonNegative = 2e-4  # learning rate of generator and critic
-    bins: TwoOrMore = static(64)  # bins of the scores that weights are computed in
+    bins: TwoOrMore = static(64)  # number of bins of the scores in which weights are computed
     smoothing: UnitInterval = 0.01  # smoothing of the bins' counts, as a share of the designs
     temperature: Positive = 0.1  # temperature of the bins' weights, in ranges of the scores
     forward_hidden: Sizes = static((256, 256))  # width of each hidden layer of the forward model
@@ -134,7 +134,7 @@ class MINs(Designer):
 def _ascend(
     generator: MLP, nets: MLP, z: Array, best: Array, agreement: Array, lr: Array, low: Array, high: Array, *, steps: int
 ) -> Float[Array, "n z"]:
-    """Designs."""
+    """Coordinates of the designs after `steps` of gradient ascent on noise and requested score."""
 
     def loss(point: tuple[Array, Array]) -> Array:
         z, y = point

@@ -1,18 +1,20 @@
 """NEMO: normalised maximum likelihood for offline model-based optimisation (thesis chapter 6, Algorithms 4 and 6).
 
-K models, one for each bin of the score. Model k is fitted to the data and to the claims that the designs now under search fall
-into bin k, each of which counts as one row of N: one of M is drawn an update, with weight w = M / N beside the mean over the
-data. (w = 1 is far heavier: an adversarial regulariser, not NML.) So where the data says little, every claim is believed, and
+There are K models, one for each bin of the score. Model k is fitted to the data and to hypothetical labels: that each of the M
+designs of the search falls into bin k. Each of these should have the weight of one of the N rows, so one of the M is drawn per
+update, with weight w = M / N relative to the mean over the data. (w = 1, far larger, is an adversarial regulariser, not NML.)
+Where the data carries little information, every model fits its hypothetical labels, and
 
     p_NML(k | x) = p(k | x, theta_k) / sum_j p(j | x, theta_j)                                              (6.2)
 
-is diffuse. Data bins are counted from 0 here; with u the score on a scale where the data reaches from 0 to 1,
+is diffuse. Bins are counted from 0, scores are scaled such that those of the data range from 0 to 1, and with a logistic
+distribution of mean mu(x) and scale s
 
     o_k(x) = P(bin >= k) = sigmoid((mu(x) - k / K) / s),  k = 1 .. K - 1,  o_0 = 1, o_K = 0,
     p(k | x) = o_k - o_{k+1},   E[g] = g_0 + sum_k (g_k - g_{k-1}) o_k.
 
-The printed sigmoid (mu + k/K) would rise in k where labels fall, and has no scale, which caps an inner bin at 1/(4K): see the
-deviations on the method's page.
+The printed sigmoid(mu + k/K) would increase with k, although P(bin >= k) decreases, and it has no scale, which limits the
+probability of an inner bin to 1/(4K): see the deviations on the method's page.
 """
 
 import hashlib
@@ -46,22 +48,22 @@ from deadreckon.training.hyperparameters import (
     static,
 )
 
-STACKS = 4  # of models, see `split`
+STACKS = 4  # number of stacks of models; see `split`
 SAMPLE = 1000  # rows of the data on which it is checked that the models predict different scores for different designs
 
 
 class State(NamedTuple):
-    """K models in `STACKS`, their slow copies, their optimiser, and the designs under search."""
+    """K models in `STACKS` stacks, their target networks, the optimiser state, and the search."""
 
     nets: tuple[Net, ...]
     targets: tuple[Net, ...]
     opt: optax.OptState
     search: Search
-    origin: Float[Array, "m z"]  # where the designs began
+    origin: Float[Array, "m z"]  # initial coordinates of the designs
 
 
 class Fixed:
-    """An array that is part of a program, told apart by its bytes."""
+    """A constant array of a compiled program, hashed by its bytes."""
 
     def __init__(self, value: np.ndarray):
         self.value = np.asarray(value, np.float32)
@@ -77,22 +79,22 @@ class Fixed:
 
 
 class Training(eqx.Module):
-    """What `fit` trains: the models alone at first, then models and designs by turns (Algorithm 6)."""
+    """The learner: the models alone at first, then models and designs in alternation (Algorithm 6)."""
 
-    settings: "NEMO"  # resolved: its learning rates and label weight are numbers
-    designs: int = eqx.field(static=True)  # under search
+    settings: "NEMO"  # resolved: its learning rates and label weight are not None
+    designs: int = eqx.field(static=True)  # number of designs in the search
     scale: tuple[float, float] = eqx.field(static=True)  # least and greatest standardised score
     low: Fixed = eqx.field(static=True)  # bounds of the coordinates
     high: Fixed = eqx.field(static=True)
-    reach: Fixed = eqx.field(static=True)  # (size,) how far each coordinate may travel
-    worths: Fixed | None = eqx.field(static=True)  # g of each bin's middle
+    reach: Fixed = eqx.field(static=True)  # (size,) largest distance of each coordinate from its start
+    worths: Fixed | None = eqx.field(static=True)  # g at the middle of each bin
 
     def needs(self, spec):
-        """Designs and scores."""
+        """Batches of designs and scores."""
         return BatchSpec(columns=(), batch_size=self.settings.batch_size)
 
     def init(self, spec, key):
-        """Fresh models; targets are copies."""
+        """Initial models; the target networks are copies."""
         settings, logistic = self.settings, self.settings.architecture == "logistic"
         make = lambda k: Net.create(spec.size, settings.hidden, settings.bins, logistic, k)  # noqa: E731
         nets = split(ensemble(make, settings.bins, key), STACKS)
@@ -100,20 +102,20 @@ class Training(eqx.Module):
         return State(nets, copy(nets), init_opt(nets), search, jnp.array(search.x))
 
     def update(self, state: State, batch: Batch, *, step, key):
-        """One step of all models; after pretraining, and every `model_updates` of them, one of all designs."""
+        """One update of all models; after pretraining, every `model_updates` of them are followed by a step of all designs."""
         assert batch.extra is not None
         settings, x, y = self.settings, batch.extra["x"], batch.extra["y"]
-        assert settings.search_lr is not None  # resolved, as is
+        assert settings.search_lr is not None  # both are resolved
         assert settings.label_weight is not None
         low, high = self.scale
         label = quantise((y - low) / (high - low), settings.bins)
-        # One design, the same for all models, and for each model the claim that it falls into the model's bin.
+        # One design, the same for all models; its hypothetical label is each model's own bin.
         which = jax.random.randint(key, (), 0, len(state.search.x))
         weight = jnp.where(step < settings.pretrain, 0.0, settings.label_weight)
         grads, metrics = jax.grad(self.loss, has_aux=True)(state.nets, x, label, state.search.x[which][None], weight)
         lr = jnp.where(step < settings.pretrain, settings.lr, settings.search_lr)
         nets, opt = apply_gradients(state.nets, grads, state.opt, lr)
-        # Targets do not lag behind pretraining: they are copies where it ends.
+        # Target networks are copies during pretraining, so that they do not lag behind when it ends.
         rate = jnp.where(step < settings.pretrain, 1.0, settings.tau)
         targets = polyak_update(state.targets, nets, rate)
         turn = (step >= settings.pretrain) & ((step - settings.pretrain) % settings.model_updates == settings.model_updates - 1)
@@ -123,18 +125,18 @@ class Training(eqx.Module):
         return State(nets, targets, opt, search, state.origin), metrics
 
     def within(self, origin: Float[Array, "m z"]) -> tuple[Array, Array]:
-        """(m, size) least and greatest coordinates of designs that began at `origin`: the bounds, and as far as they travel."""
+        """(m, size) least and greatest coordinates of designs that started at `origin`, by the bounds and by `reach`."""
         low, high = self.bounds
         reach = self.reach.value
         return jnp.maximum(low, origin - reach), jnp.minimum(high, origin + reach)
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Of the coordinates."""
+        """Bounds of the coordinates."""
         return jnp.asarray(self.low.value), jnp.asarray(self.high.value)
 
     def loss(self, stacks: tuple[Net, ...], x: Array, label: Array, design: Array, weight: Array):
-        """Of all models, summed: each sees the batch, and the design with its own bin at weight w."""
+        """Sum of the losses of all models: each on the batch, plus w times that on the design with the model's bin as label."""
         settings = self.settings
         of = cross_entropy if settings.loss == "bce" and settings.architecture == "logistic" else nll
 
@@ -147,7 +149,7 @@ class Training(eqx.Module):
         return (data + weight * claims).sum(), {"loss": data.mean(), "claim": claims.mean()}
 
     def worth(self, stacks: tuple[Net, ...], z: Float[Array, "m z"]) -> Float[Array, "m"]:
-        """The objective that the designs ascend."""
+        """The objective that the designs maximise."""
         if self.settings.objective == "internal":
             return jnp.concatenate([jax.vmap(lambda net: net.internal(z))(nets) for nets in stacks]).mean(0)
         probs = jnp.exp(p_nml(joined(stacks), z))
@@ -183,14 +185,14 @@ class NEMO(Designer):
     """step size of the standardised designs (alpha_x); None: 0.01, or 0.1 for discrete designs"""
     tau: UnitInterval = 0.05  # Polyak rate of the target models, per update
     label_weight: NonNegative | None = None
-    """weight of a drawn claim relative to the mean over the data; None: proposals / rows, the weight of a row for each (NML)"""
+    """weight of a hypothetical label relative to the mean over the data; None: proposals / rows, one row's weight each (NML)"""
     max_travel: Positive | None = host(1.0)
     """largest distance of a numeric variable from where its design began, in standard deviations of the data; None: no limit"""
     start: Literal["best", "worst"] = static("best")  # designs of the data to start from
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return "NEMO"
 
     def training(self, setting: DesignInput) -> Training:
@@ -201,34 +203,34 @@ class NEMO(Designer):
         resolved = self.replace(
             search_lr=self.lr if self.search_lr is None else self.search_lr,
             design_lr=self.design_lr if self.design_lr is not None else 0.1 if view.discrete else 0.01,
-            # One of the claims about n designs is drawn an update, each of which should count as one row of the data.
+            # One of n hypothetical labels is drawn per update, each of which should have the weight of one row of the data.
             label_weight=setting.n / len(data) if self.label_weight is None else self.label_weight,
-            g=None,  # a function has no name that lasts; `worths` are what it makes of the bins
+            g=None,  # a function has no lasting name; `worths` holds its values at the bins
         )
         scale = float(y.min()), float(y.max())
         low, high = view.bounds
         return Training(resolved, setting.n, scale, Fixed(low), Fixed(high), Fixed(self._reach(view)), worths)
 
     def _reach(self, view: Coordinates) -> np.ndarray:
-        """(size,) how far coordinates may travel; those of categories, which have no deviations, as far as they like."""
+        """(size,) largest distance of each coordinate from its start; unlimited for those of categories."""
         reach = np.full(view.size, np.inf)
         if self.max_travel is not None:
             reach[: len(view.numeric)] = self.max_travel
         return reach
 
     def _worths(self, data: Designs) -> np.ndarray:
-        """(bins,) what g makes of the middle of each bin."""
+        """(bins,) values of g at the middle of each bin."""
         assert self.g is not None
         return np.asarray(self.g(data.shown(data.y.min() + np.ptp(data.y) * np.asarray(middles(self.bins)))), np.float64)
 
     def settings_text(self, data: Designs) -> str:
-        """See `Designer`; a function is known by what it makes of the scores."""
+        """See `Designer`; a function g is identified by its values at the bins."""
         if self.g is None:
             return super().settings_text(data)
         return f"{self.replace(g=None).settings_text(data)}, g {self._worths(data).tolist()}"
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
-        """The designs at the end of their search, with mean and deviation under p_NML of the target models."""
+        """The designs at the end of the search, with mean and standard deviation under p_NML of the target networks."""
         learner = self.training(setting)
         states = setting.train(learner, self.pretrain + self.steps, "nemo")
         low, high = learner.scale

@@ -1,21 +1,21 @@
-"""How far designs lie from those that have a score: what a model says of far ones rests on nothing."""
+"""Distances of designs from scored ones: for distant designs, no data supports a model's predictions."""
 
 import numpy as np
 
 from deadreckon.mbo.designs import Designs
 
-SAMPLE = 1000  # designs of the data whose neighbours tell what near is
+SAMPLE = 1000  # largest number of designs of the data from which the typical distance is computed
 
 
 def nn_distance(data: Designs, x: np.ndarray) -> np.ndarray:
-    """Distance of designs to the nearest scored one (`Coordinates.place`), in units of what is usual among the data.
+    """Distance of designs to the nearest scored one (`Coordinates.place`), in typical distances.
 
     Args:
         data: scored designs.
         x: (n, variables) designs.
 
     Returns:
-        (n,) distances over the typical one (`usual_distance`): 1 is as near as the data's own neighbours are, 10 is far out.
+        (n,) distances divided by the typical one (`usual_distance`): 1 is typical of neighbours in the data, 10 is far away.
     """
     return nearest_scored(data, x)[0] / usual_distance(data)
 
@@ -27,9 +27,10 @@ def distance_to_others(data: Designs, x: np.ndarray) -> np.ndarray:
 
 
 def usual_distance(data: Designs) -> float:
-    """Median distance of a scored design to the nearest one of another recipe, by their places; 1 where all are repeated.
+    """The typical distance: median distance of a scored design to the nearest one of another recipe; 1 if all are the same.
 
-    Settings that are logged differ a little between runs of one recipe, which says nothing of how far recipes lie apart.
+    It is measured in the space of `Coordinates.place`. Logged settings differ a little between runs of one recipe, and these
+    differences are not those between recipes.
     """
     z = data.coordinates.place(data.x)
     rows = np.random.default_rng(0).permutation(len(z))[:SAMPLE]
@@ -39,8 +40,21 @@ def usual_distance(data: Designs) -> float:
     return float(np.median(usual[usual > 0])) if (usual > 0).any() else 1.0
 
 
+def tried(data: Designs) -> np.ndarray:
+    """(rows, variables) all complete designs of the table: scored ones, and tried or planned ones without a score."""
+    return data.x if data.unscored is None else np.concatenate([data.x, data.unscored])
+
+
+def distance_to_tried(data: Designs, x: np.ndarray) -> np.ndarray:
+    """(n,) distances of designs to the nearest complete one of the table, scored or not (`Coordinates.place`)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = data.coordinates.place(tried(data))
+    z = z[np.isfinite(z).all(1)]  # a planned run may have 0 on a log scale
+    return _nearest(z, data.coordinates.place(x))[0]
+
+
 def nearest_scored(data: Designs, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) distances of designs to the nearest scored one, by their places, and (n,) the rows of these."""
+    """(n,) distances of designs to the nearest scored one (`Coordinates.place`), and (n,) its row."""
     return _nearest(data.coordinates.place(data.x), data.coordinates.place(x))
 
 
@@ -48,8 +62,8 @@ def neighbours(data: Designs, x: np.ndarray, count: int) -> tuple[np.ndarray, np
     """The scored designs that are nearest to each of (n, variables) designs, the nearest first.
 
     Returns:
-        (n, count) distances, in typical distances as `nn_distance` has them, and (n, count) rows of the data; fewer columns
-        where the data has fewer designs.
+        (n, count) distances, in typical distances like `nn_distance`, and (n, count) rows of the data; fewer columns if the
+        data has fewer designs.
     """
     z, points = (data.coordinates.place(each) for each in (data.x, x))
     count, out = min(count, len(z)), []
@@ -68,10 +82,10 @@ def _nearest(
     """(n,) distances of points to the nearest row of `z`, and (n,) these rows.
 
     Args:
-        z: (rows, features) places.
-        points: (n, features) places.
-        own: (n,) the row that each point is, which does not count; None: points are others.
-        alike: (rows,) recipe of each row; those of the own row's do not count either. None: its own alone.
+        z: (rows, features) of `Coordinates.place`.
+        points: (n, features) likewise.
+        own: (n,) the row of `z` that each point is, which is excluded; None: points are not among the rows.
+        alike: (rows,) recipe of each row; all rows of the point's recipe are excluded. None: only the point's row is.
     """
     squares, out, rows = np.square(z).sum(1), np.empty(len(points)), np.empty(len(points), int)
     alike = np.arange(len(z)) if alike is None else alike
@@ -80,7 +94,7 @@ def _nearest(
         distance = np.square(block).sum(1)[:, None] + squares - 2 * block @ z.T
         if own is not None:
             distance[alike[own[i : i + 64], None] == alike] = np.inf
-        # The difference of large numbers is not exact: the nearest one's distance is taken anew.
+        # The difference of large numbers is not exact, so the distance of the nearest one is computed again.
         rows[i : i + 64] = nearest = distance.argmin(1)
         out[i : i + 64] = np.linalg.norm(block - z[nearest], axis=1)
     return out, rows

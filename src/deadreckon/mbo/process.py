@@ -1,15 +1,15 @@
-"""A Gaussian process for tables: a length for each variable, categories beside numbers, and noise that differs between rows.
+"""A Gaussian process for tables: a length scale for each variable, numeric or categorical, and noise that differs by row.
 
 The kernel is Matern's with smoothness 5/2 of the distance
 
     r^2 = sum over numbers ((a - b) / l)^2 + sum over categories [a != b] / l^2,
 
-with one length l a variable (automatic relevance determination). Lengths, signal and noise maximise the marginal likelihood
+with one length l per variable (automatic relevance determination). Lengths, signal and noise maximise the marginal likelihood
 (Rasmussen and Williams 2006, 5.4.1) times priors: log l ~ N(sqrt 2 + log(variables) / 2, 3), which keeps functions of many
-variables smooth (after Hvarfner et al. 2024), log noise ~ N(-4, 1), both of standardised scores, and log signal ~ N(0, 1). It
-is the density of the logarithms, of inputs that are standardised; BoTorch's is that of the lengths themselves, of inputs in the
-unit cube, whose mode has lengths 5.8 times shorter of uniform inputs (e^3 / sqrt 12) and a variance of the noise e times
-smaller. All is in 64 bits on the host: the data are few, and 32 bits would lose the inverse.
+variables smooth (after Hvarfner et al. 2024), log noise ~ N(-4, 1), both of standardised scores, and log signal ~ N(0, 1).
+These are densities of the logarithms, for standardised inputs. BoTorch's are those of the lengths themselves, for inputs in the
+unit cube: for uniform inputs its mode has lengths that are 5.8 times shorter (e^3 / sqrt 12) and a noise variance that is e
+times smaller. Computations are in 64 bits on the host: the data are few, and the inverse would be inaccurate in 32 bits.
 """
 
 from dataclasses import dataclass
@@ -18,21 +18,22 @@ from typing import Any
 import numpy as np
 
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.replicates import noise_beyond
+from deadreckon.mbo.replicates import noise_beyond, row_weights
 from deadreckon.randomness import generator
 
-ITERATIONS = 60  # of L-BFGS at most
-LEAST_RATIO = 1e-3  # variance of a row's noise at least, in means of all rows' variances
+ITERATIONS = 60  # largest number of iterations of L-BFGS
+LEAST_RATIO = 1e-3  # smallest variance of a row's noise, as a multiple of the usual one
 NOISE = -4.0, 1.0  # mean and standard deviation of the prior of the log of the noise's variance
-LEAST = 1e-6  # variance of the noise at least, in variances of the score
+LEAST = 1e-6  # least variance of the noise, in variances of the score
 ROOT5 = 5**0.5
 
 
 @dataclass(frozen=True)
 class Features:
-    """Designs as numbers whose squared differences are the kernel's distances.
+    """Numeric features of designs, whose squared differences are the terms of the kernel's distance.
 
     Attributes:
+        data: the designs that define the features.
         owner: (features,) the variable of each.
     """
 
@@ -41,7 +42,7 @@ class Features:
 
     @classmethod
     def of(cls, data: Designs) -> "Features":
-        """Of these variables: numbers standardised, categories one-hot over the square root of two."""
+        """The features for some designs: numbers standardised, categories one-hot and divided by the square root of two."""
         view = data.coordinates
         owner = [view.numeric, *(np.repeat(columns, n) for columns, n in view.groups)]
         return cls(data, np.concatenate(owner).astype(int))
@@ -56,7 +57,8 @@ class Features:
 
 @dataclass(frozen=True)
 class Hyper:
-    """Of a process: log of the length of each variable, of the signal's variance and of the noise's (standardised scores)."""
+    """Hyperparameters: logs of the length of each variable, of the signal variance and of the noise variance, for standardised
+    scores."""
 
     lengths: np.ndarray
     signal: float
@@ -68,14 +70,15 @@ class Process:
     """A fitted process.
 
     Attributes:
-        features: what turns designs into numbers.
-        seen: (rows, features) of the data, over the lengths.
-        alpha: (rows,) of the mean k(x) alpha.
+        features: of designs.
+        seen: (rows, features) of the data, divided by the lengths.
+        alpha: (rows,) coefficients of the posterior mean k(x) alpha.
         inverse: (rows, rows) inverse of the Cholesky factor of the kernel matrix with noise.
-        hyper: hyperparameters; its noise is that of a row of usual standard error.
-        y_mean, y_std: of the scores that were seen.
-        usual: mean square of the rows' standard errors; 0: none are known, and all rows have the same noise.
-        beyond: standard deviation of the noise that one new measurement has beyond that of a usual row (`noise_beyond`).
+        hyper: hyperparameters; the noise is that of a row with the `usual` standard error.
+        y_mean, y_std: of the scores that were seen, weighted by `row_weights`.
+        usual: weighted mean square of the rows' standard errors (`usual_square`); 0: none are known, and all rows have the
+            same noise.
+        beyond: standard deviation of the noise of a new measurement in addition to that of a usual row (`noise_beyond`).
     """
 
     features: Features
@@ -112,7 +115,7 @@ class Process:
         return mean, np.hypot(std, self.noise)
 
     def mean(self, x: np.ndarray) -> np.ndarray:
-        """(m,) mean alone, which is faster."""
+        """(m,) mean of the true scores, without the standard deviation, which is faster."""
         return self.y_mean + self.y_std * (self._kernel(x)[0] @ self.alpha)
 
     def slope(self, x: np.ndarray, kappa: float) -> np.ndarray:
@@ -148,31 +151,40 @@ class Process:
         return self.y_mean + self.y_std * np.stack(mean), self.y_std**2 * (prior - white @ white.T)
 
     def _kernel(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(m, rows) covariances with the data, what their gradients are times differences, and (m, features) scaled designs."""
+        """(m, rows) covariances with the data, (m, rows) factors of the differences in their gradients, and (m, features)
+        scaled designs."""
         z = self.features(x) / np.exp(self.hyper.lengths)[self.features.owner]
         return *_matern(_squares(z, self.seen), self.hyper.signal), z
 
 
+def usual_square(data: Designs) -> float:
+    """Mean square of the standard errors, weighted by `row_weights` so that one row with a very large error hardly changes it;
+    0: none are known."""
+    return 0.0 if data.std_error is None else float(np.average(np.square(data.std_error), weights=row_weights(data)))
+
+
 def relative_noise(data: Designs) -> np.ndarray:
-    """(rows,) variances of the scores' noise, relative to their mean: only these ratios are taken from standard errors."""
-    if data.std_error is None or not data.std_error.any():
+    """(rows,) variances of the scores' noise, relative to the usual one: the scale of the noise is fitted."""
+    usual = usual_square(data)
+    if data.std_error is None or not usual:
         return np.ones(len(data))
-    square = np.square(data.std_error)
-    return np.maximum(square / square.mean(), LEAST_RATIO)
+    return np.maximum(np.square(data.std_error) / usual, LEAST_RATIO)
 
 
 def fit(data: Designs, rows: int = 400) -> Process:
-    """A process of all data.
+    """Fits a process to all data.
 
     Args:
         data: scored designs.
-        rows: on how many of them at most hyperparameters are fitted, drawn with a seed that never changes.
+        rows: largest number of rows to which the hyperparameters are fitted, drawn with a fixed seed.
     """
     from scipy.optimize import minimize
     from threadpoolctl import threadpool_limits
 
     features = Features.of(data)
-    y_mean, y_std = float(data.y.mean()), float(data.y.std()) or 1.0
+    weight = row_weights(data)
+    y_mean = float(np.average(data.y, weights=weight))
+    y_std = float(np.average(np.square(data.y - y_mean), weights=weight)) ** 0.5 or 1.0
     y, f, ratio = (data.y - y_mean) / y_std, features(data.x), relative_noise(data)
     count = len(data.variables)
     prior = np.concatenate([np.full(count, 2**0.5 + 0.5 * np.log(count)), [0.0, NOISE[0]]])
@@ -181,13 +193,13 @@ def fit(data: Designs, rows: int = 400) -> Process:
     if len(y) > rows:
         some = np.sort(generator(0, "rows of the hyperparameters").choice(len(y), rows, replace=False))
     bounds = [(-5.0, 8.0)] * count + [(-6.0, 5.0), (np.log(LEAST), 2.0)]
-    # The mode of the prior's lengths is long; a second start of shorter ones finds functions that change fast.
+    # The mode of the prior has long lengths; a second start with shorter ones finds functions that vary rapidly.
     begins = [prior, np.concatenate([prior[:-2] - 1.5, [0.0, -2.0]])]
     best = None
     of, options = (f[some], y[some], ratio[some], features.owner, prior, spread), {"maxiter": ITERATIONS}
     for begin in begins:
-        # Matrices are small, and numpy and scipy may have pools of threads of their own, which spin while they wait for work:
-        # taking turns on as many cores, they are several times as slow as one thread.
+        # Matrices are small, and NumPy and SciPy may have separate thread pools, which spin while they wait for work: competing
+        # for the same cores, they are several times slower than one thread.
         with threadpool_limits(1):
             found = minimize(_loss, begin, of, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
         best = found if best is None or found.fun < best.fun else best
@@ -196,7 +208,7 @@ def fit(data: Designs, rows: int = 400) -> Process:
 
 
 def _conditioned(features: Features, f: np.ndarray, ratio: np.ndarray, hyper: Hyper, y_mean: float, y_std: float) -> Process:
-    """The process of these hyperparameters, given the data."""
+    """The process with these hyperparameters, conditioned on the data."""
     data = features.data
     y = (data.y - y_mean) / y_std
     seen = f / np.exp(hyper.lengths)[features.owner]
@@ -204,8 +216,8 @@ def _conditioned(features: Features, f: np.ndarray, ratio: np.ndarray, hyper: Hy
     from scipy.linalg import solve_triangular
 
     inverse: Any = solve_triangular(np.linalg.cholesky(k), np.eye(len(y)), lower=True)
-    usual = 0.0 if data.std_error is None else float(np.square(data.std_error).mean())
-    return Process(features, seen, inverse.T @ (inverse @ y), inverse, hyper, y_mean, y_std, usual, noise_beyond(data))
+    alpha = inverse.T @ (inverse @ y)
+    return Process(features, seen, alpha, inverse, hyper, y_mean, y_std, usual_square(data), noise_beyond(data))
 
 
 def _hyper(vector: np.ndarray) -> Hyper:
@@ -217,14 +229,14 @@ def _squares(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _matern(squares: np.ndarray, signal: float) -> tuple[np.ndarray, np.ndarray]:
-    """Covariances, and twice their derivatives by the squared distance."""
+    """Covariances, and twice their derivatives with respect to the squared distance."""
     r = ROOT5 * np.sqrt(squares)
     decay = np.exp(signal - r)
     return (1 + r + r * r / 3) * decay, -(5 / 3) * (1 + r) * decay
 
 
 def _loss(vector, f, y, ratio, owner, prior, spread) -> tuple[float, np.ndarray]:
-    """Negative log of marginal likelihood times prior, and its gradient."""
+    """Negative log of marginal likelihood times prior, up to a constant, and its gradient."""
     from scipy.linalg import get_lapack_funcs
 
     hyper = _hyper(vector)
@@ -241,9 +253,10 @@ def _loss(vector, f, y, ratio, owner, prior, spread) -> tuple[float, np.ndarray]
     alpha = inverse @ y
     away = (vector - prior) / spread
     loss = 0.5 * y @ alpha + np.log(np.diag(factor)).sum() + 0.5 * away @ away
-    outer = 0.5 * (inverse - np.outer(alpha, alpha))  # derivative of the loss by the kernel matrix
+    outer = 0.5 * (inverse - np.outer(alpha, alpha))  # derivative of the loss with respect to the kernel matrix
     weight = outer * slope
-    # By log l: the sum over pairs of weight (z_a - z_b)^2, of which a derivative by the squared distance is half the slope.
+    # By log l: minus the sum over pairs of weight (z_a - z_b)^2, since the derivative of the kernel by the squared distance is
+    # half of `slope`, and that of the squared distance is -2 (z_a - z_b)^2.
     each = -2 * (weight.sum(1) @ np.square(z) - (z * (weight @ z)).sum(0))
     lengths = np.bincount(owner, each, minlength=len(hyper.lengths))
     gradient = np.concatenate([lengths, [(outer * k).sum(), (np.diag(outer) * noise).sum()]]) + away / spread

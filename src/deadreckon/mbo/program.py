@@ -11,14 +11,14 @@ from deadreckon.mbo.constraints import Clause
 from deadreckon.mbo.rules import Rules
 from deadreckon.mbo.variables import Variable
 
-SECONDS = 5.0  # that one program may take
-LATE = 2  # programs that may run out of time before the others are left out
+SECONDS = 5.0  # time limit of one program
+LATE = 2  # number of programs that reach the time limit after which the others are not tried
 _TIME = 1  # status of SciPy's `milp`: a limit of time or iterations was reached
-FURTHEST = 1e6  # scales that a condition on a variable without bounds may reach
+FURTHEST = 1e6  # bound, in scales of the variable, that a condition assumes if the variable has none
 
 
 def ends(low: float, high: float, step: Fraction) -> tuple[float, float]:
-    """The first and the last multiple of a step within bounds, in steps."""
+    """The least and the greatest multiple of a step within bounds, in steps; infinite if there is none."""
     first = math.ceil(Fraction(str(float(low))) / step) if math.isfinite(low) else -math.inf
     last = math.floor(Fraction(str(float(high))) / step) if math.isfinite(high) else math.inf
     return first, last
@@ -34,16 +34,16 @@ def ends_of(v: Variable) -> tuple[float, float]:
 
 
 class Program:
-    """Rows and columns of the program; what differs between designs is the objective, the sum of scaled distances.
+    """Rows and columns of the program that finds the nearest design; its objective is the sum of scaled distances.
 
-    Its variables: of each number its value in units of its grid (or of itself, where it has none) and its distance to the
-    design; of each level, and of each condition of a forbidden combination, a number that is 0 or 1.
+    Its unknowns are the value of each number, in steps of its grid if it has one, and its distance from the given design; and
+    a binary number for each level and for each condition of a forbidden combination.
 
     Args:
         variables: of the designs.
         rules: that they must satisfy.
         steps: of the grids of the variables; None: there is none.
-        scale: (variables,) in which distances are measured.
+        scale: (variables,) units in which distances are measured.
     """
 
     def __init__(self, variables: Sequence[Variable], rules: Rules, steps: Sequence[Fraction | None], scale: np.ndarray):
@@ -78,7 +78,7 @@ class Program:
                     row |= {self.at[i] + level: float(weight) * float(value) for level, value in enumerate(v.levels)}
                 else:
                     row[self.at[i]] = float(weight * self._unit(i))
-            # In units of the finest grid, beside which the solver's tolerance of 1e-6 is nothing.
+            # In units of the finest grid, so that the solver's tolerance of 1e-6 is negligible.
             grids = [abs(float(weight * self._unit(i))) for i, weight in each.weights if i not in fixed and steps[i]]
             fine = min([1.0, *(grid for grid in grids if grid > 1e-12)])
             bound = float(each.bound) / fine
@@ -98,13 +98,13 @@ class Program:
         return self.steps[i] or Fraction(1)
 
     def unit(self, i: int) -> float:
-        """What one unit of a number's column is."""
+        """The value of one unit in the column of a number."""
         return float(self._unit(i))
 
     def _fails(self, clause: Clause) -> int:
-        """A column that is 1 only where a condition does not hold."""
+        """Adds a binary column that can be 1 only if a condition does not hold, and returns it."""
         i, v = clause.column, self.variables[clause.column]
-        if i in self.fixed:  # whose value need not lie on a grid
+        if i in self.fixed:  # its value need not be on a grid
             value = Fraction(int(self.fixed[i])) if v.leveled else Fraction(str(np.float32(self.fixed[i])))
             return self._column(0.0, 0.0 if clause.holds(value) else 1.0, whole=True)
         out = self._column(0.0, 1.0, whole=True)
@@ -126,19 +126,25 @@ class Program:
             self.rows.append(({self.at[i]: 1.0, out: -reach}, limit - reach, math.inf))
         return out
 
-    def nearest(self, x: np.ndarray) -> np.ndarray | None:
-        """(variables,) the nearest design to this one; None: there is none, or it was not found in time."""
+    def nearest(self, x: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray | None:
+        """(variables,) the nearest design to this one; None: there is none, or it was not found in time.
+
+        Args:
+            x: (variables,) the design.
+            scale: (variables,) units in which distances from it are measured; None: those of the program.
+        """
+        scale = self.scale if scale is None else scale
         cost = np.zeros(len(self.lows))
         rows = list(self.rows)
         for i, v in enumerate(self.variables):
             if not v.leveled:
-                here, unit, apart = float(x[i]) / self.unit(i), self.unit(i) / self.scale[i], self.apart[i]
+                here, unit, apart = float(x[i]) / self.unit(i), self.unit(i) / scale[i], self.apart[i]
                 cost[apart] = unit
                 rows.append(({self.at[i]: 1.0, apart: -1.0}, -math.inf, here))
                 rows.append(({self.at[i]: 1.0, apart: 1.0}, here, math.inf))
                 continue
             for level in range(len(v.levels)):
-                away = abs(level - x[i]) / self.scale[i] if v.kind == "ordinal" else 2.0 * (level != int(x[i]))
+                away = abs(level - x[i]) / scale[i] if v.kind == "ordinal" else 2.0 * (level != int(x[i]))
                 cost[self.at[i] + level] = away
         found = self._solved(cost, rows).x
         if found is None:
@@ -178,7 +184,7 @@ class Program:
 
 
 def possible(programs: Iterable[Program]) -> bool | None:
-    """Whether one of them has a design; None: none was found, and some ran out of time."""
+    """Whether one of the programs has a solution; None: none was found, and some reached the time limit."""
     late = 0
     for program in programs:
         found = program.possible()

@@ -1,4 +1,4 @@
-"""Many candidates at once on linear constraints, in floating point: projections, and steps where numbers have these."""
+"""Many designs at once moved onto linear constraints, in floating point: by projections, and by steps of numbers in steps."""
 
 from typing import TYPE_CHECKING
 
@@ -9,49 +9,70 @@ from deadreckon.mbo.variables import Variable
 if TYPE_CHECKING:
     from deadreckon.mbo.repair import Repair
 
-SWEEPS = 60  # of Dykstra's algorithm
-MOVES = 40  # whole steps by which a design is moved at most
-CLOSE = 1e-6  # share of a constraint's terms by which it may be missed: rounding errors
+SWEEPS = 60  # largest number of iterations of Dykstra's algorithm
+PASSES = 64  # largest number of its runs, each of which at most halves or doubles a variable on a log scale
+MOVES = 40  # largest number of steps by which a design is moved
+CLOSE = 1e-6  # tolerance of a constraint for rounding errors, relative to its terms
 
 
 def in_steps(variable: Variable) -> bool:
-    """Whether values lie apart: whole numbers, levels and steps."""
+    """Whether a variable is discrete: whole numbers, levels, or numbers in steps."""
     return variable.kind != "continuous" or variable.step is not None
 
 
 def projected(repair: "Repair", x: np.ndarray, moved: list[int]) -> np.ndarray:
-    """(rows, variables) designs projected on bounds and linear constraints by moving some of the variables (Dykstra)."""
-    low, high = (np.array([getattr(repair.variables[i], end) for i in moved]) for end in ("low", "high"))
-    scale, measured = repair.scale[moved], repair.measured(x)
+    """(rows, variables) designs projected, in place, onto bounds and linear constraints by changes of the variables `moved`
+    (Dykstra's algorithm).
+
+    Distances have the units of `Repair.scales`, which are valid near a design only: if a variable on a log scale would change
+    by more than a factor of two, the design is moved part of the way and projected again from there.
+    """
+    measured = repair.measured(x)
     rest = [i for i in range(x.shape[1]) if i not in moved]
     planes = []
     for each in repair.rules.linear:
         weights = _weights(each, x.shape[1])
-        normal = weights[moved] * scale
-        if normal.any():
-            planes.append((normal, float(each.bound) - measured[:, rest] @ weights[rest], each.equal))
+        if weights[moved].any():
+            planes.append((weights[moved], float(each.bound) - measured[:, rest] @ weights[rest], each.equal))
     if not planes:
         return x
-    z = x[:, moved] / scale
+    logs = [k for k, i in enumerate(moved) if repair.variables[i].log]
+    for i in range(PASSES):
+        here = x[:, moved]
+        change = _dykstra(repair, here, planes, moved, repair.scales(x)[:, moved]) - here
+        far = np.maximum(change[:, logs] / here[:, logs], -2 * change[:, logs] / here[:, logs]).max(1, initial=1.0)
+        share = 1.0 / far[:, None] if i < PASSES - 1 else 1.0
+        x[:, moved] = here + share * change
+        if (far <= 1.0).all():
+            break
+    return x
+
+
+def _dykstra(repair: "Repair", x: np.ndarray, planes: list, moved: list[int], scale: np.ndarray) -> np.ndarray:
+    """Numbers (rows, moved) projected onto bounds and `planes`: of each the weights (moved,), the bound and whether it is an
+    equality. `scale` (rows, moved) has the units of distances."""
+    low, high = (np.array([getattr(repair.variables[i], end) for i in moved]) / scale for end in ("low", "high"))
+    planes = [(weights * scale, bound, equal) for weights, bound, equal in planes]
+    z = x / scale
     errors = [np.zeros_like(z) for _ in range(len(planes) + 1)]
     for _ in range(SWEEPS):
         before = z
         for k, (normal, bound, equal) in enumerate(planes):
             y = z + errors[k]
-            over = (y @ normal - bound) / (normal @ normal)
+            over = ((y * normal).sum(1) - bound) / np.square(normal).sum(1)
             z = y - (over if equal else np.maximum(over, 0.0))[:, None] * normal
             errors[k] = y - z
         y = z + errors[-1]
-        z = y.clip(low / scale, high / scale)
+        z = y.clip(low, high)
         errors[-1] = y - z
         if np.abs(z - before).max(initial=0.0) < 1e-7:
             break
-    x[:, moved] = z * scale
-    return x
+    return z * scale
 
 
 def stepwise(repair: "Repair", x: np.ndarray, stepped: list[int]) -> np.ndarray:
-    """Designs moved by whole steps until linear constraints hold: always by the one that leaves the least of what is missed."""
+    """(rows, variables) designs moved by steps of the variables `stepped` until linear constraints hold: always by the step
+    that leaves the least violation."""
     x = x.copy()
     size = np.array([float(repair.variables[c].step or 1) for c in stepped])
     low, high = (np.array([float(getattr(repair.variables[c], end)) for c in stepped]) for end in ("low", "high"))
@@ -77,7 +98,7 @@ def stepwise(repair: "Repair", x: np.ndarray, stepped: list[int]) -> np.ndarray:
 
 
 def satisfied(repair: "Repair", x: np.ndarray) -> np.ndarray:
-    """(rows,) which designs satisfy all linear constraints to rounding errors."""
+    """(rows,) bool: which designs satisfy all linear constraints, up to rounding errors."""
     weights, bound, equal, scale = _rules(repair, x)
     return np.all(_missed(repair.measured(x) @ weights.T - bound, equal) <= CLOSE * scale, 1)
 
@@ -89,7 +110,7 @@ def _weights(rule, count: int) -> np.ndarray:
 
 
 def _rules(repair: "Repair", x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """(rules, variables) weights, (rules,) bounds, which are equalities, and the size of their terms."""
+    """(rules, variables) weights, and (rules,) bounds, whether it is an equality, and the size of the terms."""
     rules = repair.rules.linear
     weights = np.array([_weights(each, x.shape[1]) for each in rules])
     bound = np.array([float(each.bound) for each in rules])

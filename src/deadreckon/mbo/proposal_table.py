@@ -1,4 +1,4 @@
-"""What is written beside proposals in their table: predictions, intervals, distances, and the nearest scored designs."""
+"""The columns added to proposals in their table: predictions, intervals, distances, and the nearest scored designs."""
 
 import math
 from typing import Any
@@ -12,20 +12,20 @@ from deadreckon.mbo.front import Front
 from deadreckon.mbo.nn_distance import neighbours
 from deadreckon.stats.interval import PERCENT
 
-# What columns are, whether for one target or several.
+# Descriptions of the columns, for one target or several.
 MEAN = "what the model predicts"
 ONE = "standard deviation of one new measurement, noise included"
 TRUE = "standard deviation of the true score, by the model, not calibrated"
 OF_MEAN = "standard deviation of the true score, by the model, multiplied as that of a measurement is by the calibration"
 DISTANCE = "to the nearest scored row; 1 is the median distance of a scored row to its nearest neighbour"
 NEAREST = "row of the data that is nearest, counted from 0 without the line of names"
-# Columns that each of several targets has.
+# Columns that are written for each of several targets.
 OF_TARGET = ("predicted", "predicted_std", "predicted_low", "predicted_high", "mean_std", "nearest_score")
-DIGITS, EXACT = 6, 12  # significant ones of predictions, and of scores that were measured
+DIGITS, EXACT = 6, 12  # significant digits of predictions, and of measured scores
 
 
 def added_columns(data: Designs, made: Proposals, true: np.ndarray | None = None) -> dict[str, list[Any]]:
-    """Columns to stand behind the variables; a name that a variable has gets an underscore.
+    """Columns to append to the variables; a name that a variable has gets an underscore.
 
     Args:
         data: scored designs.
@@ -33,10 +33,10 @@ def added_columns(data: Designs, made: Proposals, true: np.ndarray | None = None
         true: (n,) scores of an oracle, where there is one.
 
     Returns:
-        Names to (n,) values: `predicted`, `predicted_std`, the ends of the 95 % interval `predicted_low` and `predicted_high`
-        (all in the target's own sign), `mean_std` where the method tells the true score from noise, `distance` in usual
-        distances between neighbours, the row of the data that is nearest (counted from 0) with its score, and `true` where
-        there is an oracle. What the method does not give is NaN.
+        {name: (n,) values}: `predicted`, `predicted_std`, the ends of the 95 % interval `predicted_low` and `predicted_high`
+        (all with the sign of the table's target), `mean_std` if the method separates the true score from noise, `distance` in
+        typical distances between neighbours, `nearest_row` of the data (counted from 0) with its score `nearest_score`, and
+        `true` if there is an oracle. Values that the method does not have are NaN.
     """
     far, rows = neighbours(data, made.x, 1)
     more = _predictions(data, made)
@@ -48,7 +48,7 @@ def added_columns(data: Designs, made: Proposals, true: np.ndarray | None = None
 
 
 def added_columns_of_front(front: Front) -> dict[str, list[Any]]:
-    """The same for several targets, whose names stand behind those of `OF_TARGET`; distance and nearest row are of all."""
+    """The same for several targets, whose names are appended to those of `OF_TARGET`; all share distance and nearest row."""
     first, x = front.data[0], front.made[0].x
     far, rows = neighbours(first, x, 1)
     more: dict[str, list[Any]] = {}
@@ -68,8 +68,8 @@ def _predictions(data: Designs, made: Proposals) -> dict[str, list[Any]]:
 
 
 def rounded(values: np.ndarray, spread: float) -> list[float]:
-    """Numbers to `DIGITS` significant digits, or to more where they are large beside their spread."""
-    # To a thousandth of the spread at least, as where scores between 1064.001 and 1064.005 are told apart.
+    """Numbers with `DIGITS` significant digits, or more if they are large compared with `spread`, their standard deviation."""
+    # At least to a thousandth of the spread, so that scores between 1064.001 and 1064.005 can be distinguished.
     size = np.minimum(np.where(values == 0, spread, np.abs(values)), 100 * spread)
     return [
         round(float(value), DIGITS - 1 - math.floor(math.log10(each))) if math.isfinite(value) else float(value)
@@ -78,12 +78,12 @@ def rounded(values: np.ndarray, spread: float) -> list[float]:
 
 
 def _measured(data: Designs, rows: np.ndarray) -> list[float]:
-    """Scores of rows, without the last digits, which means and sums leave behind."""
+    """Scores of rows, rounded to remove the rounding errors of means and sums."""
     return [float(f"{score:.{EXACT}g}") for score in data.shown(data.y[rows])]
 
 
 def about(data: Designs, made: Proposals) -> dict[str, list[Any]]:
-    """What proposals are, as a table of two columns: the method, the data, what was found out of fold, and the columns."""
+    """A description of proposals as a table of two columns: method, data, quality of predictions, meaning of the columns."""
     sought = "small" if data.minimise else "large"
     lines: dict[str, Any] = {
         "method": made.method, "seed": made.seed, "data": data.name, "rows": len(data),
@@ -105,7 +105,7 @@ def about(data: Designs, made: Proposals) -> dict[str, list[Any]]:
 
 
 def about_front(front: Front) -> dict[str, list[Any]]:
-    """What proposals for several targets are, as `about` says it of one."""
+    """A description of proposals for several targets; see `about`."""
     first = front.data[0]
     lines: dict[str, Any] = {
         "method": "expected hypervolume improvement, a Gaussian process for each target",
@@ -128,7 +128,7 @@ def about_front(front: Front) -> dict[str, list[Any]]:
 
 
 def free_name(name: str, data: Designs) -> str:
-    """A column's name that no variable has."""
+    """The name of a column, with underscores appended until no variable has it."""
     taken = {variable.name for variable in data.variables}
     while name in taken:
         name += "_"

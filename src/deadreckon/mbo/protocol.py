@@ -1,7 +1,7 @@
-"""How designers are evaluated (thesis 6.6): 128 designs, the best and the median by the oracle, over seeds, beside published
-scores.
+"""The evaluation protocol of design methods (thesis 6.6): best and median score of 128 designs by the oracle, over seeds, and
+published scores for comparison.
 
-The oracle is asked once, when a designer has proposed; what it says reaches no method.
+The oracle is queried once, after a method has made its proposals; no method has access to its scores.
 """
 
 import hashlib
@@ -27,27 +27,27 @@ from deadreckon.stats.interval import Interval
 from deadreckon.stats.means import mean_interval
 from deadreckon.training.revisions import of_learning, revisions
 
-REVISION = 1  # of how designers are asked and judged; raised where scores change (see bench/identity.py)
-# Problems with another oracle, whose designs the thesis's tables are of all the same.
+REVISION = 1  # of the evaluation protocol; raised if scores change (see bench/identity.py)
+# Problems that differ only in the oracle from the one in the thesis's tables.
 SAME = {"superconductor-boosting": "superconductor", "gfp-gp": "gfp"}
 PERCENTILES = {100: "Best of the designs", 50: "Median design"}
 
 
 @dataclass(frozen=True)
 class Result:
-    """What a designer's proposals were worth.
+    """The scores of a method's proposals on a problem.
 
     Attributes:
         problem, method: names.
         seeds: of the proposals.
-        true, predicted: (seeds, n) scores by the oracle, and what the method believed (NaN where nothing).
-        predicted_std: (seeds, n) deviation of that belief (NaN where there is none).
-        nn_distance: (seeds, n) distance to the nearest design that was shown (`mbo.nn_distance`).
+        true, predicted: (seeds, n) scores by the oracle, and predictions of the method (NaN if it makes none).
+        predicted_std: (seeds, n) standard deviations of the predictions (NaN if there are none).
+        nn_distance: (seeds, n) distance to the nearest design of the visible data (`mbo.nn_distance`).
         low, high: least and greatest score of all data of the problem.
-        data_best: the greatest score that was shown.
+        data_best: the greatest score of the visible data.
         about: what the oracle is.
         settings: the designer, as text.
-        seconds: all proposals took; scoring not counted.
+        seconds: computation time of all proposals, without scoring.
     """
 
     problem: str
@@ -65,26 +65,26 @@ class Result:
     seconds: float
 
     def scores(self, i: int) -> Scores:
-        """Of the i-th seed."""
+        """Scores of the i-th seed."""
         return Scores(self.problem, self.method, self.true[i], self.predicted[i], self.low, self.high)
 
     def percentile(self, q: float, normalised: bool = False) -> Interval:
-        """A percentile of the true scores: mean over seeds, with Student's interval."""
+        """A percentile of the true scores: mean over seeds, with a Student's t interval."""
         return mean_interval(np.array([self.scores(i).percentile(q, normalised) for i in range(len(self.seeds))]))
 
     @property
     def exploitation(self) -> Interval:
-        """Predicted less true scores, in ranges of all data (`Scores.exploitation`)."""
+        """Predicted minus true scores, in ranges of all data (`Scores.exploitation`); mean over seeds, with its interval."""
         return mean_interval(np.array([self.scores(i).exploitation for i in range(len(self.seeds))]))
 
     @property
     def distance(self) -> Interval:
-        """Median distance of the designs to those that were shown: 1 is usual among these."""
+        """Median distance of the designs to the visible data, where 1 is typical; mean over seeds, with its interval."""
         return mean_interval(np.median(self.nn_distance, 1))
 
     @property
     def uncertainty(self) -> Interval:
-        """Median predicted standard deviation, in ranges of all data."""
+        """Median predicted standard deviation, in ranges of all data; mean over seeds, with its interval."""
         return mean_interval(np.median(self.predicted_std, 1) / (self.high - self.low))
 
 
@@ -99,17 +99,20 @@ def evaluate_designers(
     watch: Watcher = unwatched,
     on_result: Callable[[Result], None] = lambda result: None,
 ) -> list[Result]:
-    """Lets designers propose, and scores what they propose by the oracle.
+    """Runs design methods on a problem, and scores their proposals by the oracle.
 
     Args:
-        problem: theirs.
-        designers: names, as tables show them, and designers.
-        n: designs each proposes.
+        problem: the design problem.
+        designers: (name in tables, designer) of each method.
+        n: number of proposals of each.
         seeds: one set of proposals each.
         together: seeds of one program; None: all. Fewer take less memory.
-        out: folder for results and checkpoints; results that are there are not computed again.
-        watch: called while something is fitted.
+        out: folder for results and checkpoints; existing results are not computed again.
+        watch: see `Designer.propose`.
         on_result: called with every result.
+
+    Returns:
+        One result per method.
     """
     visible = problem.visible
     known = visible.x.tobytes() + visible.y.tobytes() + repr(visible.variables).encode()
@@ -163,7 +166,7 @@ class _Told(TypedDict):
 
 
 class _Kept(TypedDict):
-    """A file of a result."""
+    """The contents of a result file."""
 
     result: _Told
 
@@ -180,7 +183,7 @@ def _from_json(fields: dict[str, Any]) -> Result:
 
 @cache
 def published() -> dict[str, dict[str, dict[str, tuple[float, float]]]]:
-    """Percentile -> problem -> method -> mean and standard deviation, as the thesis prints them for Design-Bench's data."""
+    """Percentile -> problem -> method -> mean and standard deviation, as printed in the thesis for Design-Bench's data."""
     found = json.loads(files("deadreckon.mbo").joinpath("published.json").read_text("utf-8"))
     for q in map(str, PERCENTILES):
         found[q] |= {name: found[q][same] for name, same in SAME.items()}
@@ -188,12 +191,12 @@ def published() -> dict[str, dict[str, dict[str, tuple[float, float]]]]:
 
 
 def markdown(results: Sequence[Result], q: int = 100, normalised: bool = False) -> str:
-    """A table of one percentile: a row per problem, below it what the thesis prints, a column per method.
+    """A Markdown table of one percentile: a row per problem, below it the thesis's values, a column per method.
 
     Args:
         results: of one or several problems.
         q: 100 or 50.
-        normalised: on the scale where all data of the problem reaches from 0 to 1.
+        normalised: whether scores are scaled such that those of all data of the problem range from 0 to 1.
 
     Raises:
         UserError: two results of one method on one problem.
@@ -223,7 +226,7 @@ COLUMNS = {
 
 
 def trust(results: Sequence[Result], what: str) -> str:
-    """A table of how far proposals are to be trusted: a row per problem, a column per method.
+    """A Markdown table of one measure of reliability: a row per problem, a column per method.
 
     Args:
         results: of one or several problems.
@@ -238,7 +241,7 @@ def trust(results: Sequence[Result], what: str) -> str:
 
 
 def tables(results: Sequence[Result]) -> str:
-    """All tables: both percentiles, as they are and normalised, and how far the proposals are to be trusted."""
+    """All tables in Markdown: both percentiles, unscaled and normalised, and the measures of reliability."""
     parts = []
     for q, words in PERCENTILES.items():
         parts += [f"{words}, by the oracle", markdown(results, q)]
@@ -251,7 +254,7 @@ def tables(results: Sequence[Result]) -> str:
 
 
 def _shown(interval: Interval) -> str:
-    """In a table; nothing where it is not known."""
+    """An interval as a cell of a table; empty if it is not known."""
     return "" if math.isnan(interval.value) else f"{interval:,.4g}"
 
 

@@ -1,7 +1,8 @@
 """RaM: models trained to rank (Tan et al. 2025).
 
-What ascent needs of a model is the order of designs, not their scores; so lists of designs are drawn from the data and the
-model learns their order (ListNet's cross-entropy). Its output is then standardised over the data: a step means the same.
+Gradient ascent needs only the order of designs, not their scores; so lists of designs are drawn from the data, and the model is
+trained to rank them (ListNet's cross-entropy). Its output is then standardised over the data, so that the step size is
+comparable to that of other methods.
 """
 
 from dataclasses import replace
@@ -21,10 +22,10 @@ from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, stati
 
 
 class Ranking(Surrogate):
-    """A score whose softmax over a batch is that of the true scores."""
+    """The learner: a network whose softmax over a batch approximates that of the scores."""
 
     def loss(self, net: MLP, x, y, weight, key):
-        """ListNet: cross-entropy between the two softmaxes over the list that a batch is."""
+        """ListNet's loss: cross-entropy between the softmaxes of scores and outputs over a batch, which is one list."""
         wanted = jax.nn.softmax(y)
         error = -(wanted * jax.nn.log_softmax(net(x)[..., 0])).sum()
         return error, {"listnet": error, "agreement": jnp.corrcoef(net(x)[..., 0], y)[0, 1]}
@@ -32,13 +33,13 @@ class Ranking(Surrogate):
 
 @jax.jit
 def ranked(nets: tuple[MLP, Any, Any], x: Array) -> Array:
-    """The model's output, standardised."""
+    """The standardised output of the model; `nets` holds the network, and mean and standard deviation of its output."""
     net, mean, std = nets
     return (jax.tree.map(lambda leaf: leaf[0], net)(x)[..., 0] - mean) / std
 
 
 class RaM(Designer):
-    """A model that ranks, and gradient ascent on it."""
+    """A ranking model, and gradient ascent on it."""
 
     revision: ClassVar[int] = 1
     other_names: ClassVar[dict[str, str]] = {"ascent": "ascent_steps"}
@@ -54,13 +55,13 @@ class RaM(Designer):
         return Ranking(self.lr, 1, self.hidden, 1, "relu", self.list_size)
 
     def unseen(self, setting: DesignInput, x: np.ndarray, error: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """An order of other designs: (m,) numbers, greater where it expects more, and deviations that it does not know."""
+        """(m,) outputs for other designs, greater for greater expected scores, and NaN for their standard deviations."""
         nets = setting.train(self._learner(), self.steps, "ram-held-out")[0][0]
         out = ranked((nets, 0.0, 1.0), jnp.asarray(setting.data.coordinates.encode(x)))
         return np.asarray(out, np.float64), np.full(len(x), np.nan)
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
-        """From the best designs of the data, up the gradient; it predicts an order, not scores."""
+        """Gradient ascent from the best designs of the data; the model predicts an order, not scores."""
         learner = self._learner()
         view, start = setting.data.coordinates, Search.start(setting.data, setting.n)
         seen = jnp.asarray(view.encode(setting.data.x))

@@ -1,4 +1,4 @@
-"""Designers by name."""
+"""Design methods by name."""
 
 from collections.abc import Callable
 from typing import Any
@@ -41,10 +41,10 @@ DESIGNERS: dict[str, tuple[Callable[[], Designer], str]] = {
 }
 
 
-# Designer -> problem -> published settings. NEMO: thesis C.1; which of its learning rates belong to GFP is not certain
-# (the table lost a line). The numbers of updates are ours: 100 of 0.1 could lead designs ten deviations of the data away from
-# where they began, and 1,000 of 0.001 the robots' weights one; `max_travel`, which the thesis does not have, ends numbers at
-# one. 100 was set with scores of Superconductor's judge in view.
+# Method -> problem -> published settings. NEMO: thesis C.1; it is not certain which of its learning rates belong to GFP, as a
+# line of the table is missing. The numbers of updates are ours: 100 steps of 0.1 could move designs ten standard deviations of
+# the data from their start, and 1,000 of 0.001 the robots' weights one; `max_travel`, which is not in the thesis, limits this
+# to one for numbers. The 100 steps were chosen with knowledge of the scores of Superconductor's oracle.
 _WIDE = {"bins": 40, "hidden": (256, 256), "lr": 0.05, "design_lr": 0.1, "label_weight": None}
 _PROTEIN = {**_WIDE, "bins": 20, "hidden": (64, 64)}
 _ROBOT = {"bins": 20, "hidden": (64, 64), "lr": 0.005, "design_lr": 0.001, "steps": 1000, "label_weight": None}
@@ -54,7 +54,7 @@ PRESETS: dict[str, dict[str, dict[str, Any]]] = {
         "hopper-controller": _ROBOT, "ant-morphology": _ROBOT, "dkitty-morphology": _ROBOT,
     },
 }  # fmt: skip
-# What one core does for a few seeds of each problem.
+# Settings with which one core can run a few seeds of each problem.
 _SMALL = {"hidden": (256, 256), "steps": 2000}
 CPU_BUDGET: dict[str, dict[str, Any]] = {
     **{name: _SMALL for name in ("forward", "ensemble", "ensemble-min", "ram", "cbas", "autofocus")},
@@ -65,7 +65,7 @@ CPU_BUDGET: dict[str, dict[str, Any]] = {
 }
 
 
-USUAL = "auto"  # the method where none is named
+USUAL = "auto"  # the default method
 
 
 def designer(name: str, problem: str | None = None, **changes: Any) -> Designer:
@@ -73,8 +73,8 @@ def designer(name: str, problem: str | None = None, **changes: Any) -> Designer:
 
     Args:
         name: among `DESIGNERS`.
-        problem: whose published settings it gets, where there are some; None: the designer's own.
-        changes: fields to set on top.
+        problem: whose published settings are used, if there are any; None: the designer's defaults.
+        changes: further fields to set.
 
     Raises:
         UserError: an unknown name or field.
@@ -90,7 +90,7 @@ def designer(name: str, problem: str | None = None, **changes: Any) -> Designer:
 
 
 def sized(name: str, problem: str | None, budget: str, **changes: Any) -> Designer:
-    """A designer by name with a problem's published settings; where `budget` is `cpu` with the sizes of `CPU_BUDGET`."""
+    """A designer by name with a problem's published settings; if `budget` is `cpu`, with the sizes of `CPU_BUDGET`."""
     if name in DESIGNERS:
         changes = with_field_names(type(DESIGNERS[name][0]()), changes)
     return designer(name, problem, **(CPU_BUDGET.get(name, {}) if budget == "cpu" else {}) | changes)

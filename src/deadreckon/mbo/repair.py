@@ -1,8 +1,8 @@
-"""Designs moved to the nearest ones that satisfy all rules, or refused where none does.
+"""Moves designs to the nearest ones that satisfy all rules, and refuses rules that no design satisfies.
 
-Three means: in floating point, projections on one constraint after the other (Dykstra's algorithm), for many candidates at
-once; for what is proposed whole steps on the grid of each variable (`mbo.lattice`), and where these break other rules a
-mixed-integer linear program on the same grids (HiGHS). What they find is checked exactly.
+There are three means. Many candidates at once are projected onto one constraint after the other in floating point (Dykstra's
+algorithm). Proposals are moved by whole steps on the grid of each variable (`mbo.lattice`), and if this violates other rules by
+a mixed-integer linear program on the same grids (HiGHS). The results are checked exactly.
 """
 
 import math
@@ -27,16 +27,16 @@ from deadreckon.mbo.variables import Variable
 if TYPE_CHECKING:
     from deadreckon.mbo.designs import Designs
 
-TOGETHER = 60.0  # seconds that the programs of all designs that are moved at once may take
-NEAR = 0.05  # standard deviations of a variable
-SOME = 20  # rows of the data near which designs are looked for before programs are asked
+TOGETHER = 60.0  # time limit, in seconds, of the programs for all designs of a call
+NEAR = 0.05  # change of a variable, in standard deviations, below which two designs are near each other
+SOME = 20  # rows of the data near which designs are searched before programs are solved
 
 
 class Repair:
-    """Moves designs of some data to where all rules hold.
+    """Moves designs to the nearest ones that satisfy all rules.
 
     Args:
-        data: with variables and rules.
+        data: scored designs, with variables and rules.
     """
 
     def __init__(self, data: "Designs"):
@@ -48,22 +48,33 @@ class Repair:
         self.decimals = self.rules.decimals(data.variables)
         self.grids = grids(self.variables, self.rules, self.decimals, data.x)
         self.steps = self.grids[0]
-        # No step is small in all decades of a logarithm: it is rounded where a sum must be exact, and where a program moves it.
+        # No step is small in all decades of a log scale: such a variable is rounded only for an exact sum, or by a program.
         summed = {c for each in self.rules.linear if each.equal for c, _ in each.weights}
         self.loose = {i for i in self.open if data.variables[i].log and i not in {*self.stepped, *summed}}
         x = data.x.astype(np.float64)
-        spread = np.where(np.ptp(x, axis=0) > 0, x.std(0), 0.0)  # rounding errors are no spread
+        spread = np.where(np.ptp(x, axis=0) > 0, x.std(0), 0.0)  # the std of a constant may be a rounding error
         self.scale = np.where(spread > 0, spread, np.maximum(1e-3 * np.abs(data.x).max(0), 1e-3))
+        self.logs = np.array([v.log for v in self.variables], bool)
+        ratio = np.log(np.where(self.logs, x, 1.0))
+        self.ratio = np.where(np.ptp(ratio, axis=0) > 0, ratio.std(0), 1e-3)  # standard deviation of logarithms
         self.free = not (self.rules.touched or self.rules.fixed or any(self.steps))
 
+    def scales(self, x: np.ndarray) -> np.ndarray:
+        """(rows, variables) units of distances from these designs: standard deviations of the data.
+
+        On a log scale it is the standard deviation of the logarithm times the value; with that of the values themselves, small
+        values would be moved by decades.
+        """
+        return np.where(self.logs, np.abs(x) * self.ratio, self.scale)
+
     def good(self, x: np.ndarray) -> np.ndarray:
-        """(rows,) which designs satisfy all rules exactly as they are written."""
+        """(rows,) bool: which designs satisfy all rules exactly, as they are written."""
         return np.array([self.rules.broken(self.variables, row) is None for row in written(self.variables, x)], bool)
 
     def relaxed(self, x: np.ndarray) -> np.ndarray:
-        """(rows, variables) designs projected on bounds, fixed values and linear constraints, to rounding errors.
+        """(rows, variables) designs projected onto bounds, fixed values and linear constraints, up to rounding errors.
 
-        Whole numbers, levels and steps are rounded first and kept; forbidden combinations are not looked at.
+        Whole numbers, levels and numbers in steps are rounded first and then kept; forbidden combinations are ignored.
         """
         x = self._snapped(np.array(x, np.float64))
         if not self.rules.linear:
@@ -71,10 +82,10 @@ class Repair:
         return projected(self, x, [i for i, v in enumerate(self.variables) if i not in self.fixed and not in_steps(v)])
 
     def nearly(self, x: np.ndarray) -> np.ndarray:
-        """(rows, variables) designs that satisfy bounds and linear constraints nearly, also those of numbers in steps.
+        """(rows, variables) designs that satisfy bounds and linear constraints up to rounding errors, also on numbers in steps.
 
-        Whole numbers and steps are moved, too. Designs for which nothing is found that satisfies all are left out, but where
-        there are no others.
+        Whole numbers and numbers in steps are moved, too. Designs for which no solution is found are left out, unless there are
+        no others.
         """
         if not self.tied_steps:
             return self.relaxed(x)
@@ -86,18 +97,17 @@ class Repair:
         return x[good] if good.any() else x
 
     def allowed(self, x: np.ndarray) -> np.ndarray:
-        """(rows,) which designs are no forbidden combination, in floating point."""
+        """(rows,) bool: which designs have no forbidden combination, in floating point."""
         out = np.ones(len(x), bool)
         for each in self.rules.forbidden:
             out &= ~np.all([clause.met(x[:, clause.column]) for clause in each.clauses], 0)
         return out
 
     def exact(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Designs near to these that satisfy all rules exactly.
+        """Designs near these that satisfy all rules exactly.
 
         Returns:
-            (rows, variables) float32 designs, and (rows,) which of them satisfy the rules: all, but where a program ran out of
-            time.
+            (rows, variables) float32 designs, and (rows,) bool: which of them satisfy the rules; for others time ran out.
         """
         x = np.asarray(x, np.float32)
         if self.free:
@@ -118,7 +128,7 @@ class Repair:
         """The nearest design on the first grid on which one is found, within about `SECONDS`."""
         begun = time.monotonic()
         for program in self._programs:
-            found = program.nearest(x)
+            found = program.nearest(x, self.scales(x))
             if found is not None and self.good(found[None])[0]:
                 return found
             if time.monotonic() - begun > SECONDS:
@@ -126,7 +136,7 @@ class Repair:
         return None
 
     def _by_steps(self, x: np.ndarray) -> np.ndarray | None:
-        """A design near to this one, moved in whole steps until each equality holds; None: that does not satisfy all rules."""
+        """A design near this one, moved by steps of the grids so that each equality holds; None: none satisfies all rules."""
         x = np.array(x, np.float64)
         measured = [Fraction(str(np.float32(value))) for value in self.measured(x[None])[0]]
         for systems in self._systems:
@@ -136,11 +146,12 @@ class Repair:
         return None
 
     def _met(self, systems: list[System], x: np.ndarray, measured: list[Fraction]) -> np.ndarray | None:
-        """The design with steps of the grids of these equalities that meet them; None: there are none near to it."""
+        """The design, moved by steps of the grids so that these equalities hold; None: no solution is nearby."""
         for each in systems:
             here = [round(float(x[c]) / float(step)) for c, step in zip(each.columns, each.steps)]
             limits = [ends(self.variables[c].low, self.variables[c].high, step) for c, step in zip(each.columns, each.steps)]
-            cost = [float(step) / self.scale[c] for c, step in zip(each.columns, each.steps)]
+            scale = self.scales(x)
+            cost = [float(step) / scale[c] for c, step in zip(each.columns, each.steps)]
             found = moved(each, here, limits, measured, cost)
             if found is None:
                 return None
@@ -151,7 +162,7 @@ class Repair:
 
     @cached_property
     def _systems(self) -> list[list[System]]:
-        """Of each grid the equalities, those together that share numbers, or one after the other where these are too many."""
+        """The equalities on each grid: those that share variables in one system, or one after the other if too many."""
         out: list[list[System]] = []
         for grid in self.grids:
             free = {c for c, step in enumerate(grid) if step is not None} - self.fixed
@@ -168,7 +179,7 @@ class Repair:
         return out
 
     def _snapped(self, x: np.ndarray) -> np.ndarray:
-        """Within bounds, on grids, with fixed values."""
+        """Designs clipped to bounds and rounded to grids, with fixed values."""
         x = np.array(x, np.float64)
         for i, (v, step) in enumerate(zip(self.variables, self.steps)):
             if step is not None and i not in self.loose:
@@ -184,7 +195,7 @@ class Repair:
         return x
 
     def measured(self, x: np.ndarray) -> np.ndarray:
-        """Designs with the numbers that indices of ordinal levels stand for."""
+        """Designs with numeric ordinal levels in place of their indices."""
         x = np.array(x, np.float64)
         for i, v in enumerate(self.variables):
             if v.numeric_levels:
@@ -199,7 +210,7 @@ class Repair:
         return Program(self.variables, rules or self.rules, steps, self.scale)
 
     def _near(self) -> bool:
-        """Whether designs that satisfy all rules lie near to most of those that satisfy them but for the digits of numbers."""
+        """Whether most designs that satisfy the rules up to rounding errors are near one that satisfies them exactly."""
         some = self._snapped(self.relaxed(self.data.x[:SOME]))
         moved, good = self.exact(some)
         away = np.abs(moved - some) / self.scale
@@ -213,13 +224,13 @@ class Repair:
         return possible(self._programs)
 
     def _too_fine(self, each: Linear) -> bool:
-        """Whether an equality needs more decimals than the grids of its variables have, or weights on top of theirs."""
+        """Whether an equality needs more decimals than the grids of its variables have, or has weights with many decimals."""
         steps = [(self.decimals[c], step) for c, _ in each.weights if (step := self.steps[c]) is not None]
         fine = any(Fraction(1, 10**count) < step for count, step in steps)
         return fine or _of_fine_weights(each)
 
     def _hundred(self, rule: Linear | Forbidden) -> str:
-        """What to say instead of a sum that must be one, where in most of the data it is a hundred."""
+        """A hint to require a sum of 100, if the rule requires 1 and the median in the data is 100; else an empty text."""
         if isinstance(rule, Forbidden) or not rule.equal or rule.bound != 1 or {weight for _, weight in rule.weights} != {1}:
             return ""
         total = float(np.median(self.data.x[:, [column for column, _ in rule.weights]].astype(float).sum(1)))
@@ -232,7 +243,7 @@ class Repair:
         """Refuses rules that no design satisfies.
 
         Raises:
-            UserError: one line, which names a rule without which there would be one, if there is a single such rule.
+            UserError: one line, which names each rule without which, alone, there would be such a design.
         """
         name = self.data.name
         for v, step in zip(self.variables, self.steps):
@@ -270,12 +281,12 @@ class Repair:
 
 
 def _of_fine_weights(each: Linear) -> bool:
-    """Whether an equality has weights of so many decimals that numbers, which have seven digits, have few left beside them."""
+    """Whether an equality has weights of so many decimals that few of the seven digits of 32-bit numbers are left."""
     return any(places(weight) >= FINE for _, weight in each.weights)
 
 
 def _system(part: list[Linear], columns: list[int], grid: list[Fraction | None]) -> System:
-    """These equalities, in which the numbers of these columns may move."""
+    """The system of some equalities, in which these columns may change."""
     weights = [dict(each.weights) for each in part]
     rest = tuple(tuple((c, w) for c, w in of.items() if c not in columns) for of in weights)
     rows = tuple(tuple(of.get(c, Fraction(0)) for c in columns) for of in weights)
@@ -283,7 +294,7 @@ def _system(part: list[Linear], columns: list[int], grid: list[Fraction | None])
 
 
 def _held(v: Variable, step: Fraction) -> bool:
-    """Whether 32 bits hold most of the first multiples of a step within the bounds as they are written."""
+    """Whether 32-bit numbers, as they are written, equal most of the first multiples of a step within the bounds."""
     first, last = ends(v.low, v.high, step)
     begin = 0 if math.isinf(first) else int(first)
     some = range(begin, int(min(begin + 20, last)) + 1)

@@ -1,6 +1,6 @@
-"""What proposed designs must satisfy beyond their bounds: linear constraints, forbidden combinations and fixed values.
+"""Rules that proposals must satisfy beyond their bounds: linear constraints, forbidden combinations and fixed values.
 
-All are checked exactly, as fractions of the decimal numbers that are written, so a mixture that must sum to 1 does.
+All are checked exactly, as fractions of the decimal numbers as written, so that a mixture that must sum to 1 does so exactly.
 """
 
 import math
@@ -15,8 +15,8 @@ from deadreckon.errors import UserError
 from deadreckon.mbo.constraints import Forbidden, Linear, conditions, places, read_clause, read_fixed, read_linear
 from deadreckon.mbo.variables import Variable
 
-ROUNDING = 1e-6  # of a fixed value, by which numbers of 32 bits may miss it
-_CONDITIONS = 50  # of a forbidden combination
+ROUNDING = 1e-6  # relative tolerance of a fixed value, for the rounding of 32-bit numbers
+_CONDITIONS = 50  # largest number of conditions of a forbidden combination
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class Rules:
         forbidden: combinations.
         fixed: (column, value as a design holds it) of variables that are not searched.
         max_distance: largest distance to the nearest scored design, in typical distances (`mbo.nn_distance`); None: no limit.
-        apart: least distance between proposals, in typical distances; None: `mbo.batch.APART`, or less where there are too few.
+        apart: least distance between proposals, in typical distances; None: `mbo.batch.APART`, or less if there are too few.
     """
 
     linear: tuple[Linear, ...] = ()
@@ -39,15 +39,15 @@ class Rules:
 
     @property
     def touched(self) -> set[int]:
-        """Columns that linear constraints and forbidden combinations are about."""
+        """Columns that occur in linear constraints or forbidden combinations."""
         linear = {column for each in self.linear for column, _ in each.weights}
         return linear | {clause.column for each in self.forbidden for clause in each.clauses}
 
     def decimals(self, variables: Sequence[Variable]) -> list[int]:
-        """Decimals with which each variable can meet the equalities that it is in.
+        """Number of decimals that each variable needs to satisfy its equalities.
 
-        These are those of their bounds less fixed parts, of weights, of steps and of levels; and of other equalities that they
-        share a variable with.
+        It is the largest among the bounds (minus fixed terms), weights, steps and levels of these equalities, and of others
+        that share a variable with them.
         """
         values = {
             c: Fraction(str(variables[c].levels[int(value)] if variables[c].leveled else np.float32(value)))
@@ -65,7 +65,7 @@ class Rules:
                 units = list(v.levels) if v.leveled else [v.step or 1]
                 found += [places(weight), *(places(weight * Fraction(str(unit))) for unit in units)]
             sums.append((max(found), [c for c, _ in free]))
-        for _ in sums:  # as often as what one needs may pass on to the next
+        for _ in sums:  # as often as a need can propagate to another equality
             for most, columns in sums:
                 most = max([most, *(out[c] for c in columns)])
                 for c in columns:
@@ -85,12 +85,12 @@ class Rules:
         apart: float | None = None,
         name: str = "designs",
     ) -> "Rules":
-        """Rules as people write them.
+        """Parses rules.
 
         Args:
             variables: of the designs.
-            constraints: such as `a + 2 b <= 0.8`, with <=, >= or =; names that hold other signs than letters, digits and _
-                stand in backticks.
+            constraints: such as `a + 2 b <= 0.8`, with <=, >= or =; names with characters other than letters, digits and _
+                must be in backticks.
             mixtures: groups of variables that sum to one.
             forbidden: combinations such as `solvent = water & temp > 80`.
             fixed: such as `temp = 60`.
@@ -98,7 +98,7 @@ class Rules:
             name: of the data, for errors.
 
         Raises:
-            UserError: one line that says what cannot be read.
+            UserError: one line: a text cannot be parsed, a variable is fixed twice, or a distance is not valid.
         """
         parts = [f"{' + '.join(f'`{each}`' for each in group)} = 1" for group in mixtures]
         linear = tuple(read_linear(text, variables, name) for text in [*constraints, *parts])
@@ -118,11 +118,11 @@ class Rules:
         return cls(linear, combinations, tuple(pinned), max_distance, apart)
 
     def broken(self, variables: Sequence[Variable], values: Sequence[Any]) -> str | None:
-        """The first rule, or limit of a variable, that a design breaks.
+        """The first rule or step that a design violates, in words; None: it satisfies all.
 
         Args:
             variables: of the designs.
-            values: one a variable, as `Designs.decode` gives them; of levels the index.
+            values: one per variable, as from `written`.
         """
         exact = [Fraction(str(each)) for each in values]
         for column, value in self.fixed:
@@ -147,11 +147,11 @@ NO_RULES = Rules()
 
 
 def at_value(values: Any, value: float) -> Any:
-    """(rows,) which values of a variable are the one that is fixed, to rounding errors: a share of it, whatever its unit."""
+    """(rows,) bool: which values of a variable equal the fixed one, up to relative rounding errors."""
     return np.abs(np.asarray(values, np.float64) - value) <= ROUNDING * abs(value)
 
 
 def written(variables: Sequence[Variable], x: np.ndarray) -> list[list[Any]]:
-    """(rows, variables) designs as they are written (the shortest number that float32 tells apart); of levels the index."""
+    """(rows, variables) designs as written: numbers as the shortest texts that identify a float32, indices of levels as int."""
     whole = [v.kind != "continuous" for v in variables]
     return [[int(i) if w else str(np.float32(i)) for w, i in zip(whole, row)] for row in np.asarray(x, np.float32)]

@@ -1,4 +1,4 @@
-"""Models of the score and gradient ascent on them: what forward models, ensembles, COMs and RaM have in common."""
+"""Models of the score and gradient ascent on them: the common parts of forward models, ensembles, COMs and RaM."""
 
 from collections.abc import Callable
 from typing import Any
@@ -14,13 +14,13 @@ from deadreckon.mbo.designer import Search
 from deadreckon.nets.mlp import MLP, ensemble
 from deadreckon.nets.optim import apply_gradients, init_opt
 
-MOST = 5.0  # that one design counts
+MOST = 5.0  # largest weight of a design
 
 
 class Surrogate(eqx.Module):
-    """What `fit` trains: several networks from coordinates to outputs; methods differ in `loss`.
+    """The learner: several networks from coordinates to outputs; methods differ in `loss`.
 
-    The rows may have a column `weight` (members): how often each design counts for each network.
+    The rows may have a column `weight` (rows, members), the weight of each design for each network.
     """
 
     lr: float
@@ -31,17 +31,17 @@ class Surrogate(eqx.Module):
     batch_size: int = eqx.field(static=True)
 
     def needs(self, spec):
-        """Designs and scores."""
+        """Batches of designs and scores."""
         return BatchSpec(columns=(), batch_size=self.batch_size)
 
     def init(self, spec, key):
-        """Fresh networks and their optimiser."""
+        """Initial networks and their optimiser state."""
         make = lambda k: MLP.create(spec.size, self.hidden, self.outputs, k, activation=self.activation)  # noqa: E731
         nets = ensemble(make, self.members, key)
         return nets, init_opt(nets)
 
     def update(self, state, batch: Batch, *, step, key):
-        """One step of every network."""
+        """One update of every network."""
         assert batch.extra is not None
         nets, opt = state
         x, y = batch.extra["x"], batch.extra["y"]
@@ -56,7 +56,7 @@ class Surrogate(eqx.Module):
         return (nets, opt), metrics
 
     def loss(self, net: MLP, x: Array, y: Array, weight: Array, key: Any) -> tuple[Array, dict[str, Array]]:
-        """Of one network on one batch."""
+        """Loss and metrics of one network on one batch."""
         raise NotImplementedError
 
 
@@ -64,7 +64,7 @@ class Surrogate(eqx.Module):
 def climb(
     value: Callable[[Any, Array], Float[Array, "m"]], nets: Any, start: Search, steps: int, lr: Any, low: Array, high: Array
 ) -> Float[Array, "m z"]:
-    """Coordinates after `steps` of plain gradient ascent on `value(nets, x)`, each design for itself, within bounds."""
+    """Coordinates after `steps` of plain gradient ascent on `value(nets, x)` for each design, clipped to bounds."""
 
     def step(_: Any, x: Array) -> Array:
         slope = jax.grad(lambda x: value(nets, x).sum())(x)
@@ -74,15 +74,15 @@ def climb(
 
 
 def counts(y: np.ndarray, bins: int, smoothing: float, temperature: float) -> np.ndarray:
-    """How much each design counts where high scores matter more (Kumar and Levine 2020, 3.3; Krishnamoorthy et al. 2023, 3.2).
+    """Weights of designs, larger for high scores (Kumar and Levine 2020, 3.3; Krishnamoorthy et al. 2023, 3.2).
 
-    In a bin with N designs w = N / (N + K) exp(-(best - middle) / T) / N, on average 1 and at most `MOST`, against a few
-    designs that decide all.
+    In a bin with N designs w = N / (N + K) exp(-(best - middle) / T) / N, scaled to the mean 1 and clipped at `MOST`, so that a
+    few designs do not dominate.
 
     Args:
         y: (rows,) scores.
-        bins: of the scores' range.
-        smoothing: K, as a share of the rows: thin bins count less.
+        bins: number of bins of the scores' range.
+        smoothing: K, as a share of the rows: sparse bins have smaller weights.
         temperature: T, in ranges of the scores.
 
     Returns:

@@ -1,9 +1,9 @@
-"""How well a model of the score predicts designs that it has not seen, and intervals made to hold their share of these.
+"""Validation of models of the score on designs that they were not fitted to, and calibration of their intervals.
 
-Folds are of whole units: designs, recipes of nearly the same, or groups such as batches (`Designs.units`). From predictions out
-of fold follows how scores come from them (`mbo.calibration`). The scores are measurements, so deviations must be those of a
-measurement, noise included, and what they are calibrated to is an interval for a new measurement: true scores are never seen.
-Coverage is reported crosswise: for each fold with the calibration that the others give, so that no design judges itself.
+Folds consist of whole units: designs, recipes of nearly equal designs, or groups such as batches (`Designs.units`). The
+calibration (`mbo.calibration`) is fitted to out-of-fold predictions. The scores are measurements, so standard deviations must
+be those of a measurement, noise included, and calibrated intervals are for a new measurement: true scores are never observed.
+Coverage is cross-fitted: each fold is evaluated with the calibration of the other folds.
 """
 
 from collections.abc import Callable
@@ -15,6 +15,7 @@ import numpy as np
 
 from deadreckon.mbo.calibration import Calibration
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.replicates import row_weights
 from deadreckon.mbo.variables import FEWEST
 from deadreckon.randomness import generator
 from deadreckon.stats.clusters import effective
@@ -23,28 +24,29 @@ from deadreckon.stats.ranks import spearman
 
 FOLDS = 5
 CHANCE = 0.025  # share of tables without any relation on which a method may be called skilled
-ENOUGH = 2 * FEWEST  # designs that are held out at least: of fewer than 19 no factor holds 95 % (`conformal_factor`)
+ENOUGH = 2 * FEWEST  # least number of held-out designs: with fewer than 19 no factor covers 95 % (`conformal_factor`)
 
-# (m, variables) designs and (m,) standard errors of their scores, or None -> (m,) mean and deviation of these, with noise
+# (m, variables) designs and (m,) standard errors of their scores, or None -> (m,) means and standard deviations of the scores
 Predict = Callable[[np.ndarray, np.ndarray | None], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
 class Quality:
-    """Of predictions out of fold.
+    """The quality of out-of-fold predictions.
 
     Attributes:
-        method: the model.
-        observed, predicted, std: (rows,) scores, and what was said of them out of fold, before calibration.
-        r2: share of the scores' variance that is predicted; below 0 where the mean would be better; 0 of scores that are all
-            the same; NaN, as `coverage`, where the model predicts an order alone.
+        method: name of the model.
+        observed, predicted, std: (rows,) scores, and their out-of-fold predictions and standard deviations, not calibrated.
+        r2: share of the scores' variance that is explained; below 0 if the mean would be better; 0 if all scores are the same;
+            NaN, like `coverage`, if the model predicts only an order.
         rank_correlation: Spearman's.
-        fold: (rows,) which of them were predicted together.
-        tried: how many methods were tried of which this is one.
-        crossed: whether each row has taught the models of all other folds, as in cross-validation.
-        scored: whether the model predicts scores, and not their order alone.
-        units: (rows,) number of what each row was held out with (`Designs.units`): its rows are not independent; None: each row
-            by itself.
+        fold: (rows,) number of the fold in which each was predicted.
+        tried: number of methods that were compared, including this one.
+        crossed: whether the models of all other folds were fitted to each row, as in cross-validation.
+        scored: whether the model predicts scores, and not only their order.
+        units: (rows,) number of the unit that each row was held out with (`Designs.units`), whose rows are not independent;
+            None: each row is one.
+        weight: (rows,) weights of the rows in R2 (`replicates.row_weights`); None: equal weights.
     """
 
     method: str
@@ -58,15 +60,18 @@ class Quality:
     crossed: bool = False
     scored: bool = True
     units: np.ndarray | None = None
+    weight: np.ndarray | None = None
 
     @property
     def skilled(self) -> bool:
         """Whether the rank correlation is above what chance gives in 97.5 % of tables without any relation (Fieller 1957).
 
-        In cross-validation a pair of rows that agree by chance counts twice, since each predicts the other: the variance of
-        the correlation is then up to twice that of rows which taught no model.
+        In cross-validation a pair of rows that agree by chance counts twice, since each helps to predict the other: the
+        variance of the correlation is then up to twice that of rows to which no model was fitted. Predictions of scores must
+        also have a positive covariance with them.
         """
-        worth = not self.scored or np.cov(self.predicted, self.observed)[0, 1] > 0  # a slip in one score can undo the rest
+        # A single wrong score can make the covariance negative.
+        worth = not self.scored or np.cov(self.predicted, self.observed, aweights=self.weight)[0, 1] > 0
         return self.rank_correlation > self.limit and worth
 
     @property
@@ -81,17 +86,17 @@ class Quality:
 
     @cached_property
     def calibration(self) -> Calibration | None:
-        """How scores follow from predictions; None where it predicts an order alone."""
+        """The calibration of the predictions; None if the model predicts only an order."""
         return self._calibration(np.ones(len(self.observed), bool)) if self.scored else None
 
     @cached_property
     def corrected(self) -> tuple[np.ndarray, np.ndarray]:
-        """(rows,) predictions and deviations out of fold as the calibration makes them, which is what proposals have too."""
+        """(rows,) calibrated out-of-fold predictions and standard deviations, by the calibration of the proposals."""
         return (self.predicted, self.std) if self.calibration is None else self.calibration(self.predicted, self.std)
 
     @cached_property
     def crosswise(self) -> tuple[np.ndarray, np.ndarray]:
-        """(rows,) the same as the calibration of all other folds makes them, so that no row judges itself."""
+        """(rows,) the same by the calibration of all other folds, which is independent of the row itself."""
         if not self.scored:
             return self.corrected
         mean, std = np.empty(len(self.observed)), np.empty(len(self.observed))
@@ -102,7 +107,7 @@ class Quality:
 
     @cached_property
     def coverage(self) -> float:
-        """Share of scores within the 95 % interval that the other folds calibrate; NaN where it predicts an order alone."""
+        """Share of scores within the 95 % intervals of `crosswise`; NaN if the model predicts only an order."""
         mean, std = self.crosswise
         return float((np.abs(self.observed - mean) <= NORMAL * std).mean()) if self.scored else np.nan
 
@@ -112,19 +117,19 @@ class Quality:
         return Calibration.of(*given, skilled=self.skilled, independent=count)
 
     def _worth(self, rows: np.ndarray, *values: np.ndarray) -> float:
-        """How many independent rows some rows are worth, for what is said of one or two lists of values."""
+        """Effective number of independent rows among `rows` (rows,), for a statistic of one or two lists of values (rows,)."""
         return float(rows.sum()) if self.units is None else effective(self.units[rows], *(each[rows] for each in values))
 
     @property
     def doubt(self) -> str:
-        """Why a model without skill is not believed, of its predictions of rows that it has not seen."""
+        """Why a model without skill is not trusted, in words, by its predictions of held-out rows."""
         if self.rank_correlation > self.limit:
             return "its predictions of unseen rows do not go with their scores, of which one may be an error"
         return "the model's order of unseen rows cannot be distinguished from chance"
 
     @property
     def warning(self) -> str | None:
-        """What should be known before anybody tries the proposals; None where nothing."""
+        """A warning to read before the proposals are tried; None if there is none."""
         if self.skilled:
             return None
         if self.rank_correlation > self.limit:
@@ -145,23 +150,20 @@ class Quality:
 
 
 def checkable(data: Designs) -> bool:
-    """Whether there are enough recipes to say how well a model predicts those that it has not seen, and no two rows of the same
-    design.
+    """Whether a table can be cross-validated: no two rows have the same design, and there are enough recipes.
 
-    Without any unit that is held out as a whole enough recipes, `FEWEST`, must be left to learn from.
-
-    Replicates that were not pooled (`mbo.replicates`), as those of fewer than `FEWEST` designs, would lie in different folds,
-    and a model that has only kept in mind what it has seen would be praised.
+    Whichever unit is held out, at least `FEWEST` recipes must be left for the fit. Replicates that were not pooled
+    (`mbo.replicates`), like those of fewer than `FEWEST` designs, are not separate designs.
     """
     parts = _recipes_of_units(data)
     return len(np.unique(data.x, axis=0)) == len(data) and len(parts) > 1 and parts.sum() - parts.max() >= FEWEST
 
 
 def held_out(data: Designs, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
-    """Rows that are held out, all others, and which of two folds each of the first is in, to judge them crosswise.
+    """A random split: held-out rows, all other rows, and the fold, 0 or 1, of each held-out row, for `Quality.crosswise`.
 
-    They are two whole units or more by chance, of a fifth of all recipes, but `ENOUGH` at least and `most` at most, or more
-    where units are large; `ENOUGH` are left. None where there are too few.
+    Held out are two whole units or more, with about a fifth of all recipes, at least `ENOUGH` and at most `most` (unless units
+    are large). At least `ENOUGH` recipes are left for the fit. None if there are too few.
     """
     parts = _recipes_of_units(data)
     place = generator(0, "held-out designs").permutation(len(parts)).argsort()
@@ -181,29 +183,29 @@ def held_out(data: Designs, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarr
 
 
 def _recipes_of_units(data: Designs) -> np.ndarray:
-    """(units,) how many recipes there are in what is held out as a whole."""
+    """(units,) number of recipes in each unit."""
     return np.bincount(np.unique(np.stack([data.units, data.recipes], 1), axis=0)[:, 0])
 
 
 def cross_validated(data: Designs, model: Callable[[Designs], Predict], method: str, folds: int = FOLDS) -> Quality:
-    """Fits a model on all folds but one, predicts that one, and so on.
+    """Cross-validation: each fold is predicted by a model that is fitted to all others.
 
     Args:
         data: scored designs, all different, of which there are enough (`checkable`).
-        model: fits designs.
-        method: its name.
-        folds: how many; of fewer than `ENOUGH` units each is left out by itself.
+        model: function that fits designs and returns the predictor.
+        method: name of the model.
+        folds: number of folds; with fewer than `ENOUGH` units each unit is one.
     """
     folds, count = folds_of(data, folds), data.units.max() + 1
     fold = (generator(0, "folds of designs").permutation(count) % folds)[data.units]
     mean, std = np.empty(len(data)), np.empty(len(data))
     for k in range(folds):
         mean[fold == k], std[fold == k] = unseen(data, np.flatnonzero(fold == k), np.flatnonzero(fold != k), model)
-    return replace(judged(data.y, mean, std, fold, method), crossed=True, units=data.units)
+    return replace(judged(data.y, mean, std, fold, method, weight=row_weights(data)), crossed=True, units=data.units)
 
 
 def folds_of(data: Designs, folds: int) -> int:
-    """How many folds there are: of fewer than `ENOUGH` units each is one."""
+    """The number of folds; with fewer than `ENOUGH` units each unit is one."""
     count = int(data.units.max()) + 1
     return folds if count >= ENOUGH else count
 
@@ -211,18 +213,27 @@ def folds_of(data: Designs, folds: int) -> int:
 def unseen(
     data: Designs, held: np.ndarray, rest: np.ndarray, model: Callable[[Designs], Predict]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(held,) means and deviations of the scores of some rows, by a model that was fitted to others."""
-    # Rows whose scores or designs are all the same teach nothing.
+    """(held,) predicted means and standard deviations of the scores of some rows, by a model fitted to the others."""
+    # No model can be fitted to rows whose scores or designs are all the same.
     if np.ptp(data.y[rest]) == 0 or not np.ptp(data.x[rest], axis=0).any():
         return np.full(len(held), data.y[rest].mean()), np.full(len(held), data.y.std())
     error = None if data.std_error is None else data.std_error[held]
     return model(data.part(rest))(data.x[held], error)
 
 
-def judged(y: np.ndarray, mean: np.ndarray, std: np.ndarray, fold: np.ndarray, method: str, scored: bool = True) -> Quality:
-    """What predictions out of fold are worth: (rows,) scores, means, deviations and folds; `scored`: they are no mere order."""
+def judged(
+    y: np.ndarray,
+    mean: np.ndarray,
+    std: np.ndarray,
+    fold: np.ndarray,
+    method: str,
+    scored: bool = True,
+    weight: np.ndarray | None = None,
+) -> Quality:
+    """The quality of out-of-fold predictions, from (rows,) scores, means, standard deviations, folds and weights; see
+    `Quality`."""
     rank = spearman(y, mean)
     if not scored:
-        return Quality(method, y, mean, std, np.nan, rank, fold, scored=False)
-    r2 = 0.0 if np.ptp(y) == 0 else float(1 - np.square(y - mean).sum() / np.square(y - y.mean()).sum())
-    return Quality(method, y, mean, std, r2, rank, fold)
+        return Quality(method, y, mean, std, np.nan, rank, fold, scored=False, weight=weight)
+    off, spread = (np.average(np.square(y - of), weights=weight) for of in (mean, np.average(y, weights=weight)))
+    return Quality(method, y, mean, std, 0.0 if np.ptp(y) == 0 else float(1 - off / spread), rank, fold, weight=weight)

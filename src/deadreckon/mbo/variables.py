@@ -1,4 +1,4 @@
-"""What a design is made of: numbers, integers and categories, and how columns of a table become such."""
+"""The variables of a design: continuous, integer, categorical or ordinal, and their values from columns of a table."""
 
 import math
 import re
@@ -16,29 +16,29 @@ from deadreckon.errors import UserError, unknown
 from deadreckon.mbo.design_table import numbers_of
 
 KINDS = ("continuous", "integer", "categorical", "ordinal")
-FEWEST = 10  # rows below which no model is worth fitting
-OWN = 0.9  # share of the designs from which on that many different texts are names of them
-SEVERAL = 3  # different numbers from which on those with a unit are no names, such as 316L and 304L
-FINE = 1e-3  # deviations of a column that float32 must be able to tell apart
+FEWEST = 10  # least number of rows for a model
+OWN = 0.9  # different texts per design above which the texts are identifiers of rows
+SEVERAL = 3  # least number of different numbers with a unit; fewer may be names, such as 316L and 304L
+FINE = 1e-3  # largest distance between neighbouring float32 numbers, in standard deviations of a column
 _RANGE = re.compile(r"\d+(?:[.,]\d*)?\s*[-\u2013\u2014]\s*\d+(?:[.,]\d*)?")
 _WITH_UNIT = re.compile(r"[-+\u2212]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?\s*([^\d\s.,+/:-]\S{0,9}(?:\s\S{1,9})?)")
 
 
 class Mend(UserError):
-    """A column of numbers cannot be read before its cells are mended."""
+    """A column of numbers whose cells must be corrected before it can be read."""
 
 
 @dataclass(frozen=True)
 class Variable:
-    """What one input may be.
+    """An input and its domain.
 
     Attributes:
-        name: column's.
+        name: of the column.
         kind: among `KINDS`.
-        low, high: bounds, included; of a categorical variable they say nothing, of an ordinal one they are of the indices.
+        low, high: inclusive bounds; for an ordinal variable those of the indices, without meaning for a categorical one.
         levels: of a categorical or an ordinal variable; a design holds their indices. Those of an ordinal one are in order.
-        step: what is proposed is a multiple of it; None: any number. For numbers only.
-        log: whether methods see the logarithm; for positive numbers only.
+        step: proposals are multiples of it; None: any number. For numbers only.
+        log: whether models use the logarithm; for positive numbers only.
     """
 
     name: str
@@ -75,7 +75,7 @@ class Variable:
         if self.log and self.low < (least := float(np.finfo(np.float32).tiny)):
             raise UserError(f"{self.name}: a log scale begins at {least:.3g} (32 bits), got {self.low:g}; take another unit")
 
-    def __repr__(self) -> str:  # names files of results: what is not set leaves it as it was
+    def __repr__(self) -> str:  # part of names of result files: without defaults, so that old names stay valid
         more = "".join(f", {key}={getattr(self, key)!r}" for key in ("step", "log") if getattr(self, key))
         named = f"name={self.name!r}, kind={self.kind!r}, low={self.low!r}, high={self.high!r}, levels={self.levels!r}"
         return f"Variable({named}{more})"
@@ -87,14 +87,18 @@ class Variable:
 
     @property
     def numeric_levels(self) -> bool:
-        """Whether it is ordinal with levels that are numbers, which truth values are not."""
+        """Whether it is ordinal with levels that are numbers; truth values are none."""
         return self.kind == "ordinal" and all(isinstance(v, int | float) and not isinstance(v, bool) for v in self.levels)
 
 
 def variable_of(
     name: str, table: pa.Table, column: str, kind: str | None, bounds: tuple[float, float] | None, levels: Any, rows: np.ndarray
 ) -> tuple[np.ndarray, Variable]:
-    """A column's numbers in the rows that count, and what it may be."""
+    """The values of a column in the given rows, as designs hold them, and its variable.
+
+    Raises:
+        UserError: the column cannot be an input of this kind, with these bounds or levels.
+    """
     stored, given = table.column(column).type, kind
     if pa.types.is_temporal(stored):
         raise _holds_times(name, column)
@@ -117,7 +121,7 @@ def variable_of(
 def _category(
     name: str, table: pa.Table, column: str, levels: Sequence[Any] | None, rows: np.ndarray, *, told: bool
 ) -> tuple[np.ndarray, Variable]:
-    """Codes of a column and the variable; unless somebody `told` that it is categorical, likely mistakes are refused."""
+    """Level indices of a column, and the variable; unless its kind or levels are given (`told`), likely errors are refused."""
     stored, values = table.column(column).type, filled(name, table, column, rows)
     if not told and is_text(stored) and not pa.types.is_dictionary(stored):
         _check_texts(name, column, values, rows)
@@ -138,7 +142,7 @@ def _holds_times(name: str, column: str) -> UserError:
 def _number(
     name: str, table: pa.Table, column: str, kind: str, bounds: tuple[float, float] | None, rows: np.ndarray
 ) -> tuple[np.ndarray, Variable]:
-    """Values of a column of numbers, and the variable within its bounds."""
+    """Values of a column of numbers, and the variable with its bounds."""
     values = numbers_of(name, table, column, rows)
     low, high = bounds if bounds is not None else (values.min(), values.max())
     if not low <= high:
@@ -166,7 +170,7 @@ def _number(
         end = f">= {low:g}" if values[row] < low else f"<= {high:g}"
         how = f"to keep proposals alone within them, use --constraints {shlex.quote(f'`{column}` {end}')}"
         raise UserError(f"{name}: column {column} has {values[row]:g} {where}; {how}")
-    if bounds is not None and low == high:  # a constant, which 32 bits hold as its nearest number
+    if bounds is not None and low == high:  # a constant, as the nearest 32-bit number
         low = high = float(str(np.float32(low)))
     elif bounds is not None:
         low, high = _within(float(low), 1), _within(float(high), -1)
@@ -176,7 +180,7 @@ def _number(
 
 
 def _within(bound: float, inwards: int) -> float:
-    """The nearest number to a bound that 32 bits hold and that, as it is written, does not lie beyond it."""
+    """The nearest 32-bit number to a bound that, as written, is not beyond it; `inwards` is 1 for a lower bound, else -1."""
     largest = np.finfo(np.float32).max
     found = np.float32(bound if math.isinf(bound) else min(max(bound, -largest), largest))
     if math.isfinite(bound) and inwards * (Fraction(str(found)) - Fraction(str(bound))) < 0:
@@ -185,7 +189,7 @@ def _within(bound: float, inwards: int) -> float:
 
 
 def _typed(levels: Sequence[Any], stored: pa.DataType) -> tuple[Any, ...]:
-    """Levels that came as texts, as a column of other values holds them."""
+    """Levels, with texts converted to the type of the values in the column."""
     truths = {"true": True, "false": False}
 
     def typed(level: Any) -> Any:
@@ -202,10 +206,10 @@ def _typed(levels: Sequence[Any], stored: pa.DataType) -> tuple[Any, ...]:
 
 
 def filled(name: str, table: pa.Table, column: str, rows: np.ndarray) -> list[Any]:
-    """The values of a column in the rows that count, none of which may be missing.
+    """The values of a column in the given rows, none of which may be missing.
 
     Raises:
-        UserError: one is.
+        UserError: one is; the line names its row.
     """
     found = table.column(column).to_pylist()
     values = [found[row] for row in rows]
@@ -216,12 +220,12 @@ def filled(name: str, table: pa.Table, column: str, rows: np.ndarray) -> list[An
 
 
 def name_of_rows(v: Variable, values: np.ndarray, designs: int) -> str | None:
-    """What is said of a column of which nearly every design has its own level, as a name of rows does; None: it is no such.
+    """A message if nearly every design has a different level of a variable, which then identifies rows; else None.
 
     Args:
         v: the variable.
         values: (rows,) indices of its levels.
-        designs: how many different ones there are.
+        designs: number of different designs.
     """
     own = len(np.unique(values)) if v.kind == "categorical" else 0
     if own < FEWEST or own <= OWN * designs:
@@ -264,7 +268,7 @@ def _check_texts(name: str, column: str, values: Sequence[str], rows: np.ndarray
 
 
 def codes(name: str, column: str, values: Sequence[Any], levels: Sequence[Any], rows: np.ndarray) -> np.ndarray:
-    """Indices of values, which stand in these rows, in the levels of a categorical variable.
+    """(rows,) float64 indices of the values of these rows in the levels of a variable.
 
     Raises:
         UserError: a value is none of them.
@@ -280,9 +284,9 @@ def codes(name: str, column: str, values: Sequence[Any], levels: Sequence[Any], 
 
 
 def complete_designs(name: str, table: pa.Table, variables: Sequence[Variable], scored: np.ndarray) -> np.ndarray:
-    """(k, variables) float32 designs of those rows without a score that have a value, or a known level, of every variable.
+    """(k, variables) float32 designs of the rows without a score that have a value, or a known level, of every variable.
 
-    They may lie beyond the bounds, where nothing is proposed anyway.
+    They may be outside of the bounds.
     """
     columns: list[Any] = []
     rows = np.setdiff1d(np.arange(table.num_rows), scored)

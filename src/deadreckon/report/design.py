@@ -7,7 +7,7 @@ import numpy as np
 from deadreckon.files import replacing
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.effects import averages, best_permitted
+from deadreckon.mbo.effects import averages, best_permitted, most_expected
 from deadreckon.mbo.first_choice import FAR, first_choice
 from deadreckon.mbo.problems.problem import Scores
 from deadreckon.report import charts
@@ -64,7 +64,11 @@ def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None
     parts = [f"{warning.capitalize()}."] if warning else []
     parts.append(f"The best of the data has {data.target} {best}{'' if within == best else f', within the rules {within}'}.")
     if made.predicts and not made.by_chance:
-        parts.append(f"The best predicted score is {number(float(data.shown(made.predicted.max())))}.")
+        measured = ""
+        if made.fitted is not None:  # the best measurement may be a lucky one, and is no measure of a prediction
+            expected = number(float(data.shown(most_expected(data, made.fitted)[1])))
+            measured = f"; the best prediction for a measured design is {expected}"
+        parts.append(f"The best predicted score is {number(float(data.shown(made.predicted.max())))}{measured}.")
     if scores is not None:
         best_true, middle = (number(data.shown(scores.percentile(q))) for q in (100, 50))
         parts.append(f"By the oracle, the best of them has {best_true} and the median {middle}.")

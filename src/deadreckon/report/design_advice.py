@@ -4,8 +4,8 @@ import numpy as np
 
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.effects import best_permitted
-from deadreckon.mbo.first_choice import FAR, first_choice, shown_interval
+from deadreckon.mbo.effects import best_permitted, most_expected
+from deadreckon.mbo.first_choice import FAR, first_choice, interval, shown_interval
 from deadreckon.mbo.nn_distance import neighbours
 from deadreckon.report.design_asked import broken_rule, row_name
 from deadreckon.report.design_edges import shown_value
@@ -64,17 +64,12 @@ def _no_choice(data: Designs, made: Proposals) -> str:
 
 
 def _why(data: Designs, made: Proposals, far: np.ndarray, chosen: int) -> str:
-    """By which rule it was chosen, and how its prediction compares with the best of the data."""
-    lower, above, below = ("upper", "below", "above") if data.minimise else ("lower", "above", "below")
-    highest = "lowest" if data.minimise else "highest"
+    """By which rule it was chosen, and how its prediction compares with the data."""
+    lower, highest = ("upper", "lowest") if data.minimise else ("lower", "highest")
     near = int((far <= FAR).sum())
     of = f"the {len(made):,} proposals" if near in (0, len(made)) else (
         f"the {near:,} proposals within {FAR:g} typical distances of a scored row"
     )  # fmt: skip
-    row, mean = best_permitted(data), float(made.predicted[chosen])
-    best, of_all = float(data.y[row]), row == int(data.y.argmax())
-    shown_best = number(float(data.shown(best)))
-    known = f"the best score of {'the data' if of_all else 'rows that satisfy the rules'}, {shown_best}"
     if not made.predicts:
         return f"The model ranks it first among {of}. {made.method} learns an order and predicts no scores."
     ends = shown_interval(data, made.predicted, made.predicted_std)
@@ -83,12 +78,31 @@ def _why(data: Designs, made: Proposals, far: np.ndarray, chosen: int) -> str:
         rule = f"Among {of} it has the {highest} prediction; {made.method} gives no standard deviation."
     else:
         rule = f"Among {of} the {lower} end of its {PERCENT} interval, {number(end)}, is the {highest}."
-    if mean <= best:
-        return f"{rule} The prediction is not {above} {known}, so no gain is predicted."
-    if np.isnan(end) or data.shown(end) <= best:
-        doubt = "" if np.isnan(end) else f", but the interval reaches {below} it: the proposal may score no better"
-        return f"{rule} The prediction is {above} {known}{doubt}."
-    return f"{rule} The whole interval is {above} {known}."
+    return f"{rule} {_compared(data, made, chosen)}"
+
+
+def _compared(data: Designs, made: Proposals, chosen: int) -> str:
+    """How its prediction compares with those of measured rows, and with the best measurement."""
+    above, below = ("below", "above") if data.minimise else ("above", "below")
+    assert made.fitted is not None  # else none would be chosen
+    row, expected = most_expected(data, made.fitted)
+    mean, gain = float(made.predicted[chosen]), float(made.predicted[chosen]) - expected
+    known = f"{row_name(data, row)}, {number(float(data.shown(expected)))}"
+    if gain <= 0:
+        compared = f"The prediction is not {above} that for {known}, so no gain over the measured designs is predicted."
+    else:
+        compared = f"The prediction is {number(gain)} {above} the best one for a measured design ({known})."
+    best = best_permitted(data)
+    shown_best = number(float(data.shown(data.y[best])))
+    kept = "the data" if best == int(data.y.argmax()) else "rows that satisfy the rules"
+    score = f"the best score of {kept}, {shown_best}"
+    worst = interval(made.predicted, made.predicted_std)[0][chosen]
+    if worst > data.y[best]:
+        return f"{compared} The whole interval is {above} {score}."
+    if mean > data.y[best]:
+        doubt = "" if np.isnan(worst) else f", but the interval reaches {below} it: one measurement of it may be no better"
+        return f"{compared} It is {above} {score}{doubt}."
+    return f"{compared} It is not {above} {score}, of which a part may be a lucky measurement."
 
 
 def _tile(name: str, value: str, more: str | None) -> Markup:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from deadreckon.mbo.batch import repeats_told
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.effects import Effect
@@ -52,6 +53,7 @@ def _of_batch(data: Designs, made: Proposals, far: np.ndarray, idle: set[int], r
     """Of the proposals: where they lie, and, where any model `ranks`, at which ends they stand."""
     return [
         *_of_distance(data, made, far),
+        *(f"{line}." for line in repeats_told(data, made.x)),
         *_of_each_other(data, made, ranks),
         *_of_extrapolation(data, made),
         *(_of_ends(data, made, idle) if ranks else []),
@@ -198,10 +200,14 @@ def _of_effects(data: Designs, made: Proposals, effects: list[Effect]) -> list[s
 
 def _of_correlation(data: Designs) -> list[str]:
     """Variables whose effects cannot be told apart, since they vary together."""
-    columns = [int(i) for i in data.coordinates.numeric if np.ptp(data.x[:, i]) > 0]
+    numeric = data.coordinates.numeric
+    varied = np.ptp(data.x[:, numeric], axis=0) > 0
+    columns = [int(i) for i in numeric[varied]]
     if not 1 < len(columns) <= MANY:
         return []
-    found = np.asarray(np.corrcoef(data.x[:, columns].astype(np.float64), rowvar=False))
+    # As the models see them: the values of a variable on a log scale are correlated less than their logarithms.
+    seen = data.coordinates.encode(data.x)[:, : len(numeric)][:, varied]
+    found = np.asarray(np.corrcoef(seen.astype(np.float64), rowvar=False))
     pairs = [(i, j) for i in range(len(columns)) for j in range(i) if abs(found[i, j]) >= TOGETHER]
     pairs.sort(key=lambda pair: -abs(found[pair]))
     if not pairs:

@@ -6,7 +6,7 @@ from typing import Any
 from deadreckon.report import charts
 from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, join, tag
-from deadreckon.report.text import brackets, score
+from deadreckon.report.text import NONE, brackets, score
 from deadreckon.runs.decision_record import is_from
 from deadreckon.stats.interval import Interval
 
@@ -50,14 +50,15 @@ def scroll(table: Markup) -> Markup:
 
 
 def tile(
-    name: str, value: Interval | None, signed: bool, more: str | None = None, shown: Callable[..., str] = score
+    name: str, value: Interval | None, signed: bool, more: str | None = None, shown: Callable[..., str] | None = None
 ) -> Markup:
     """A number with its interval, its name above and more below."""
     if value is None:
-        return tag("div", tag("small", name), tag("b", shown(None)), class_="tile")
+        return tag("div", tag("small", name), tag("b", NONE), class_="tile")
     ends = brackets(value, signed=signed, shown=shown)
+    number = score(value, signed=signed) if shown is None else shown(value.value, signed=signed)
     small = tag("small", more) if more else None
-    return tag("div", tag("small", name), tag("b", shown(value.value, signed=signed)), tag("span", ends), small, class_="tile")
+    return tag("div", tag("small", name), tag("b", number), tag("span", ends), small, class_="tile")
 
 
 def coloured(page: Page, told: dict[str, Any]) -> list[tuple[str, int]]:

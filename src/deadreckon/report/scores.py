@@ -18,7 +18,7 @@ Cell = Callable[[Row], tuple[Any, float | None]]  # what is shown, and what it i
 def _two(value: Interval | None) -> tuple[Any, float | None]:
     if value is None:
         return number(None), None
-    return join(tag("b", score(value.value)), tag("small", brackets(value))), value.value
+    return join(tag("b", score(value)), tag("small", brackets(value))), value.value
 
 
 def _failures(r: Row) -> tuple[Any, float | None]:
@@ -35,7 +35,7 @@ def _seeds(r: Row) -> tuple[Any, float | None]:
 
 
 def _each(r: Row) -> tuple[Any, float | None]:
-    shown = " \N{MIDDLE DOT} ".join(map(score, r.per_seed)) or number(None)
+    shown = " \N{MIDDLE DOT} ".join(score(each, beside=r.per_seed) for each in r.per_seed) or number(None)
     return tag("small", shown), max(r.per_seed) - min(r.per_seed) if r.per_seed else None
 
 
@@ -99,7 +99,7 @@ def _published(page: Page) -> Markup | None:
     lines = []
     for name, values in known["scores"].items():
         if _domain(name) in domains:
-            cells = [tag("td", score(values[m])) for m in known["algorithms"]]
+            cells = [tag("td", score(values[m], beside=[*values.values()])) for m in known["algorithms"]]
             lines.append(tag("tr", tag("th", name, scope="row"), cells, class_="here" if name in here else None))
     title = "published (thesis Table 7.1, original D4RL data, MuJoCo 1.5/2.0): not the same data or simulator"
     table = tag("table", tag("caption", title), tag("thead", head), tag("tbody", lines), class_="published")

@@ -62,14 +62,14 @@ def compare(page: Page) -> Comparison | None:
     miss = ALPHA / max(compared, 1)  # one of the page's differences may miss so often
     over_log = versus(best, log, miss) if log else None
     over_cloning = versus(best, cloning, miss) if cloning and cloning is not best else None
-    level = f"{'score' if best.score else 'return'} {score(best.worth.value if best.worth else None)}"
+    level = f"{'score' if best.score else 'return'} {score(best.worth)}"
     standing = "Best in the simulator:" if len(judged) > 1 else "In the simulator:"
     headline = f"{standing} {best.label}, {level}"
     if over_log:
         gain = over_log.worth
         side = "above" if gain.value >= 0 else "below"
         size = Interval(gain.value, gain.low, gain.high) if gain.value >= 0 else Interval(-gain.value, -gain.high, -gain.low)
-        headline += f", {score(size.value)} {brackets(size)} {side} the behaviour policy"
+        headline += f", {score(size)} {brackets(size)} {side} the behaviour policy"
         headline += "" if gain.low > 0 or gain.high < 0 else ", which may be chance"
     return Comparison(
         f"{headline}.", best, log, cloning, over_log, over_cloning, compared,
@@ -113,7 +113,7 @@ def _how(page: Page) -> str:
 
 def _gap(name: str, gap: Difference) -> Markup:
     r = gap.returns
-    beside = f"return {score(r.value, signed=True)} {brackets(r, signed=True)}" if gap.score else None
+    beside = f"return {score(r, signed=True)} {brackets(r, signed=True)}" if gap.score else None
     return tile(name, gap.worth, True, beside)
 
 
@@ -141,7 +141,7 @@ def _beaten(page: Page, judged: list[Row], cloning: Row | None, log: Row | None,
         return ["Only behaviour cloning is on this page: there is nothing to compare it with."]
     if not better:
         return [f"No agent clearly beats {cloning.label}: every interval of the difference reaches to zero or below."]
-    listed = words([f"{r.label} by {score(gap.worth.value)} {brackets(gap.worth)}" for r, gap in better])
+    listed = words([f"{r.label} by {score(gap.worth)} {brackets(gap.worth)}" for r, gap in better])
     said = f"Clearly better than behaviour cloning ({cloning.label}): {listed}."
     if others:
         said += f" Not clearly better: {words(others)}."
@@ -153,11 +153,11 @@ def _why(page: Page, best: Row, cloning: Row, log: Row | None) -> list[str]:
     out = []
     directed = not isinstance(page.task, Maze) or "undirected data" not in page.task.properties
     undirected = not directed and bool((best.entry.config["data"].get("provenance") or {}).get("recipe"))
-    level = f" (value of the behaviour policy: {score(log.worth.value)})" if log and log.worth else ""
+    level = f" (value of the behaviour policy: {score(log.worth)})" if log and log.worth else ""
     if undirected:
         out.append(
             f"The log has goals of its own, most of which are not the task's, so much of it leads elsewhere{level}. Cloning "
-            f"repeats the average of all goals and has the value {score(cloning.worth.value if cloning.worth else None)}."
+            f"repeats the average of all goals and has the value {score(cloning.worth)}."
         )
     if best.mmd is not None and cloning.mmd is not None:
         further, copy = best.mmd > max(cloning.mmd, best.copy or 0.0), best.copy

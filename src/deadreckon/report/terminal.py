@@ -15,7 +15,7 @@ from deadreckon.stats.interval import PERCENT, Interval
 
 
 def _with_interval(value: Interval | None) -> str:
-    return f"{score(value.value)} {brackets(value)}" if value else number(None)
+    return f"{score(value)} {brackets(value)}" if value else number(None)
 
 
 COLUMNS: tuple[tuple[str, Callable[[Row], str]], ...] = (
