@@ -297,6 +297,7 @@ RUN = {
     [
         ({"seeds": "0"}, r"run.json: seeds must be a list of whole numbers, got '0'"),
         ({"seeds": [0, 0]}, "seeds must be different whole numbers"),
+        ({"steps": 0}, "steps must be 1 or more, got 0"),
         ({"seeds": [0, True]}, r"seeds\[1\] must be a whole number, got True"),
         ({"steps": 2**64}, "steps must be a whole number"),
         ({"agent": {"name": "bc"}}, "agent lacks fields"),

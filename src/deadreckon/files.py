@@ -133,22 +133,24 @@ def write_json(path: Path | str, value: Any) -> None:
         temporary.write_text(json.dumps(value, indent=1, sort_keys=False) + "\n")
 
 
-def copy_folder(source: Path, target: Path | str) -> Path:
-    """Copies a folder to a new place, where it appears only when it is complete; temporary files and locks stay behind.
+def copy_folder(source: Path, target: Path | str, but: str | None = None) -> Path:
+    """Copies a folder to a new place, where it appears only when it is complete, without temporary files, locks and what is
+    called `but`, as in `refuse_links`.
 
     Raises:
         UserError: there is something at `target`, or it cannot be written; or something in `source` is a link, which may
             lead to what its user does not mean to give away. Nothing is left behind.
     """
     target = Path(target)
-    refuse_links(source, "a folder that is copied")
+    refuse_links(source, "a folder that is copied", but)
+    left = (".*.tmp", ".*.lock", *([] if but is None else [but]))
     if target.exists():
         raise UserError(f"{target} exists already; choose another place")
     made = missing_folders(target)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with beside(target, folder=True) as aside:
-            shutil.copytree(source, aside, ignore=shutil.ignore_patterns(".*.tmp", ".*.lock"), dirs_exist_ok=True)
+            shutil.copytree(source, aside, ignore=shutil.ignore_patterns(*left), dirs_exist_ok=True)
             aside.rename(target)
     except OSError as error:  # copytree's is a list of those of all files
         raise cannot_write(target, error) from error

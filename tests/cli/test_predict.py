@@ -2,6 +2,7 @@
 
 import csv
 import re
+import shutil
 import sqlite3
 
 import numpy as np
@@ -15,6 +16,7 @@ from deadreckon.data.describe import describe_table
 from deadreckon.data.formats.any_table import read_rows
 from deadreckon.data.schema import Column, Schema
 from deadreckon.files import write_json
+from deadreckon.runs.decision_record import saved_at
 from deadreckon.runs.train import train
 from tests.recorded import decision
 
@@ -154,7 +156,7 @@ def test_policies_that_a_folder_stands_for(run, tmp_path, capsys):
     assert capsys.readouterr().err == ""
     assert main([*words, "--sampled", "False"]) == 0
     said = capsys.readouterr()
-    assert "! the decision evaluated sampled actions, but these are deterministic (greedy)" in said.err
+    assert f"! {tmp_path} evaluated sampled actions of this policy, but these are deterministic (greedy)" in said.err
     assert f"bc seed 1, the policy to deploy by {tmp_path}: actions in 40 rows" in said.out
     assert (tmp_path / "a.csv").read_text() != drawn
     want = run.predictor(1).encoder.named(run.policies[1](log.observations)).tolist()
@@ -169,6 +171,29 @@ def test_policies_that_a_folder_stands_for(run, tmp_path, capsys):
     assert "is a folder without a run, a cross-fit or estimates" in capsys.readouterr().err
     assert main(["predict", str(tmp_path / "new.csv"), *words[2:]]) == 2
     assert "is another file than a policy's" in capsys.readouterr().err
+
+
+def test_a_run_whose_sampled_actions_were_evaluated_beside_it_is_not_used_greedily_without_a_word(run, tmp_path, capsys):
+    run, _ = run
+    table().to_csv(tmp_path / "new.csv", index=False)
+    shutil.copytree(run.path, tmp_path / "offers")
+    (tmp_path / "offers-ope").mkdir()
+    policies = [{"name": "bc seed 0"} | saved_at(tmp_path / "offers" / "policies" / "seed0.npz", tmp_path / "offers-ope")]
+    results = [{"value": [1.0, 0.0], "low": [0.9, -0.1], "high": [1.1, 0.1], "gain": [[1.0, 0.8, 1.2], [0.0, 0.0, 0.0]]}]
+    told = decision(policies, results, estimand={"greedy": False})
+    write_json(tmp_path / "offers-ope" / "estimates.json", told)
+    words = ["predict", str(tmp_path / "offers"), str(tmp_path / "new.csv"), "--out", str(tmp_path / "a.csv")]
+    said = f"! {tmp_path / 'offers-ope'} evaluated sampled actions of this policy, but these are deterministic (greedy)"
+    for more, doubted in (((), True), (("--sampled", "True"), False), (("--policy-seed", "1"), False)):
+        assert main([*words, *more]) == 0
+        assert (said in capsys.readouterr().err) == doubted
+    write_json(tmp_path / "offers-ope" / "estimates.json", told | {"estimand": told["estimand"] | {"greedy": True}})
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "estimates.json").write_text("{")  # of something else, and damaged
+    assert main(words) == 0
+    assert capsys.readouterr().err == ""
+    assert main([*words, "--sampled", "True"]) == 0
+    assert "evaluated deterministic (greedy) actions of this policy, but these are sampled" in capsys.readouterr().err
 
 
 @pytest.mark.slow

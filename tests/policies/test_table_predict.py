@@ -33,18 +33,26 @@ class Constant:
 
 
 def test_a_mixture_keeps_its_member_for_an_episode():
-    """Rows of one episode have one member; without the column of the episode each row is one of its own."""
+    """Rows of one episode have one member, which its name determines: in all calls and in all processes."""
     frame = pd.DataFrame({"day": np.arange(200) // 4, "x": 0.0, "action": [0, 1] * 100, "reward": 0.0})
     policy = Predictor(Constant(None, [Constant(0), Constant(1)]), noted(Dataset.from_frame(frame, episode="day")))
     days = policy.predict(frame, seed=1).reshape(50, 4)
     assert (days == days[:, :1]).all()
     assert 10 < days[:, 0].sum() < 40
-    assert 70 < policy.predict({"x": [0.0] * 200}, seed=2).sum() < 130
+    one_by_one = [[policy.predict({"day": day, "x": 0.0}) for _ in range(4)] for day in (*range(9), 10.0)]
+    np.testing.assert_array_equal(one_by_one, days[[*range(9), 10]])
+    np.testing.assert_array_equal(policy.predict(frame, seed=2).reshape(50, 4), days)
+    with pytest.raises(RowsError, match="one member of which acts in all rows of an episode: give the column day of"):
+        policy.predict({"x": 0.0})
     told = policy.predict(frame, probabilities=True, greedy=False, seed=1)
     acted = np.asarray(told.actions)
     own = [told.probabilities[0], told.probabilities[1]]  # of the one that acts
     np.testing.assert_array_equal(own, [acted == 0, acted == 1])
-    alone = policy.predict({"x": [0.0] * 200}, probabilities=True, greedy=False).probabilities
+    told = policy.predict({"day": 3, "x": 0.0}, probabilities=True)
+    assert told.probabilities[told.actions] == 1.0  # a row alone is not its episode
+    bandit = Predictor(policy.player, noted(Dataset.from_frame(frame.drop(columns="day"))))
+    alone = bandit.predict({"x": [0.0] * 200}, probabilities=True, greedy=False).probabilities
+    assert 70 < bandit.predict({"x": [0.0] * 200}, seed=2).sum() < 130
     np.testing.assert_array_equal([alone[0], alone[1]], np.full((2, 200), 0.5))
 
 

@@ -139,7 +139,7 @@ RUNS = [
     (0, ["report", "run"]),
     (0, ["predict", "run", "evil.parquet", "--out", "actions.csv", "--probabilities", "--keep", OBSERVED[0], "kind \x1b[5m"]),
     (0, ["export", "run", "--format", "numpy", "--out", "exported"]),
-    (1, ["monitor", "run", "evil.parquet", "--html", "monitored.html"]),  # the log was not made by this policy: an alarm
+    (0, ["monitor", "run", "evil.parquet", "--html", "monitored.html"]),  # 5 rows that it has not seen are too few for an alarm
 ]
 
 

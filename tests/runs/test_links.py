@@ -50,6 +50,25 @@ def test_what_a_link_leads_to_is_not_published(tmp_path):
     assert hub.MANIFEST not in [each.name for each in tmp_path.rglob("*")]
 
 
+def test_the_links_of_a_tracker_are_left_alone(tmp_path):
+    """Weights & Biases keeps one to its own log in the run's folder, which is resumed and copied all the same."""
+    (tmp_path / "log").write_text("mine")
+    (tmp_path / "run" / "wandb" / "logs").mkdir(parents=True)
+    (tmp_path / "run" / "wandb" / "logs" / "core.log").symlink_to(tmp_path / "log")
+    (tmp_path / "run" / "status.json").write_text("{}")
+    with Folder(tmp_path / "run").alone():
+        Folder(tmp_path / "run").drop_after(10)
+    Run(tmp_path / "run", {}, [], [], []).save(tmp_path / "copy")
+    assert [each.name for each in (tmp_path / "copy").iterdir()] == ["status.json"]
+    (tmp_path / "other" / "metrics" / "wandb").mkdir(parents=True)
+    (tmp_path / "other" / "metrics" / "wandb" / "x").symlink_to(tmp_path / "log")
+    (tmp_path / "linked").mkdir()
+    (tmp_path / "linked" / "wandb").symlink_to(tmp_path / "run")
+    for path in ("other", "linked"):
+        with pytest.raises(UserError, match="is a link, which is not followed"):
+            Folder(tmp_path / path).drop_after(10)
+
+
 def test_a_folder_that_is_reached_by_a_link_is_its_users_own(tmp_path):
     (tmp_path / "run").mkdir()
     (tmp_path / "other").symlink_to(tmp_path / "run")

@@ -26,6 +26,8 @@ def test_batches_join_to_the_mean_and_error_of_all():
 def test_no_process_cannot_measure():
     with pytest.raises(UserError, match="processes must be 1 or more, got 0"):
         measured_enough("battery", {}, {}, Measuring(processes=0), print)
+    with pytest.raises(UserError, match="episodes must be 2 or more, got 1"):
+        measured_enough("battery", {}, {}, Measuring(episodes=1), print)
 
 
 SIDE_BY_SIDE = """

@@ -74,9 +74,7 @@ def predict(args: Sequence[str]) -> None:
     kept: dict[str, Any] = dict.fromkeys(options.keep)  # which reading fills in
     table, told = read_rows(source, schema, plain=kept, **(own or {}) | ways)
     sampled = found.sampled if options.sampled is None else options.sampled
-    if found.sampled and not sampled:
-        told = ["the decision evaluated sampled actions, but these are deterministic (greedy)", *told]
-    for line in told:
+    for line in (*found.doubts(sampled), *told):
         print(f"! {line}", file=sys.stderr)
     for column in options.keep:
         if column not in table.column_names:

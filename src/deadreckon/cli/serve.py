@@ -2,6 +2,7 @@
 
 import contextlib
 import socket
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -47,6 +48,8 @@ def serve(args: Sequence[str]) -> None:
 
     found = chosen(options.policy, options.policy_seed)
     sampled, limits = found.sampled if options.sampled is None else options.sampled, Limits(options.max_body, options.max_rows)
+    for line in found.doubts(sampled):
+        print(f"! {line}", file=sys.stderr, flush=True)
     service = Service(predictor(found.file), found.words, limits, options.seed, sampled)
     with _listening(options.host, options.port) as listening:
         host, port = options.host, listening.getsockname()[1]

@@ -53,7 +53,7 @@ def opened(path: Path | str) -> Iterator[io.BufferedReader]:
         yield file
 
 
-def refuse_links(folder: Path | str, what: str) -> None:
+def refuse_links(folder: Path | str, what: str, but: str | None = None) -> None:
     """Refuses a folder in which anything is a symbolic link: what is read, written or removed there would lie elsewhere.
 
     The folder itself may be reached by links, which are its user's own.
@@ -61,10 +61,14 @@ def refuse_links(folder: Path | str, what: str) -> None:
     Args:
         folder: need not be there.
         what: the folder is, in words, for the error.
+        but: name of a folder directly in it that may hold links, and be none itself: nothing is read there, or written through
+            them.
     """
     for place, folders, names in os.walk(folder):
         for name in (*folders, *names):
             refuse_link(os.path.join(place, name), what)
+        if but in folders and Path(place) == Path(folder):
+            folders.remove(but)
 
 
 def refuse_link(path: Path | str, what: str) -> None:

@@ -4,6 +4,7 @@ With the other modules called `table_` it needs numpy alone, so that they can be
 `portable.NumpyPolicy` or, in JAX, `loaded.JaxPlayer`.
 """
 
+import hashlib
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
 
@@ -98,8 +99,9 @@ class Predictor:
                 of observations as they are encoded.
             probabilities: also gives the probability of every discrete action.
             greedy: take the deterministic (greedy) actions instead of sampled ones.
-            seed: of sampled actions, and of which member of a mixture acts; the same one samples the same, so use another each
-                time, or a Generator. None: what goes on from call to call, and differs from process to process.
+            seed: of sampled actions, and of which member of a mixture acts in episodes without a name; the same one samples the
+                same, so use another each time, or a Generator. None: a generator that continues from call to call, and
+                differs from process to process.
             outside: "raise" refuses unknown levels, missing values where the log had none and values outside the schema's
                 range; "flag" marks such rows, and those with a value beyond the log's. What cannot be encoded at all, such as a
                 text where a number is needed, is always refused.
@@ -118,7 +120,7 @@ class Predictor:
             raise RowsError("probabilities are those of discrete actions, and this policy's are continuous")
         rng = self.drawing if seed is None else np.random.default_rng(seed)
         remembers = self.steps > 1 or self.player.members
-        episodes = _Episodes.of(self.encoder, found, self.steps) if remembers else None
+        episodes = _Episodes.of(self.encoder, found, self.steps, bool(self.player.members)) if remembers else None
         actions, probs = acted(self.player, found.observations, episodes, rng, greedy, probabilities)
         for values in (actions, probs):
             if values is not None and (wrong := ~np.isfinite(values)).any():
@@ -186,20 +188,37 @@ class _Episodes(NamedTuple):
         number: (rows,) of each row's episode.
         position: (rows,) its place in it.
         logged: (rows,) codes or (rows, size) numbers of what was done; None where the rows do not say it.
+        names: of the episodes by number, from the log's column of the episode; None where rows do not have it.
     """
 
     number: np.ndarray
     position: np.ndarray
     logged: np.ndarray | None
+    names: list[Any] | None = None
+
+    def members(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """(rows,) which of `count` members of a mixture acts: one in all rows of an episode, all with equal probabilities.
+
+        That of an episode with a name follows from the name, so that calls which ask for one row after the other, in whatever
+        process, have the same member to the end of the episode.
+        """
+        drawn = rng.integers(count, size=len(self.number))[self.number]
+        if self.names is None:
+            return drawn
+        texts = [str(int(name) if isinstance(name, float) and name.is_integer() else name) for name in self.names]
+        digests = [hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=8).digest() for text in texts]
+        return np.array([int.from_bytes(digest, "big") % count for digest in digests], int)[self.number]
 
     @classmethod
-    def of(cls, encoder: TableEncoder, found: Encoded, steps: int) -> "_Episodes":
+    def of(cls, encoder: TableEncoder, found: Encoded, steps: int, mixture: bool) -> "_Episodes":
         """The episodes of rows.
 
         Args:
             encoder: says which column tells them apart.
             found: the rows.
-            steps: that the policy acts on; 1: rows without such a column are an episode each.
+            steps: that the policy acts on.
+            mixture: whether one of several members acts to the end of an episode; else, if it acts on one step, rows without
+                such a column are an episode each, as arrays are.
 
         Raises:
             RowsError: nothing tells the episodes apart, or their rows are not in order, which one step does not need.
@@ -207,6 +226,11 @@ class _Episodes(NamedTuple):
         rows, columns, key, time = len(found.observations), found.columns or {}, *map(encoder.one.get, ("episode", "time"))
         cut = key is None and any(each in columns for each in encoder.ends)  # flags of ends alone tell episodes apart
         if encoder.alone or (steps == 1 and key not in columns and not cut):
+            needed = key if key is not None else next(iter(encoder.ends), None) if rows > 1 else None
+            if mixture and needed is not None and found.columns is not None and not encoder.alone:
+                what = "of the episode" if key is not None else "which says where one ends (0 where it continues)"
+                why = "this policy is a mixture, one member of which acts in all rows of an episode"
+                raise RowsError(f"{encoder.name}: {why}: give the column {needed} {what}")
             return cls(np.arange(rows), np.zeros(rows, int), None)
         where = f"{encoder.name}: this policy acts on the last {steps} steps of an episode"
         if found.columns is None:
@@ -220,6 +244,7 @@ class _Episodes(NamedTuple):
             dates = encoder.times not in ("number", "integer")
             moments = times_of(time, columns[time], encoder.name, dates=dates, order=order)
         number, position = np.zeros(rows, int), np.zeros(rows, int)
+        told: list[Any] | None = None if key is None else []
         going: dict[Any, int] = {}  # by name the number of the episode that goes on
         last: list[int] = []  # by number the newest row of the episode
         for row, name in enumerate(names):
@@ -231,6 +256,8 @@ class _Episodes(NamedTuple):
             if before is None or ended[before]:
                 going[name], before = len(last), None
                 last.append(row)
+                if told is not None:
+                    told.append(name)
             number[row] = going[name]
             position[row] = 0 if before is None else position[before] + 1
             if moments is not None and before is not None and moments[before] > moments[row]:
@@ -248,11 +275,11 @@ class _Episodes(NamedTuple):
             absent = np.asarray(unknown.any(1))
             absent[last] = False  # what is done there is asked for
             if unknown.all():  # columns that are to be filled in
-                return cls(number, position, None)
+                return cls(number, position, None, told)
             if absent.any():
                 text = f"row {int(np.argmax(absent))} has no action, and its episode continues"
                 raise RowsError(f"{encoder.name}: {text}; give the action of every row but the last, or of none")
-        return cls(number, position, logged)
+        return cls(number, position, logged, told)
 
 
 def _ended(encoder: TableEncoder, columns: Mapping[str, np.ndarray], rows: int, where: str, alone: bool) -> np.ndarray:
@@ -292,18 +319,19 @@ def acted(
         episodes: how rows follow one another; None for policies without memory.
         rng: of sampled actions, and of a mixture's members.
         greedy: take the deterministic actions.
-        tell: whether probabilities are asked for; those of a mixture are the means of its members', but of the one that acts in
-            all rows of an episode of several, where products of means would be no probabilities of what it does.
+        tell: whether probabilities are asked for; those of a mixture are the means of its members', but of the one that acts
+            where episodes have names or several rows, since products of means would be no probabilities of what it does.
     """
     if player.members:
         assert episodes is not None
-        which = rng.integers(len(player.members), size=len(found))[episodes.number]  # kept to the end of an episode
+        which = episodes.members(len(player.members), rng)
         parts = [acted(member, found, episodes, rng, greedy, tell) for member in player.members]
         actions = np.stack([part[0] for part in parts])[which, np.arange(len(found))]
         probs = [part[1] for part in parts if part[1] is not None]
         if not probs:
             return actions, None
-        several = (np.bincount(episodes.number)[episodes.number] > 1)[:, None]
+        named = episodes.names is not None  # then the member is known, also where the call has one row of the episode
+        several = (named | (np.bincount(episodes.number)[episodes.number] > 1))[:, None]
         return actions, np.where(several, np.stack(probs)[which, np.arange(len(found))], np.mean(probs, 0))
     if player.steps > 1:
         assert episodes is not None

@@ -49,36 +49,36 @@ from deadreckon.runs.train import Run, train
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Chunk, Fit
 
-LARGE, SMALL = (256, 256), (64, 64)  # networks
-DEARER = 10.0  # so many times as long as an update of the first candidate, an imitator, takes one of the others, roughly
-MOST = 100_000  # updates of a candidate
+LARGE, SMALL = (256, 256), (64, 64)  # widths of hidden layers
+DEARER = 10.0  # rough time of an update of another candidate, as a multiple of one of the first, behaviour cloning
+MOST = 100_000  # most updates of a candidate
 WORTH = 10_000  # updates that each should have before another candidate is tried
-ENOUGH = 3  # candidates that should be tried, with small networks if need be
-FEWEST = 200  # updates of each, below which nobody is judged
-TRIED, LONGEST = 20, 1.0  # a pilot looks at the clock every so many updates, and ends after so many seconds of them
+ENOUGH = 3  # candidates that should be tried, if necessary with small networks
+FEWEST = 200  # fewest updates with which a candidate is evaluated
+TRIED, LONGEST = 20, 1.0  # updates between two time checks of a pilot, and seconds of updates after which it ends
 PILOTS, SECOND = 0.2, 0.5  # shares of the time by which a further pilot must end; by which that of the second candidate begins
-SPARING = 400.0  # seconds below which large networks are not even looked at: what it takes to compile them is worth more
-LOOKS = 2.0  # seconds between two looks at the clock, roughly
-SAFETY = 0.85  # of the time is planned with: machines have moods
-LATE = 1.5  # times as long as expected may judging take
-LEAST = 0.3  # of the time left after the pilots is for learning, however long judging may take
-EPISODES, FEW = 20, 5  # in the simulator, where there is one; with fewer than the latter nothing is checked
-BLOCK = 1024  # rows by which it is measured how long linear critics take
-FEWEST_FITS, MOST_FITS = 1_000, 20_000  # updates of FQE, where model-based estimates decide
-DESCRIBED = 2_000_000  # rows of a log up to which it is described, which takes a second or two
-FAULT = "fault.txt"  # where an error of ours is told in full
-MEMBERS = 5  # critics a policy in FQE, whose spread is the interval
+SPARING = 400.0  # seconds of budget below which large networks are not tried, because their compilation takes too long
+LOOKS = 2.0  # approximate seconds between two time checks
+SAFETY = 0.85  # share of the time that is planned, because the speed of machines varies
+LATE = 1.5  # largest time of the evaluation that is planned for, as a multiple of the expected time
+LEAST = 0.3  # least share of the time after the pilots that is for training, whatever time the evaluation needs
+EPISODES, FEW = 20, 5  # most episodes in the simulator, if there is one, and fewest for a check
+BLOCK = 1024  # rows on which the time of linear critics is measured
+FEWEST_FITS, MOST_FITS = 1_000, 20_000  # updates of FQE, if model-based estimates decide
+DESCRIBED = 2_000_000  # most rows of a log that is described, which takes a second or two
+FAULT = "fault.txt"  # file with the traceback of an unexpected error
+MEMBERS = 5  # critics per policy in FQE, whose spread gives the interval
 
 
 @dataclass(frozen=True)
 class Job:
-    """What is to be done.
+    """The input of an attempt.
 
     Attributes:
         data: a log's name or file.
         out: folder of the runs and estimates.
         budget: in seconds, as it was given.
-        began, end: times of the clock on the wall; at `end` all must be written.
+        began, end: wall-clock times (`time.time`); at `end` everything must be written.
         settings: of `recommend`.
     """
 
@@ -90,7 +90,7 @@ class Job:
     settings: RecommendSettings = field(default_factory=RecommendSettings)
 
     def as_json(self) -> dict[str, Any]:
-        """As JSON values; NumPy's numbers, which people have in their hands, become plain ones.
+        """As JSON values; NumPy scalars become plain numbers.
 
         Raises:
             UserError: a setting is an object that no file can hold.
@@ -102,7 +102,7 @@ class Job:
 
     @classmethod
     def of_json(cls, values: dict[str, Any]) -> Self:
-        """The job of which `as_json` made these values."""
+        """The inverse of `as_json`."""
         settings = dict(values["settings"])
         if isinstance(settings["holdout"], dict):
             settings["holdout"] = Holdout(**settings["holdout"])
@@ -129,17 +129,17 @@ class Attempt:
     def __init__(self, job: Job, send: Callable[[str, Any], None]):
         self.job, self.settings, self.send = job, job.settings, send
         self.out = Path(job.out)
-        self.told: list[dict[str, Any]] = []  # of each candidate: what `recommend` knows of it
-        self.units: dict[str, Any] = {}  # settings of all candidates that follow from the log's
+        self.told: list[dict[str, Any]] = []  # of each candidate, as sent to `recommend`
+        self.units: dict[str, Any] = {}  # settings of all candidates that scale observations and rewards
 
     def left(self) -> float:
-        """Seconds until all must be written."""
+        """Seconds until everything must be written."""
         return self.job.end - time.time()
 
     def run(self) -> None:
-        """From the log to the card."""
+        """All stages, from reading the log to the check in a simulator."""
         log, judge_in, holdout = self._log()
-        learning = stacked(divided(log, holdout, None, None).learning, self.settings.history)  # the rest is the card's
+        learning = stacked(divided(log, holdout, None, None).learning, self.settings.history)  # the rest is held out
         self.units = units(learning.spec)
         if told := _changed(self.units):
             self.send("line", told)
@@ -171,19 +171,19 @@ class Attempt:
             raise UserError(f"{log.name}: its rows do not follow each other, which recommend needs; use train and ope")
         given = self.settings.holdout
         holdout = usual(log) if given is None else given if isinstance(given, Holdout) else of_share(log, given)
-        held = len(holdout.parts(log).held)  # what cannot be held out is told before anything is learned
+        held = len(holdout.parts(log).held)  # an impossible holdout is refused before training
         if few := too_few(log, holdout):
             raise UserError(f"{few}, and a card rests on them; hold out by other values, or record more")
         manner = f"{len(log):,} rows, {log.episodes:,} episodes"
         self.send("state", {"log": log.name, "rows": len(log), "episodes": log.episodes})
         by = {"random": "at random", "time": "the latest"}.get(holdout.by, f"by {holdout.by}")
-        share = f"{held:,} of them ({100 * held / log.episodes:.0f} %)"  # of whole clusters seldom what was asked for
+        share = f"{held:,} of them ({100 * held / log.episodes:.0f} %)"  # whole clusters seldom give the exact share
         self.send("line", f"{log.name}: {manner}; {share} are held out for the card, {by}")
         self._warn(log)
         return log, judge_in, holdout
 
     def _warn(self, log: Dataset) -> None:
-        """Tells what `data info` warns of: suspected leaks, which speak against any policy, on the card, the rest as lines."""
+        """Reports warnings of `data info`: suspected leaks, an objection to every policy, on the card, all others as lines."""
         self.send("state", {"leaks": leaks(log)})
         short = len(log) <= DESCRIBED
         for line in warnings_for(log) if short else log.warnings:
@@ -194,16 +194,16 @@ class Attempt:
     # ---- pilots -------------------------------------------------------------------------------------------------------
 
     def _pilots(self, log: Dataset) -> tuple[list[Candidate], tuple[int, ...], list[Pilot]]:
-        """Which candidates, of which networks, and how fast they are, by the part of the log that is learned from."""
+        """The candidates, the widths of their networks, and their speeds, by the part of the log for training."""
         whole, known = self.left(), DISCRETE if log.spec.discrete else CONTINUOUS
-        if self.settings.accept_model_based:  # their estimates are wanted, and decide
+        if self.settings.accept_model_based:  # then deterministic candidates come next to behaviour cloning
             known = tuple(sorted(known, key=lambda each: (each.name != "bc", not each.deterministic)))
         spent = lambda: (whole - self.left()) / max(whole, 1e-9)  # noqa: E731
         candidates: list[Candidate] = []
         pilots: list[Pilot] = []
         hidden, last = LARGE if whole > SPARING else SMALL, 0.0
         for candidate in known:
-            # A card for an imitator alone would say little, so there is a second candidate if at all possible.
+            # A card for behaviour cloning alone would be of little use, so there is a second candidate if at all possible.
             if (len(candidates) > 1 and spent() + last > PILOTS) or (len(candidates) == 1 and spent() > SECOND):
                 break
             begun = self.left()
@@ -218,7 +218,7 @@ class Attempt:
                 continue
             rates = [each.rate for each in (*pilots, found)]
             if len(candidates) >= ENOUGH and self._steps(0.5 * self.left(), rates) < WORTH:
-                break  # more updates of the earlier ones are worth more
+                break  # more updates of the earlier candidates are more useful
             candidates.append(candidate)
             pilots.append(found)
             self.send("line", f"pilot: {candidate.name}, {found.rate:,.0f} updates per second with layers of {hidden[0]} units")
@@ -231,7 +231,7 @@ class Attempt:
         return candidates, hidden, pilots
 
     def _pilot(self, candidate: Candidate, hidden: tuple[int, ...], log: Dataset) -> Pilot | None:
-        """The first updates of a candidate; None: it diverges. The same program then learns, without the compiler."""
+        """The speed of the first updates of a candidate; None if it diverges. Training then uses the compiled program again."""
         self.send("watch", [f"pilot of {candidate.name}", 0, 1])
         begun = time.perf_counter()
         agent = self._agent(candidate, hidden).resolve(log.spec, MOST)
@@ -252,11 +252,11 @@ class Attempt:
         return agent_of(candidate, hidden=hidden, discount=self.settings.discount, **self.units)
 
     def _steps(self, seconds: float, rates: Sequence[float]) -> int:
-        """Updates of each that fit into some time."""
+        """Number of updates of each candidate that fit into so many seconds, at these numbers of updates per second."""
         return int(SAFETY * seconds / sum(1.0 / rate for rate in rates))
 
     def _judging(self, log: Dataset, learning: Dataset, count: int, hidden: tuple[int, ...], pilots: list[Pilot]) -> float:
-        """Seconds that judging may take: what is compiled, networks of propensities, and sums of features, as measured here."""
+        """Expected seconds of the evaluation: compilation, propensity networks, and sums of features, measured here."""
         start, rate = max(each.start for each in pilots), pilots[0].rate
         wide = (hidden[0] / PROPENSITIES.hidden[0]) ** 1.5  # propensities have small networks, one per fold
         networks = PROPENSITIES.steps * 5 / (rate * wide)
@@ -273,7 +273,7 @@ class Attempt:
         sums = row * (count + 1) * (min(len(learning), TAUGHT) + 3 * held)
         return 2.0 * start + networks + sums + 3.0
 
-    # ---- learning -----------------------------------------------------------------------------------------------------
+    # ---- training -----------------------------------------------------------------------------------------------------
 
     def _learn(
         self, candidates: list[Candidate], hidden: tuple[int, ...], pilots: list[Pilot], judging: float, log: Dataset,
@@ -281,14 +281,14 @@ class Attempt:
     ) -> list[Run]:  # fmt: skip
         left = self.left()
         time_for = max(left - LATE * judging, LEAST * left)
-        begin = 0.3 * sum(each.start for each in pilots)  # of folders, and what of the programs is compiled again
+        begin = 0.3 * sum(each.start for each in pilots)  # for folders, and for programs that are compiled again
         rates = [each.rate for each in pilots]
         steps = min(self._steps(max(time_for - begin, 0.0), rates), MOST)
         least = min(max(steps, FEWEST), 1_000)
         spent = time.time() - self.job.began
         self.send("state", {"need": (spent + begin + least * sum(1 / rate for rate in rates) + LATE * judging) / SAFETY})
         if steps < FEWEST:
-            # Whoever has hardly begun to learn would be judged to be no better, which is another thing than not knowing.
+            # A candidate after hardly any training would be evaluated as no better, which differs from not knowing.
             text = f"{steps} updates of each candidate would fit, and at least {FEWEST} are needed"
             raise self._short(f"{text}; reading, compiling and pilots took {spent:.0f} s")
         for told in self.told:
@@ -321,7 +321,7 @@ class Attempt:
         return runs
 
     def _short(self, why: str) -> "Unfinished":
-        """What ends an attempt that more time would have helped, which the card says too."""
+        """The exception that ends an attempt for lack of time, which the card also shows."""
         self.send("state", {"short": True})
         return Unfinished(f"not enough time: {why}")
 
@@ -344,7 +344,7 @@ class Attempt:
         )  # fmt: skip
 
     def _plan(self, hidden: tuple[int, ...], steps: int, rates: Sequence[float], learning: float, judging: float) -> str:
-        """What will be done, and how long it will take."""
+        """The plan in words: the times, and the candidates."""
         width = max(len(each["name"]) for each in self.told)
         lines = []
         for each, rate in zip(self.told, rates):
@@ -357,21 +357,21 @@ class Attempt:
         parts = f"about {in_words(total)} more: {times}"
         return "\n".join([parts, head, *lines])
 
-    # ---- judging ------------------------------------------------------------------------------------------------------
+    # ---- evaluation ---------------------------------------------------------------------------------------------------
 
     def _judge(
         self, runs: list[Run], log: Dataset, hidden: tuple[int, ...], pilots: list[Pilot], judging: float
     ) -> offline.Judged:
         self._stage("evaluation")
         left, model = self.left(), PROPENSITIES
-        if left < judging:  # the machine has become slower; propensities stop early by themselves
+        if left < judging:  # the machine has become slower; propensities have early stopping anyway
             steps = int(PROPENSITIES.steps * left / (LATE * judging))
             model = dataclasses.replace(PROPENSITIES, steps=max(steps // 100 * 100, 500))
             self.send("line", f"time is short: {model.steps:,} updates of propensities, not {PROPENSITIES.steps:,}")
         learned = [each for each in self.told if each["state"] == "learned"]
         estimators: Any = "auto"
         if self.settings.accept_model_based and any(each["deterministic"] for each in learned):
-            rate = pilots[0].rate / (MEMBERS * len(runs))  # an update of so many critics
+            rate = pilots[0].rate / (MEMBERS * len(runs))  # updates per second of so many critics
             steps = min(max(int(0.3 * left * rate), FEWEST_FITS), MOST_FITS)
             estimators = [FQE(hidden=hidden, members=MEMBERS, steps=steps, lr=1e-3, tau=0.02)]
         settings = JudgeSettings(
@@ -379,12 +379,12 @@ class Attempt:
             **self.settings.only(EvidenceSettings),
             watch=lambda what, step, steps: self.send("watch", [what, step, steps]),
         )  # fmt: skip
-        judged = offline.judge_alone(runs, log, estimators, None, settings)  # the process that asked for it holds the lock
+        judged = offline.judge_alone(runs, log, estimators, None, settings)  # the parent process holds the lock
         self.send("state", {"judged": True})
         return judged
 
     def _check(self, runs: list[Run], judge_in: Task | None, judged: offline.Judged) -> None:
-        """The choice, made already, in the simulator, as far as time allows."""
+        """Evaluates the policies in the simulator, after the decision, as far as time allows."""
         if judge_in is None:
             return
         self._stage("checking in the simulator")
@@ -395,7 +395,7 @@ class Attempt:
 
         begun = time.perf_counter()
         if self.left() > 0:
-            seen(2)  # how long it takes, and the compiler
+            seen(2)  # includes compilation; the second call measures the time
             if self.left() > 0:
                 again = time.perf_counter()
                 seen(2)
@@ -408,7 +408,7 @@ class Attempt:
         took = in_words(time.perf_counter() - begun)
         self.send("line", f"not checked in {judge_in.name}: no time is left (a trial took {took})")
 
-    # ---- telling ------------------------------------------------------------------------------------------------------
+    # ---- messages -----------------------------------------------------------------------------------------------------
 
     def _stage(self, name: str) -> None:
         self.send("state", {"stage": name, "since": time.time()})
@@ -428,7 +428,7 @@ def _number(value: Any) -> Any:
 
 
 def _changed(units: dict[str, Any]) -> str:
-    """What is told of the units that candidates learn in; empty where they are the log's."""
+    """A line about the scaling of observations and rewards for candidates; empty without scaling."""
     parts = ["with standardised observations"] if "standardise" in units else []
     if scale := units.get("reward_scale"):
         parts.append(f"on rewards times {scale:g} where agents can scale them")
@@ -436,7 +436,7 @@ def _changed(units: dict[str, Any]) -> str:
 
 
 def attempt(job: Job, send: Callable[[str, Any], None]) -> None:
-    """Does it, and tells how it ended: `done`, or why not: `refused`, `unfinished` or `fault`."""
+    """Does the work of a job, and sends how it ended: `done`, or the reason as `refused`, `unfinished` or `fault`."""
     try:
         Attempt(job, send).run()
         send("done", True)
@@ -444,21 +444,21 @@ def attempt(job: Job, send: Callable[[str, Any], None]) -> None:
         send("refused", str(error))
     except Unfinished as error:
         send("unfinished", str(error))
-    except Exception as error:  # noqa: BLE001 - whatever it is, the card says it
+    except Exception as error:  # noqa: BLE001 - the card reports any error
         with contextlib.suppress(OSError):
             (Path(job.out) / FAULT).write_text(traceback.format_exc())
         send("fault", f"{type(error).__name__}: {' '.join(str(error).split())[:300]} ({FAULT} has all of it)")
 
 
 def main() -> None:
-    """Reads the job and does it; standard output carries lines of JSON alone."""
+    """Reads the job from standard input and does it; standard output has only lines of JSON."""
     pipe = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # whatever libraries print goes beside the messages
+    os.dup2(2, 1)  # what libraries print goes to standard error
     job = Job.of_json(json.loads(sys.stdin.buffer.readline()))
     lock = threading.Lock()
 
     def orphaned() -> None:
-        sys.stdin.buffer.read()  # until it is closed: nobody listens any more
+        sys.stdin.buffer.read()  # until it is closed: the parent process has ended
         os._exit(1)
 
     def send(what: str, value: Any) -> None:
@@ -470,7 +470,7 @@ def main() -> None:
     threading.Thread(target=orphaned, daemon=True).start()
     attempt(job, send)
     pipe.flush()
-    os._exit(0)  # threads of simulators need not be waited for
+    os._exit(0)  # without waiting for threads of simulators
 
 
 if __name__ == "__main__":

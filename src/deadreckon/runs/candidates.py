@@ -1,4 +1,4 @@
-"""Agents that `recommend` tries, and with which settings: those of their papers, in units that are the log's own or about 1."""
+"""The agents that `recommend` tries, with settings from their papers, and the scaling of observations and rewards."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ class Candidate:
     """An agent with settings to try.
 
     Attributes:
-        name: in tables and of its run folder.
+        name: its name in tables, and of its run folder.
         agent: its registered name.
         fields: settings that differ from its defaults.
-        why: in a few words.
+        why: the reason to try it, in a few words.
         deterministic: its policy does not sample, so no logged reward can correct its estimate if actions are continuous.
     """
 
@@ -29,9 +29,9 @@ class Candidate:
     deterministic: bool = False
 
 
-# In the order in which they are worth their time; more time tries more of them. All are cheap: an hour is better spent on
-# more updates of these than on agents that draw ten actions per row. The settings are those that their papers vary. Those that
-# draw their actions come first: importance weights can check them by logged rewards.
+# In the order in which they are tried, more of them if there is more time. All are cheap: an hour is better spent on more
+# updates of these than on agents that draw ten actions per row. The settings are those that their papers vary. Stochastic
+# policies come first, because importance weights can correct their estimates by logged rewards.
 CONTINUOUS = (
     Candidate("bc", "bc", {}, "copies the log; what the others must beat"),
     Candidate("iql", "iql", {}, "weighs logged actions by their advantage; joins parts of episodes"),
@@ -62,7 +62,7 @@ def units(spec: Spec) -> dict[str, Any]:
 
 
 def agent_of(candidate: Candidate, **common: Any) -> Agent:
-    """A candidate with such settings of all candidates as its agent has."""
+    """The agent of a candidate, with those of the `common` settings that it has."""
     kind = agent_class(candidate.agent)
     own = {f.name for f in dataclasses.fields(kind)}
     return kind(**{name: value for name, value in common.items() if name in own} | candidate.fields)

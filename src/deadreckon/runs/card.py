@@ -18,13 +18,13 @@ from deadreckon.runs.offline import grounds
 from deadreckon.runs.subject import Subject
 from deadreckon.stats.interval import PERCENT, Interval, decimals, level_in_words
 
-LISTED = 60  # columns
+LISTED = 60  # most columns that are listed
 
 
 def card(
     one: Subject, log: Dataset, estimates: tuple[dict[str, Any], int] | None, format: str, use: Sequence[str], checked: int
 ) -> str:
-    """The card.
+    """The text of the card.
 
     Args:
         one: the policy.
@@ -32,9 +32,9 @@ def card(
         estimates: of the policy, and its index there; None if there are none.
         format: of the export.
         use: how it is used, lines of Markdown.
-        checked: rows on which it was checked.
+        checked: number of rows on which it was checked.
     """
-    # Whatever stands in files is somebody's text, and must not pass for the card's own words.
+    # Text from files is escaped, so that it cannot pass for text of the card.
     one, estimates = replace(one, name=in_markdown(one.name), config=in_markdown(one.config)), in_markdown(estimates)
     parts = [
         ("", [f"A policy exported by deadreckon {__version__} on {datetime.date.today().isoformat()}, as {format}."]),
@@ -122,7 +122,7 @@ def _agent(one: Subject) -> list[str]:
 
 
 def seen_by(config: Mapping[str, Any]) -> str:
-    """How a run saw pictures, by its `run.json`; empty where its log has none."""
+    """The encoder and random shifts of a run on images, by its `run.json`; empty without images."""
     if "encoder" not in config:
         return ""
     return f"encoder {config['encoder']}, random shifts of up to {config['shift']} pixels during training"

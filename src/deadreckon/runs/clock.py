@@ -8,18 +8,18 @@ from deadreckon.errors import UserError
 from deadreckon.runs.durations import in_words, seconds_of
 
 RESERVE, SHORT, LONG = 0.05, 2.0, 15.0  # share of the time that is kept for the card, and its bounds in seconds
-SCANT = 0.3  # the reserve is never more than this share
-LEARNING = 0.6  # share of the rest for learning, as planned before anything is known
+SCANT = 0.3  # largest share of the time for the reserve
+LEARNING = 0.6  # share of the rest for training, as planned before pilots
 
 
 @dataclass(frozen=True)
 class Clock:
-    """How much time there is, in seconds.
+    """A time budget, in seconds.
 
     Attributes:
-        budget: in all.
-        began: by `time.perf_counter()`.
-        reserve: of it, for the card.
+        budget: all of it.
+        began: start, by `time.perf_counter()`.
+        reserve: part of the budget that is kept for the card.
     """
 
     budget: float
@@ -31,7 +31,7 @@ class Clock:
         """Reads the budget.
 
         Raises:
-            UserError: it is no time, or none at all.
+            UserError: it is not a time, or not above 0.
         """
         seconds = seconds_of(budget) if isinstance(budget, str) else float(budget)
         if not 0 < seconds < math.inf:
@@ -40,15 +40,15 @@ class Clock:
         return cls(seconds, time.perf_counter() if began is None else began, reserve)
 
     def spent(self) -> float:
-        """Since it began."""
+        """Seconds since the start."""
         return time.perf_counter() - self.began
 
     def left(self) -> float:
-        """Until the work must end."""
+        """Seconds until the work must end."""
         return self.budget - self.reserve - self.spent()
 
     def divided(self) -> str:
-        """How the time is planned, before anything is known."""
+        """The planned division of the time in words, before anything is measured."""
         work = self.budget - self.reserve
         parts = [LEARNING * work, (1 - LEARNING) * work, self.reserve]
         learning, judging, reserve = map(in_words, parts)

@@ -19,8 +19,8 @@ from deadreckon.randomness import generator
 from deadreckon.runs.subject import GAPS
 from deadreckon.stats import drift
 
-WITHIN = 100  # rows of an episode that are looked at
-FEWEST = 5  # units on each side: of fewer, no exchange says anything
+WITHIN = 100  # most rows of an episode that are compared
+FEWEST = 5  # fewest units of either sample: with fewer, permutations show nothing
 UNKNOWN, MISSING = "a level that the log does not have", "a missing value"
 
 
@@ -105,7 +105,11 @@ class Compared:
 
 
 def whats(log: Dataset) -> list[What]:
-    """The columns of a log's observations, then its actions."""
+    """The columns of a log's observations, then its actions.
+
+    Raises:
+        UserError: image observations.
+    """
     names, out, taken = observation_names(log), [], set()
     if len(log.spec.observation_shape) > 1:
         raise UserError(f"{log.name}: image observations (shape {log.spec.observation_shape}) cannot be monitored")
@@ -125,12 +129,12 @@ def whats(log: Dataset) -> list[What]:
 
 
 def rows_of(log: Dataset, episodes: np.ndarray, first: bool) -> tuple[np.ndarray, np.ndarray]:
-    """The rows of these episodes that are looked at, unit by unit, and (units,) where each unit begins among them.
+    """The rows of these episodes that are compared, unit by unit, and (units,) where each unit begins among them.
 
     Args:
         log: with a group column, its values are the units.
         episodes: indices.
-        first: whether the first row of each episode alone is looked at.
+        first: whether only the first row of each episode is compared.
     """
     unit = units_of(log)[episodes]
     episodes = episodes[order := np.argsort(unit, kind="stable")]
@@ -143,7 +147,7 @@ def rows_of(log: Dataset, episodes: np.ndarray, first: bool) -> tuple[np.ndarray
 
 
 def sample(log: Dataset, episodes: np.ndarray, first: bool) -> Sample:
-    """What the log holds in these episodes; see `rows_of`."""
+    """The sample of these episodes; see `rows_of`."""
     rows, starts = rows_of(log, episodes, first)
     observations = np.asarray(log.observations[rows], np.float32).reshape(len(rows), -1)
     gaps = {name.removeprefix(GAPS): np.asarray(flags)[rows] for name, flags in log.extras.items() if name.startswith(GAPS)}
@@ -172,7 +176,7 @@ def drifts(old: Sample, new: Dataset, which: Sequence[What], first: bool, alpha:
         old: the reference.
         new: the new log, of finished episodes in the order of time.
         which: columns.
-        first: whether first rows alone are compared.
+        first: whether only first rows are compared.
         alpha: over all tests that can ever be made of this log as it grows.
     """
     found: dict[int, tuple[int, int]] = {}
@@ -183,7 +187,7 @@ def drifts(old: Sample, new: Dataset, which: Sequence[What], first: bool, alpha:
             now = sample(new, window, first)
             if len(now.starts) < FEWEST or len(found) == len(which):
                 continue
-            left = [i for i in range(len(which)) if i not in found]  # what is accused stays so, and hides nothing else
+            left = [i for i in range(len(which)) if i not in found]  # reported columns stay reported, and cannot hide others
             pairs = [_features(which[i], old, now) for i in left]
             sums = [[np.add.reduceat(pair[side], both.starts) for pair in pairs] for side, both in enumerate((old, now))]
             p = drift.test(sums[0], sums[1], (old.sizes, now.sizes), epoch.alpha, generator(0, "permutations", number))
@@ -263,7 +267,7 @@ def _sides(what: What) -> list[tuple[str, str]]:
 
 
 def _extremes(log: Dataset, which: Sequence[What]) -> np.ndarray:
-    """(rows, sides) numbers that are the larger, the further out a row is."""
+    """(rows, sides) numbers that are larger the further outside a row lies."""
     flat = np.asarray(log.observations[:], np.float32).reshape(len(log), -1)
     sides = [np.zeros((len(log), 0), np.float32)]
     for what in which:

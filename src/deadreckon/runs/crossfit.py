@@ -57,7 +57,7 @@ class CrossFit:
         """(episodes,) the fold in which each episode was held out, whose policies were not trained on it; -1 for none."""
         fold = np.full(log.episodes, -1)
         for number, run in enumerate(self.runs):
-            assert run.held is not None  # a cross-fit notes it
+            assert run.held is not None  # a cross-fit records it
             fold[seen(run.held, log)] = number
         return fold
 
@@ -111,7 +111,7 @@ def cross_fit(
     Args:
         agent: as for `runs.train.train`.
         data: a log, the name of a known one, or a file.
-        folds: how many.
+        folds: number of folds.
         by: "random", "time" or a column whose values stay together; see `data.split.Holdout`. None: the log's group, or
             "random".
         seed: of the folds, and the first of each run's.
@@ -150,7 +150,7 @@ def cross_fit(
         try:
             return _cross_fit(agent, log, path, config, shared)
         except UserError:
-            if new and not any(path.glob("fold*")):  # what only training itself can know does not fit: nothing has begun
+            if new and not any(path.glob("fold*")):  # training refused the input before it wrote anything
                 shutil.rmtree(path, ignore_errors=True)
             raise
 
@@ -175,7 +175,7 @@ def _cross_fit(agent: Any, log: Dataset, path: Path, config: dict[str, Any], sha
         known = {"taught": log.episode_ids, "held": np.zeros(0, np.uint64)}
         store.save(path / MIXTURE, mixture, meta, **known)
         for i in {*range(len(runs[0].seeds))}.intersection(*healthy) if len(runs[0].seeds) > 1 else ():
-            one = Mixture.of([run.policies[i] for run in runs])  # what is judged as this seed's
+            one = Mixture.of([run.policies[i] for run in runs])  # the policy that is evaluated for this seed
             of = meta | {"members": [[k, run.seeds[i]] for k, run in enumerate(runs)]}
             store.save(path / MIXTURE_OF.format(runs[0].seeds[i]), one, of, **known)
     else:
@@ -203,10 +203,10 @@ def load_cross_fit(path: Path | str) -> CrossFit:
 
 
 def _begin(path: Path, config: dict[str, Any], resume: bool) -> None:
-    """Writes what is asked for, unless the folder holds something else.
+    """Writes the settings of a cross-fit, unless the folder holds something else.
 
     Raises:
-        UserError: it does.
+        UserError: it does, or `resume` is needed.
     """
     if (path / NAME).exists():
         if not resume:
@@ -217,5 +217,5 @@ def _begin(path: Path, config: dict[str, Any], resume: bool) -> None:
     elif path.exists() and not (path.is_dir() and all(p.suffix == ".tmp" for p in path.iterdir())):
         raise UserError(f"{path} exists and is not a cross-fit; choose another --out")
     for mixture in path.glob("mixture*.npz"):
-        mixture.unlink()  # the folds may be made longer; they are made of them anew
+        mixture.unlink()  # the folds may be trained for longer; mixtures are then made again
     write_json(path / NAME, config)

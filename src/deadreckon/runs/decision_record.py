@@ -1,5 +1,5 @@
-"""`estimates.json`, which `judge` and `recommend` write: its shape, which is checked before anything looks into it, numbers
-that JSON does not have, and which file it means by a policy.
+"""`estimates.json`, which `judge` and `recommend` write: its fields, which are checked when it is read, numbers that JSON does
+not have, and the files of its policies.
 """
 
 import math
@@ -197,10 +197,16 @@ def file_of(policy: Mapping[str, Any], folder: Path) -> Path | None:
 
 
 def _places(policy: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Where something lies that may be the file of a policy, by a record in `folder`."""
+    """Existing files that may be that of a policy, by a record in `folder`."""
     places = [folder / beside] if (beside := policy.get("beside")) else []
     places += [Path(file)] if (file := policy.get("file")) else []
     return [place for place in places if is_there(place)]
+
+
+def records_beside(folder: Path, name: str) -> list[Path]:
+    """The folders beside a run's that hold a record `name`, such as runs/clinic-ope of runs/clinic; the newest first."""
+    found = [file.parent for file in folder.parent.glob(f"*/{name}") if file.parent not in (folder, folder.parent)]
+    return sorted(found, key=lambda each: (each / name).stat().st_mtime, reverse=True)
 
 
 def has_changed(policy: Mapping[str, Any], folder: Path, owner: Path) -> bool:
@@ -236,7 +242,7 @@ def _finite(value: Any) -> Any:
 
 
 def _known(value: Any) -> Any:
-    """The inverse of `_finite` in lists of numbers, where null was no number."""
+    """The inverse of `_finite` in lists of numbers, where null is NaN."""
     if isinstance(value, list):
         return [_known(each) for each in value]
     return math.nan if value is None else float(value)

@@ -19,7 +19,7 @@ from deadreckon.tasks.task import Task
 from deadreckon.training.pictures import Seen, of_pictures
 
 SAMPLE = 1024  # logged rows that policies are compared on
-SPLITS = 400  # of them, for what a copy of the log's policy gives
+SPLITS = 400  # random splits of them, for the MMD of a copy of the behaviour policy
 
 
 def two_sample_mmd(x: Float[np.ndarray, "n d"], y: Float[np.ndarray, "m d"], variance: float) -> float:
@@ -85,7 +85,7 @@ class LogProbe:
         self.copy = mmd_of_copy(logged, self.variance, rng) if half >= 2 else math.nan
 
     def __call__(self, policy: EnvPolicy, seed: int = 0) -> dict[str, float]:
-        """The measures of one policy, its actions drawn, not greedy."""
+        """The measures of one policy, with sampled instead of greedy actions."""
         actions = np.asarray(first_actions(policy, jax.device_put(self.observations), jax.random.key(seed), False))
         outside = ((actions < self.range[0]) | (actions > self.range[1])).reshape(len(actions), -1).any(1).mean()
         drawn = np.concatenate([self.states, self._scaled(actions)], -1)[self.half :]
@@ -125,7 +125,7 @@ def logged_value(log: Dataset, task: Task, seed: int = 0) -> dict[str, Any]:
 
 
 def log_segments(log: Dataset, count: int = 16, length: int = 300) -> np.ndarray:
-    """(count, length, *shape) stretches of consecutive rows, evenly spread over the log; for figures."""
+    """(count, length, *shape) segments of consecutive rows, evenly spaced over the log; for figures."""
     length = min(length, len(log))
     starts = np.linspace(0, len(log) - length, count).astype(int)
     return np.stack([np.asarray(log.observations[s : s + length]) for s in starts])
@@ -145,7 +145,7 @@ def _q(agents: Agent, states: Any, observations: Array, actions: Array) -> Array
 def estimated_values(
     agents: Agent, states: Any, view: Normalizer, policies: list[EnvPolicy], starts: np.ndarray
 ) -> np.ndarray | None:
-    """(lanes, episodes) each lane's Q at initial observations and its policy's own actions; None without a critic.
+    """(lanes, episodes) each lane's Q at initial observations and the actions of its policy; None without a critic.
 
     The actions are those that `evaluate` with seed 0 takes first at these starts. Q extrapolates beyond timeouts, while a
     return in the simulator stops at the horizon: with a discount of 0.99 and 300 steps the two differ by up to 0.99^300 = 5 %
@@ -154,7 +154,7 @@ def estimated_values(
     Args:
         agents: lifted, one per lane.
         states: (lanes, ...).
-        view: that the agents have.
+        view: normaliser of the agents' inputs.
         policies: one per lane.
         starts: (episodes, *shape) raw initial observations.
     """

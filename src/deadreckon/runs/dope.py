@@ -84,7 +84,7 @@ def _logs_of(half: str, tasks: Sequence[str] | None, kinds: Sequence[str]) -> li
 
 
 def _check_taught(task: str, data: Dataset, log_steps: int | None) -> None:
-    """Warns where policies that learned from a log of this name have learned from another one than this."""
+    """Warns if a task's policies were trained on a log of this name that differs from `data`."""
     taught = library.about(task)["run"].get("data")
     if taught and log_steps is None and of_unplugged(data.name) and taught["fingerprint"] != data.fingerprint:
         warnings.warn(

@@ -9,7 +9,7 @@ def seconds_of(text: str) -> float:
     """Seconds of `90s`, `30m`, `2h` or `1h30m`.
 
     Raises:
-        UserError: something else, or no time.
+        UserError: another form, or a time of 0.
     """
     found = re.fullmatch(r"(?:([\d.]+)h)?(?:([\d.]+)m)?(?:([\d.]+)s)?", text.strip())
     try:
@@ -22,7 +22,7 @@ def seconds_of(text: str) -> float:
 
 
 def in_words(seconds: float) -> str:
-    """Seconds, minutes or hours."""
+    """A duration as text, in seconds, minutes or hours."""
     if seconds < 90:
         return f"{seconds:,.0f} s"
     return f"{seconds / 60:,.0f} min" if seconds < 5400 else f"{seconds / 3600:,.1f} h"

@@ -32,10 +32,10 @@ from deadreckon.stats.interval import ALPHA, Interval
 
 NAME = "explain.json"
 DEPTHS = range(1, 7)
-ROWS = 20_000  # of the log that are looked at
-PARTS = 0.6, 0.2  # of the units: the tree's, and those that choose its depth; the rest are fresh
-FEWEST = 15  # units; a log of fewer episodes is cut into so many blocks of rows
-EXCHANGES = 5  # of each column's values
+ROWS = 20_000  # most rows of the log that are used
+PARTS = 0.6, 0.2  # shares of the units for fitting trees and for choosing the depth; the rest are fresh
+FEWEST = 15  # fewest units; a log of fewer episodes is divided into so many blocks of rows
+EXCHANGES = 5  # permutations of each column's values
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,8 @@ class Explained(Shown):
     """A tree that imitates a policy, and its fidelity.
 
     Attributes:
-        name, log: of the policy and of the log.
-        discrete: whether its actions are.
+        name, log: names of the policy and of the log.
+        discrete: whether its actions are discrete.
         rows: fresh rows, on which all numbers are measured.
         depth: of the tree; 0: the constant action was best.
         fidelity: share of fresh rows in which the tree takes the policy's action; for continuous actions the share of the
@@ -71,7 +71,7 @@ class Explained(Shown):
         explains: whether the tree is significantly better than the constant action.
         tree: its root; None if it explains nothing.
         columns: by importance, the most important first.
-        digest: of the content of the policy's file, by which a page checks whether it is still that policy; None: not known.
+        digest: hash of the policy's file, by which a page checks whether the file has changed; None: not known.
     """
 
     name: str
@@ -131,10 +131,10 @@ def explain(run: Any, log: Any = None, *, seed: int | None = None) -> Explained:
     Args:
         run: the run, its folder, a cross-fit's folder or a policy file.
         log: whose rows are used, a `Dataset`, a file or a data frame; None: the log that the policy was trained on.
-        seed: which of the run's policies; None: the first that has not failed.
+        seed: of the run's policy; None: the first that has not failed.
 
     Raises:
-        UserError: the policy cannot act on single rows, or scikit-learn is missing.
+        UserError: image observations, too few rows, a policy that cannot act on single rows, or scikit-learn is missing.
     """
     one = subject(run, seed)
     function, data = pure(one.policy), one.log(log, option="a second argument (in Python log=)")
@@ -156,7 +156,7 @@ def _explained(name: str, function: Pure, data: Dataset, steps: int) -> Explaine
     done = ask(x, np.arange(len(x)))
     first, chooses, fresh = _parted(unit, rng)
     scale = np.ones(1) if discrete else done[first].std(0)
-    scale = np.where(scale > 1e-9, scale, np.inf)  # an action that never changes is no mistake
+    scale = np.where(scale > 1e-9, scale, np.inf)  # a constant action has no error
 
     def loss(guess: np.ndarray, part: np.ndarray) -> np.ndarray:
         if discrete:
@@ -186,8 +186,8 @@ def _explained(name: str, function: Pure, data: Dataset, steps: int) -> Explaine
 
 
 def _asker(function: Pure) -> Any:
-    """What gives actions at (rows, size) observations, with the numbers of these rows: of a mixture each member acts in its
-    share of them, and in the same rows whenever it is asked."""
+    """A function from (rows, size) observations and the numbers of these rows to actions; each member of a mixture acts in its
+    share of the rows, always the same ones."""
     call = jax.jit(lambda *given: function.call(*given)[0])
 
     def ask(x: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -207,7 +207,7 @@ def _units(data: Dataset, rows: np.ndarray) -> np.ndarray:
 
 
 def _parted(unit: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows of the tree, rows that choose its depth, and fresh rows, by whole units."""
+    """Rows for fitting trees, rows for choosing the depth, and fresh rows, by whole units."""
     units = rng.permutation(np.unique(unit))
     ends = np.cumsum([int(part * len(units)) for part in PARTS])
     parts = [np.flatnonzero(np.isin(unit, each)) for each in np.split(units, ends)]
@@ -246,14 +246,14 @@ def _mean(x: np.ndarray, unit: np.ndarray) -> Interval:
 
 
 def _agreement(wrong: np.ndarray, unit: np.ndarray) -> Interval:
-    """The share of rows that are not wrong; where none is, the lower end is what so many units show (Clopper and Pearson)."""
+    """The share of rows that are not wrong; if none is, the lower end is Clopper and Pearson's for so many units."""
     right = _mean(1.0 - wrong, unit)
     low = (ALPHA / 2) ** (1 / len(np.unique(unit))) if not wrong.any() else right.low
     return Interval(right.value, max(low, 0.0), min(right.high, 1.0))
 
 
 def _explained_variance(own: np.ndarray, plain: np.ndarray, unit: np.ndarray) -> Interval:
-    """1 less the ratio of two mean losses, with an interval by the linearised ratio."""
+    """1 minus the ratio of two mean losses, with an interval by the linearised ratio."""
     whole = max(float(plain.mean()), 1e-12)
     ratio = float(own.mean()) / whole
     spread = _mean(own - ratio * plain, unit)
@@ -272,8 +272,8 @@ def _names(data: Dataset, steps: int) -> list[str]:
 
 
 def _marks(data: Dataset, steps: int) -> dict[int, str]:
-    """The places of numbers that are 1 or 0, of an observation or a history, and what holds where they are 1: a column has a
-    level, an action is legal, or a value is missing."""
+    """The indices of numbers that are 0 or 1, of an observation or a history, and the meaning of 1: a column has a level, an
+    action is legal, or a value is missing."""
     names, said = observation_names(data), {}
     for each in columns_of(data):
         if each.role == "observation" and each.kind == "category":
@@ -295,13 +295,13 @@ def _units_of(data: Dataset, names: Sequence[str]) -> list[str]:
 
 
 def _groups(data: Dataset, steps: int) -> list[tuple[str, list[int]]]:
-    """Columns with the numbers that each became; their values are exchanged together."""
+    """Columns with the indices of their numbers in an observation or a history, whose values are permuted together."""
     size, acts = len(observation_names(data)), action_names(data)
     groups = [(each.name, list(each.dimensions)) for each in columns_of(data) if each.role == "observation" and each.dimensions]
     rest = sorted(set(range(size)) - {i for _, dimensions in groups for i in dimensions})
     groups += [("legal actions", rest)] if rest else []
-    width = size + len(acts)  # of a step that is past
-    done = [("action", list(range(size, width)))]  # marks of one where it is discrete
+    width = size + len(acts)  # of an earlier step
+    done = [("action", list(range(size, width)))]  # one-hot if it is discrete
     done = done if data.spec.discrete else [(f"action {name}", [size + i]) for i, name in enumerate(acts)]
     past = [
         (f"{name}, {back} back", [(steps - 1 - back) * width + i for i in each])
@@ -314,7 +314,7 @@ def _matters(
     ask: Any, x: np.ndarray, done: np.ndarray, unit: np.ndarray, groups: Sequence[tuple[str, list[int]]], scale: np.ndarray,
     discrete: bool, rng: np.random.Generator,
 ) -> tuple[Matters, ...]:  # fmt: skip
-    """How much the policy's actions change when a column's values are exchanged between rows, most first."""
+    """Change of the policy's actions when a column's values are permuted between rows, the largest first."""
     out = []
     for name, dimensions in groups:
         change = np.zeros(len(x))

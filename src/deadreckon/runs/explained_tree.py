@@ -1,4 +1,4 @@
-"""A tree as questions and answers in the names of a log, whatever library fitted it."""
+"""A decision tree in the names of a log, independent of the library that fitted it."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -7,12 +7,12 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Node:
-    """A question with two answers, or what is done.
+    """A question with two answers, or a leaf with an action.
 
     Attributes:
         text: the question, such as "age <= 50", or the action.
-        share: of the rows that the tree was fitted to which come here.
-        yes, no: what follows; None of a leaf.
+        share: of the tree's training rows, those that reach this node.
+        yes, no: the next nodes; None for a leaf.
     """
 
     text: str
@@ -22,17 +22,17 @@ class Node:
 
     @classmethod
     def from_json(cls, told: dict[str, Any]) -> "Node":
-        """Of nested dictionaries."""
+        """A tree from nested dictionaries of its fields."""
         parts = {key: None if told.get(key) is None else cls.from_json(told[key]) for key in ("yes", "no")}
         return cls(told["text"], told["share"], **parts)
 
     @property
     def leaf(self) -> bool:
-        """Whether this is an action."""
+        """Whether this is a leaf."""
         return self.yes is None or self.no is None
 
     def lines(self) -> Iterator[str]:
-        """As text, a line a node."""
+        """The tree as text, one line per node."""
         yield from self._lines("", "")
 
     def _lines(self, before: str, rest: str) -> Iterator[str]:
@@ -48,16 +48,16 @@ def node_of(
     tree: Any, names: Sequence[str], marks: Mapping[int, str], units: Sequence[str], actions: Sequence[str],
     of_actions: Sequence[str], discrete: bool,
 ) -> Node:  # fmt: skip
-    """The root of scikit-learn's tree.
+    """The root of a fitted tree of scikit-learn.
 
     Args:
         tree: fitted.
-        names: of the numbers that it asks for.
-        marks: of those that are 1 or 0, by their places, what holds where they are 1, such as "plan is new".
-        units: theirs, empty where nobody said one.
+        names: of its input numbers.
+        marks: by the index of each input that is 0 or 1, the meaning of 1, such as "plan is new".
+        units: of its input numbers, empty if unknown.
         actions: names of discrete actions, or of the dimensions of continuous ones.
         of_actions: units of continuous actions.
-        discrete: whether actions are.
+        discrete: whether actions are discrete.
     """
     inner = tree.tree_
     total = float(inner.weighted_n_node_samples[0])
@@ -71,7 +71,7 @@ def node_of(
         if yes.leaf and no.leaf and yes.text == no.text:
             return Node(yes.text, share)  # a question whose answer changes nothing
         which = int(inner.feature[i])
-        if which in marks:  # by the kind of its column: any column may be called as a level is, such as "NaCl=g/l"
+        if which in marks:  # not by its name, which may look like that of a level, such as "NaCl=g/l"
             return Node(marks[which], share, no, yes)
         return Node(_measured(f"{names[which]} <= {float(inner.threshold[i]):.4g}", units[which]), share, yes, no)
 

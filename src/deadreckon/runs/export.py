@@ -41,14 +41,17 @@ def export(
 
     Args:
         run: the run, its folder, a cross-fit's folder or a policy file.
-        format: "onnx" (with the encoding of the table if there is one), "stablehlo" (of `jax.export`: numbers alone, the
+        format: "onnx" (with the encoding of the table if there is one), "stablehlo" (of `jax.export`: numbers only, the
             encoding as JSON beside it), "numpy" (the policy file and the modules that run it) or "mlflow" (a pyfunc model).
-        out: folder to write, which must not be there yet.
+        out: folder to write, which must not exist.
         log: the log on whose rows the export is checked, a `Dataset`, a file or a data frame; None: the one that the policy was
             trained on.
         estimates: the folder of `deadreckon ope --out` or `recommend`, for the card; None searches the run's folder and the
             folders beside it.
-        seed: which of the run's policies; None: the first that has not failed.
+        seed: of the run's policy; None: the first that has not failed.
+
+    Returns:
+        The folder.
 
     Raises:
         UserError: the policy cannot be exported, or the export returns other actions. Nothing is left behind.
@@ -72,7 +75,7 @@ def export(
 
 
 def _stablehlo(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[str]:
-    """`policy.stablehlo`, with a free number of rows, for CPU, GPU and TPU; and the encoding beside it."""
+    """Writes `policy.stablehlo`, for any number of rows, on CPU, GPU and TPU, and the encoding; returns lines about its use."""
     from jax import export as exporting
 
     (count,) = exporting.symbolic_shape("rows")
@@ -99,7 +102,7 @@ def _stablehlo(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[s
     if not encoder.observed or history_of(one.policy) > 1:
         return ["`policy.stablehlo` takes observations as they are encoded:", "", "```python", *lines, *call, "```"]
     put_modules(folder, ENCODER)
-    # Where no column of the table says which actions are legal, a function of its log's did.
+    # If no column of the table says which actions are legal, a function that was given with the log did.
     legal = ", legal=[[True, ...], ...]" if encoder.masked and not encoder.allowed.columns else ""
     return [
         "`policy.stablehlo` takes observations. `table_encoder.py` and what it needs make them of rows, with numpy alone:",
@@ -111,7 +114,7 @@ def _stablehlo(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[s
 
 
 def _numpy(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[str]:
-    """`policy.npz` and the modules that play it."""
+    """Writes `policy.npz` and the modules that run it; returns lines about its use."""
     put_player(one, folder)
     play = portable.load(folder / "policy.npz")
     check("the numpy player", rows, played(play, rows))

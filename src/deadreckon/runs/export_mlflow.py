@@ -21,9 +21,9 @@ LOADER = "mlflow_loader.py"
 
 
 def write_mlflow(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[str]:
-    """Writes the model; gives lines about its use."""
+    """Writes the model; returns lines about its use."""
     os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
-    os.environ.setdefault("MLFLOW_UV_AUTO_DETECT", "false")  # else it copies the lock file of the folder one happens to be in
+    os.environ.setdefault("MLFLOW_UV_AUTO_DETECT", "false")  # otherwise it copies the lock file of the current folder
     try:
         import mlflow.pyfunc  # pyrefly: ignore[missing-import] - an extra
         import pandas
@@ -36,6 +36,9 @@ def write_mlflow(one: Subject, function: Pure, rows: Rows, folder: Path) -> list
     encoder = TableEncoder(one.told)
     named = bool(encoder.observed) and not encoder.masked and function.history == 1
     given: Any = pandas.DataFrame(decoded(encoder, rows.observations)) if named else rows.observations
+    episode = encoder.one.get("episode")
+    if named and function.members > 1 and episode is not None and not encoder.alone:  # by which one of the members acts
+        given[episode] = np.arange(len(given))
     with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
         code, data = Path(place) / "code", Path(place) / "data"
         put_player(one, code, (*PLAYER, LOADER))
@@ -44,10 +47,10 @@ def write_mlflow(one: Subject, function: Pure, rows: Rows, folder: Path) -> list
         play = portable.load(data / "policy.npz")
         check("the numpy player", rows, played(play, rows))
         sign: dict[str, Any] = {}
-        if named:  # names are MLflow's to check; kinds are the encoder's, which knows of missing values and levels
-            inputs = Schema([ColSpec(AnyType(), key) for key in encoder.observed])
+        if named:  # MLflow checks names, the encoder kinds, because it knows missing values and levels
+            inputs = Schema([ColSpec(AnyType(), key) for key in given])
             sign["signature"] = ModelSignature(inputs, infer_signature(None, Model(play).predict(given)).outputs)
-        warnings.simplefilter("ignore")  # MLflow asks for rows of the log as an example, which would go with the model
+        warnings.simplefilter("ignore")  # MLflow wants an input example, which would put rows of the log into the model
         mlflow.pyfunc.save_model(
             path=str(folder), loader_module=Path(LOADER).stem, data_path=str(data),
             code_paths=[str(code / name) for name in (*PLAYER, LOADER)], pip_requirements=["numpy>=2.1", "pandas>=2.2"], **sign,
@@ -59,7 +62,7 @@ def write_mlflow(one: Subject, function: Pure, rows: Rows, folder: Path) -> list
 
 
 def _coded(encoder: TableEncoder, actions: Any) -> np.ndarray:
-    """Named actions of a data frame as the policy gives them."""
+    """Named actions of a data frame in the policy's encoding."""
     if not encoder.discrete:
         return actions.to_numpy(np.float64)
     found = encoder.logged({key: actions[key].to_numpy() for key in encoder.actions})

@@ -1,4 +1,4 @@
-"""A policy as an ONNX graph in a file, which encodes the columns of the policy's table itself where it can."""
+"""A policy as an ONNX graph in a file, which includes the encoding of the table's columns if possible."""
 
 import json
 import math
@@ -28,7 +28,7 @@ _WORDS = {
 
 
 def write_onnx(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[str]:
-    """`policy.onnx`; gives lines about its use."""
+    """Writes `policy.onnx`; returns lines about its use."""
     model = onnx_graph.graph_of(function, rows.observations.shape[1:])
     encoder = TableEncoder(one.told)
     encoded = bool(encoder.observed) and function.history == 1
@@ -71,8 +71,8 @@ def write_onnx(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[s
 
 
 def _line(given: Any) -> str:
-    """An input or output, in words and as its type: its shape is (rows, ...). Its name may be a column's, so somebody's text,
-    and no code: between backquotes nothing can be escaped."""
+    """An input or output of shape (rows, ...), in words and as its type. Its name may be that of a column, so it is escaped,
+    which is not possible between backquotes."""
     one, several = _WORDS.get(given.type, ("value", "values"))
     count = math.prod(given.shape[1:])
     words = f"one {one}" if count == 1 else f"{count} {several}"
@@ -80,10 +80,10 @@ def _line(given: Any) -> str:
 
 
 def _check_outside(encoder: TableEncoder, inputs: dict[str, np.ndarray], found: np.ndarray) -> None:
-    """Refuses a graph that marks other rows as outside the log than the encoder; of numbers at a limit both may be right.
+    """Refuses a graph that marks other rows as outside the log than the encoder, except for numbers within rounding of a limit.
 
     Raises:
-        UserError: in how many rows.
+        UserError: says in how many rows.
     """
     columns = {key: inputs[key].tolist() for key in encoder.observed}
     columns = {key: [None if value == "" else value for value in values] for key, values in columns.items()}

@@ -1,4 +1,4 @@
-"""What all exports of a policy share: the rows on which they are checked, the check, and a folder that is whole or absent."""
+"""Functions that all exports of a policy share: rows for their check, the check, and a folder that is complete or absent."""
 
 import contextlib
 import shutil
@@ -22,8 +22,8 @@ from deadreckon.policies.pure import MEMBER, Pure
 from deadreckon.runs.subject import Subject
 from deadreckon.temporaries import beside
 
-CLOSE = 1e-5  # of half an action's range
-ROWS = 1_000  # of the log, on which an export is checked
+CLOSE = 1e-5  # largest difference of actions, in halves of an action's range
+ROWS = 1_000  # most rows of the log on which an export is checked
 PLAYER = ("portable.py", "portable_pictures.py", "table_columns.py", "table_encoder.py", "table_predict.py", "table_rows.py",
           "table_times.py")  # fmt: skip
 
@@ -34,10 +34,10 @@ class Rows(NamedTuple):
     """Rows on which an export is checked.
 
     Attributes:
-        observations: (rows, *shape) float32 as `pure` takes them; histories of a policy on these.
+        observations: (rows, *shape) float32 as `pure` takes them; histories if the policy acts on these.
         member: (rows,) int32, which member of a mixture acts.
-        actions: what the policy does.
-        room: (size,) half of each action's range, 1 at least.
+        actions: the policy's actions.
+        room: (size,) half of each action's range, at least 1.
     """
 
     observations: np.ndarray
@@ -48,7 +48,11 @@ class Rows(NamedTuple):
 
 @contextlib.contextmanager
 def building(out: Path) -> Iterator[Path]:
-    """A folder beside `out` that gets its name once all is in it."""
+    """A temporary folder beside `out` that is renamed to it when it is complete.
+
+    Raises:
+        UserError: `out` exists, or cannot be written.
+    """
     with alone(out, what=str(out)):
         if out.exists():
             raise UserError(f"{out} exists already; choose another --out")
@@ -62,7 +66,7 @@ def building(out: Path) -> Iterator[Path]:
 
 
 def rows_of(one: Subject, function: Pure, data: Dataset) -> Rows:
-    """Rows of a log at regular distances, and what the policy does there."""
+    """Rows of a log at regular distances, with the policy's actions."""
     seen = stacked(data, history_of(one.policy))
     at = np.unique(np.linspace(0, len(data) - 1, min(len(data), ROWS)).astype(int))
     observations = np.asarray(seen.observations[at], np.float32)
@@ -79,7 +83,7 @@ def check(what: str, rows: Rows, actions: Any) -> None:
     """Refuses actions that are not the policy's.
 
     Raises:
-        UserError: by how much they differ, in how many rows.
+        UserError: says by how much they differ, and in how many rows.
     """
     actions = np.asarray(actions)
     if actions.shape != rows.actions.shape:
@@ -95,7 +99,7 @@ def check(what: str, rows: Rows, actions: Any) -> None:
 
 
 def put_player(one: Subject, folder: Path, names: Sequence[str] = PLAYER) -> None:
-    """The policy's file, and the modules that play it by numpy alone."""
+    """Writes the policy's file, and the modules that run it with numpy alone."""
     folder.mkdir(exist_ok=True)
     if one.file is not None:
         shutil.copyfile(one.file, folder / "policy.npz")
@@ -105,14 +109,14 @@ def put_player(one: Subject, folder: Path, names: Sequence[str] = PLAYER) -> Non
 
 
 def put_modules(folder: Path, names: Sequence[str]) -> None:
-    """Copies of modules that need numpy alone."""
+    """Copies modules that need numpy alone."""
     for name in names:
         text = resources.files("deadreckon.policies").joinpath(name).read_text(encoding="utf-8")
         (folder / name).write_text(text, encoding="utf-8")
 
 
 def played(play: Any, rows: Rows) -> np.ndarray:
-    """What the numpy player does, of a mixture each member in its rows."""
+    """Actions of the numpy player; of a mixture, each member's in its rows."""
     if play.member is not None:
         return played(play.member, rows)
     if play.members:

@@ -1,18 +1,18 @@
-"""The run folder: one place that knows what lies where, and writes every file whole or not at all.
+"""The run folder: the paths of its files, each of which is written completely or not at all.
 
-    run.json            what was asked for (agent, data, task, seeds, steps) and with which versions
+    run.json            the settings (agent, data, task, seeds, steps) and versions
     status.json         updates done, failures, whether it is finished
-    metrics/N.parquet   one immutable part a chunk, N updates done: step, seed, one column a metric
+    metrics/N.parquet   one immutable part per chunk, N updates done: step, seed, one column per metric
     checkpoints/N.npz   the newest states, see `training.checkpoint`
-    policies/N-seedS.npz   what was judged after N updates; policies/seedS.npz is the last
-    episodes.npz        `episode_ids` of the episodes that were learned from (taught) and that were not (held); online, where
-                        those of its own steps are among them, once the run has finished
-    log.npz             stretches of the log, for pictures
+    policies/N-seedS.npz   the policies that were evaluated after N updates; policies/seedS.npz is the last
+    episodes.npz        `episode_ids` of the training episodes (taught) and of others (held); of an online run, whose own
+                        episodes are among them, once it has finished
+    log.npz             segments of the log, for figures
     evaluations/N.parquet  one row per episode; evaluations/trajectories.npz of the last policies
     replay/seedS.bin    online: every environment step, see `online.exploration`; the newest checkpoint says how many count
 
-Runs that share a program because they differ in float settings alone are folders like this one side by side, and have their
-checkpoints together: beside them, not in them.
+Runs that share a program, because they differ in float settings alone, have folders like this one side by side, and a common
+folder of checkpoints beside them.
 """
 
 import contextlib
@@ -40,6 +40,7 @@ from deadreckon.training.field_names import with_field_names
 from deadreckon.versions import differences
 
 _WHAT = "a run's folder"
+TRACKED = "wandb"  # folder of Weights & Biases within a run's, in which it puts a link to its own log
 
 
 @dataclass(frozen=True)
@@ -50,38 +51,38 @@ class Folder:
 
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:
-        """Lets one process at a time write here, and may be gone on with; another is refused with a `BusyError`."""
+        """Lets one process at a time write here; another is refused with a `BusyError`. An interrupted run can be resumed."""
         with alone(self.path.with_name(f"{self.path.name}.run"), what=str(self.path)), resumable(self.config):
-            refuse_links(self.path, _WHAT)  # a folder from elsewhere could have what is written and removed lie outside of it
+            refuse_links(self.path, _WHAT, TRACKED)  # by links, files outside of the folder could be written or removed
             yield
 
     @property
     def config(self) -> Path:
-        """What was asked for."""
+        """Path of the settings."""
         return self.path / "run.json"
 
     @property
     def checkpoints(self) -> Path:
-        """Folder of the states."""
+        """Folder of the checkpoints."""
         return self.path / "checkpoints"
 
     def policy(self, seed: int, step: int | None = None) -> Path:
-        """The policy of a seed, after `step` updates or at the end."""
+        """Path of the policy of a seed, after `step` updates or at the end."""
         return self.path / "policies" / (f"seed{seed}.npz" if step is None else f"{step:010d}-seed{seed}.npz")
 
     def policy_steps(self) -> list[int]:
-        """Updates after which policies were kept, ascending."""
+        """Updates after which policies were stored, ascending."""
         names = (re.match(r"(\d+)-seed", p.name) for p in (self.path / "policies").glob("*-seed*.npz"))
         return sorted({int(m[1]) for m in names if m})
 
     @property
     def log(self) -> Path:
-        """Stretches of the log, for pictures."""
+        """Path of the segments of the log, for figures."""
         return self.path / "log.npz"
 
     def note_episodes(self, taught: np.ndarray, held: np.ndarray, *, anew: bool = False) -> None:
-        """Writes which episodes are learned from, (learning,) uint64, and which are not, (held,), unless it is there; `anew`
-        also where others are."""
+        """Writes the ids of the training episodes, (learning,) uint64, and of others, (held,), unless ids are written already;
+        with `anew` also if these differ."""
         before = self.episodes("taught")
         if before is None or (anew and not np.array_equal(before, taught)):
             with replacing(self._episodes) as temporary, open(temporary, "wb") as file:
@@ -92,7 +93,11 @@ class Folder:
         return self.path / "episodes.npz"
 
     def episodes(self, which: str) -> np.ndarray | None:
-        """What `note_episodes` wrote, `taught` or `held`; None where it has not yet, as online before a run's end."""
+        """The ids that `note_episodes` wrote, `taught` or `held`; None if there are none yet, as before an online run's end.
+
+        Raises:
+            UserError: the file is damaged.
+        """
         if not (path := self._episodes).exists():
             return None
         found = read_arrays(path, "a note of episodes").get(which)
@@ -101,20 +106,20 @@ class Folder:
         return found
 
     def replay(self, seed: int) -> Path:
-        """Every environment step of an online run's seed."""
+        """Path of the environment steps of a seed of an online run."""
         return self.path / "replay" / f"seed{seed}.bin"
 
     @property
     def trajectories(self) -> Path:
-        """Observations of the last policies' first episodes."""
+        """Path of the observations of the last policies' first episodes."""
         return self.path / "evaluations" / "trajectories.npz"
 
     def part(self, kind: str, step: int) -> Path:
-        """The table of `kind` ("metrics" or "evaluations") written after `step` updates."""
+        """Path of the table of `kind` ("metrics" or "evaluations") written after `step` updates."""
         return self.path / kind / f"{step:010d}.parquet"
 
     def write_part(self, kind: str, step: int, columns: dict[str, Any]) -> None:
-        """Writes one immutable part; writing it again after a kill gives the same."""
+        """Writes one immutable part; writing it again after an interruption gives the same."""
         refuse_link(self.path / kind, _WHAT)
         with replacing(self.part(kind, step)) as temporary:
             pq.write_table(pa.table(columns), temporary)
@@ -127,8 +132,12 @@ class Folder:
             return pa.concat_tables(read, promote_options="default") if read else pa.table({})
 
     def drop_after(self, step: int) -> None:
-        """Forgets what a killed run wrote beyond its last checkpoint, and the temporary files that dead processes left."""
-        refuse_links(self.path, _WHAT)
+        """Removes what an interrupted run wrote after its last checkpoint, and temporary files of processes that have ended.
+
+        Raises:
+            UserError: a file or a link that is not the run's.
+        """
+        refuse_links(self.path, _WHAT, TRACKED)
         for kind in ("metrics", "evaluations"):
             for path in (self.path / kind).glob("*.parquet"):
                 if not re.fullmatch("[0-9]+", path.stem):
@@ -139,22 +148,22 @@ class Folder:
             clear(folder)
 
     def read_config(self) -> Any:
-        """The configuration in run.json, with hyperparameters under the present names of their fields."""
+        """The configuration in run.json, with hyperparameters under the current names of their fields."""
         config = read_run(self.config)
         if (kind := _agent_of(config)) is None:
             return config
         return config | {"agent": {**config["agent"], "fields": with_field_names(kind, config["agent"]["fields"])}}
 
     def period(self, resume: bool) -> int | None:
-        """Updates between the evaluations of the run that is gone on with, which it keeps where nobody names others."""
+        """Updates between the evaluations of the run that is resumed, its default; None for a new run."""
         before = self.read_config() if resume and self.config.exists() else {}
         return before.get("evaluation", {}).get("every")
 
     def check(self, config: dict[str, Any], *, resume: bool) -> list[str]:
-        """Whether a run may begin here, or go on with what is asked for now, which may be more updates of the same.
+        """Checks whether a run may begin here, or be resumed with these settings, which may be more updates of the same.
 
         Returns:
-            What differs without forbidding a resume: versions and threads, one line each.
+            Differences that do not forbid a resume: versions and threads, one line each.
 
         Raises:
             UserError: the folder holds a run already, another run, or something else.
@@ -173,7 +182,7 @@ class Folder:
         if different := differences(before, asked, kept):
             do = "choose another --out" if asked is config else _remedy(before, different)
             raise UserError(f"{self.path} holds another run: {different[0]}; {do}")
-        if "revisions" not in before:  # from before they were noted: random streams have changed since
+        if "revisions" not in before:  # older than their record: random streams have changed since
             why = "was started by code of other revisions, which trains differently"
             raise UserError(f"{self.path} {why}; start again with another --out")
         if different := differences(before, asked, ("revisions",)):
@@ -189,11 +198,11 @@ class Folder:
             write_json(self.config, config)
 
     def shorten(self, steps: int) -> None:
-        """Takes note that the run has ended with fewer updates than were asked for."""
+        """Records that the run has ended with fewer updates than were requested."""
         write_json(self.config, read_run(self.config) | {"steps": steps})
 
     def lengthen(self, config: dict[str, Any]) -> None:
-        """Takes note that more updates are asked for than the run has had; called once it can be gone on with."""
+        """Records that more updates are requested than the run has had; called once it is certain that it can be resumed."""
         before = read_run(self.config)
         if before["steps"] < config["steps"]:
             for number in config["seeds"]:
@@ -204,9 +213,9 @@ class Folder:
 
 
 def _at_length(config: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
-    """What is asked for now, as it was at the length of an earlier run that had fewer updates; else just that.
+    """The requested settings with the number of updates of an earlier run, if that had fewer; otherwise unchanged.
 
-    A period of evaluations beyond the end is cut to it, and two of them are the same.
+    Periods of evaluations beyond the end of the earlier run are equivalent, and its period is used.
     """
     steps = before.get("steps", 0)
     if steps >= config["steps"]:
@@ -216,14 +225,14 @@ def _at_length(config: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]
 
 
 def _agent_of(config: dict[str, Any]) -> type[Any] | None:
-    """The class of a run's agent; None where it is not imported: a folder must not name code that is then run."""
+    """The class of a run's agent; None if it is not imported, because a folder must not choose code that is executed."""
     name = config["agent"]["name"]
     module, colon, _ = ("", "", "") if name in AGENTS else str(plugins().get(name, name)).partition(":")
     return agent_class(name) if name in AGENTS or (colon and module in sys.modules) else None
 
 
 def _remedy(before: dict[str, Any], different: Sequence[str]) -> str:
-    """What to do where these lines differ from a run that is to be made longer."""
+    """Advice for the error if these settings differ from those of a run that is to be trained for longer."""
     names, fields = [text.partition(" was ")[0] for text in different], before["agent"]["fields"]
     kept = [each for each in getattr(_agent_of(before), "by_length", ()) if f"agent.fields.{each}" in names]
     if len(kept) < len(names):
@@ -233,7 +242,11 @@ def _remedy(before: dict[str, Any], different: Sequence[str]) -> str:
 
 
 def _part(path: Path, kind: str) -> pa.Table:
-    """One part of a table: numbers alone in columns that have names of their own, among them the step."""
+    """One part of a table: columns of numbers with different names, among them the step.
+
+    Raises:
+        UserError: the file is damaged or of another kind.
+    """
     found = read_parquet(path, "a table of a run")
     names = found.column_names
     kinds = pa.types.is_floating, pa.types.is_integer, pa.types.is_boolean
@@ -245,13 +258,13 @@ def _part(path: Path, kind: str) -> pa.Table:
 
 
 def policy_seed(name: str, seeds: Sequence[int], failures: Sequence[Any], seed: int | None) -> int:
-    """The seed of a run whose policy is used: the one that is asked for, else the first that has not failed.
+    """The seed of a run whose policy is used: the requested one, or else the first that has not failed.
 
     Args:
         name: of the run, for errors.
         seeds: its seeds.
-        failures: of each, None where it has not failed.
-        seed: that is asked for.
+        failures: of each, None if it has not failed.
+        seed: the requested one, or None.
 
     Raises:
         UserError: the run has no such seed, or all have failed.

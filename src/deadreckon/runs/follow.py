@@ -1,4 +1,4 @@
-"""Follows the process of an attempt from outside: its messages, its time limit and its end."""
+"""Runs an attempt in a separate process, and follows its messages, its time limit and its end."""
 
 import contextlib
 import json
@@ -17,19 +17,19 @@ import deadreckon
 from deadreckon.progress import Watcher
 from deadreckon.runs.clock import Clock
 
-COMMAND = (sys.executable, "-P", "-m", "deadreckon.runs.attempt")  # -P: files beside the user are no modules
+COMMAND = (sys.executable, "-P", "-m", "deadreckon.runs.attempt")  # -P: no modules from the current folder
 
 
 @dataclass
 class Found:
-    """What the working process told.
+    """The messages of the process.
 
     Attributes:
-        state: the latest of each thing.
+        state: the latest value of each item.
         late: it was ended because the time was over.
-        refused: input that does not fit.
-        unfinished: why there is nothing to judge.
-        fault: an error, or how the process ended.
+        refused: the error about invalid input.
+        unfinished: the reason why there is nothing to evaluate.
+        fault: an unexpected error, or how the process ended.
     """
 
     state: dict[str, Any]
@@ -42,7 +42,10 @@ class Found:
 def followed(
     job: dict[str, Any], clock: Clock, tell: Callable[[str], None], watch: Watcher
 ) -> Found:
-    """Lets the job be done until it is done or the time is over."""
+    """Runs a job (`attempt.Job.as_json`) in a process until it is done or the time is over.
+
+    `tell` gets lines to print, and `watch` what is being done, the steps done and the steps in all.
+    """
     found, done = Found({}), False
     lines: queue.Queue[str | None] = queue.Queue()
     process = subprocess.Popen(
@@ -59,7 +62,7 @@ def followed(
             process.stdin.flush()
         while True:
             try:
-                left = clock.left()  # looked at for every line: there may always be one more
+                left = clock.left()  # checked before every line, as lines may never end
                 line = lines.get(timeout=left) if left > 0 else None
             except queue.Empty:
                 continue
@@ -97,7 +100,7 @@ def followed(
 
 
 def _environment() -> dict[str, str]:
-    """Of the working process, in which the package is the one that is running here, also where it is not installed."""
+    """The environment of the process, in which this copy of the package is imported, even if it is not installed."""
     root = str(Path(deadreckon.__file__).parent.parent)
     if root in (*site.getsitepackages(), site.getusersitepackages()):
         return dict(os.environ)
@@ -112,7 +115,7 @@ def _read(stream: IO[str], lines: "queue.Queue[str | None]") -> None:
 
 
 def _message(line: str) -> dict[str, Any]:
-    """A line of the working process; nothing of one that a kill cut short."""
+    """The message in a line of the process; {} if the line is incomplete, as after a kill."""
     try:
         told = json.loads(line)
     except json.JSONDecodeError:

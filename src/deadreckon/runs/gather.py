@@ -50,7 +50,7 @@ class Gathered(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Of run and seed."""
+        """Name of the run, with its seed."""
         return self.run if self.seed is None else f"{self.run} seed {self.seed}"
 
     @property
@@ -105,22 +105,22 @@ def gather(given: Any) -> list[Gathered]:
 
 
 def _saved(file: Path, name: str) -> Gathered:
-    """The policy of a file of ours."""
+    """The policy of a policy file of this package."""
     saved = store.load_all(file)
-    # Older online runs noted that they had no episodes.
+    # Older online runs recorded an empty list of episodes.
     taught = None if saved.taught is None or not len(saved.taught) else saved.taught
     read = Read.of(saved.meta.get("log") or NO_LOG, taught, saved.held)
     return Gathered(saved.policy, name, None, taught, file=file, read=read)
 
 
 def _read(run: Run) -> Read:
-    # Of a run online with a log in its replay, that log's; its own steps were read in no special way.
+    # For an online run with a log in its replay, how that log was read; the run's own steps need no reading.
     known = run.config["data"].get("provenance") or run.config.get("log_read")
     return Read.of(known or (NO_LOG if "online" in run.config else None), run.taught, run.held)
 
 
 def check_encodings(found: Sequence[Gathered], data: Dataset) -> None:
-    """See `reading.check_encoding`; of all policies."""
+    """`reading.check_encoding` for all policies."""
     for each in found:
         check_encoding(each.run, each.read, data)
 
@@ -130,8 +130,8 @@ class Fresh(NamedTuple):
 
     Attributes:
         held: (n,) indices of the episodes.
-        against: for each policy the reason why its estimate is not one of fresh episodes, or None if it is.
-        told: in one line.
+        against: for each policy the reason why its estimate is not of held-out episodes, or None if it is.
+        told: a description of the episodes, in one line.
     """
 
     held: np.ndarray
@@ -151,14 +151,14 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
     Raises:
         UserError: the training episodes of a policy cannot be determined, or no episode is left.
     """
-    # Snapshots were trained on all episodes of a replay log that repeats their own training.
+    # Snapshots were trained on all episodes of a replay log that reproduces their training.
     found = [g._replace(taught=data.episode_ids) if _of_training(g, data) else g for g in found]
     if not unseen:
         for each in {id(g.read): g for g in found}.values():  # the seeds of a run share theirs
             check_episodes(each.run, each.read, data)
     left = np.ones(data.episodes, bool)
     for each in {id(g.policy[0]): g.policy[0] for g in found if isinstance(g.policy, tuple)}.values():
-        if (fold := each.fold_of(data)).max() >= 0:  # of another log it has seen nothing
+        if (fold := each.fold_of(data)).max() >= 0:  # it was not trained on another log
             left &= fold >= 0
     known = Seen.of([g.taught for g in found if not isinstance(g.policy, tuple)], data)
     unknown = [not isinstance(g.policy, tuple) and g.taught is None for g in found]
@@ -167,7 +167,7 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
     if unseen:
         if not left.any():
             raise UserError("no episode is left that all of these cross-fits have held out; evaluate each by itself")
-        # Of a policy whose file knows all of these episodes, the log is its own, and it is known which of them taught it.
+        # If a policy's file lists all of these episodes, the log is its training log, and its training episodes are known.
         own = [g for g in found if g.taught is not None and not isinstance(g.policy, tuple) and _covers(g.read.episodes, data)]
         fresh_too = left & Seen.of([g.taught for g in own], data).unseen
         if not fresh_too.any():
@@ -197,15 +197,15 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
 
 
 def _of_training(each: Gathered, data: Dataset) -> bool:
-    """Whether a log is the training of the online run that snapshots of the package come from; see `collect_replay`."""
+    """Whether a log is the replay of the online run that the package's snapshots come from; see `collect_replay`."""
     made = data.provenance
     return each.file is None and made.recipe == f"{each.task}-medium-replay-v2" and made.seed == 0
 
 
 def _covers(episodes: np.ndarray | None, data: Dataset) -> bool:
-    """Whether a log is the one that a policy's file knows, or a part of it.
+    """Whether a log is the one whose episodes a policy's file lists, or a part of it.
 
-    Single decisions may be equal by chance, so of these it must have as many.
+    Episodes of one step may be equal by chance, so of these the log must have as many as the file.
     """
     if episodes is None or not np.isin(data.episode_ids, episodes).all():
         return False
@@ -213,7 +213,7 @@ def _covers(episodes: np.ndarray | None, data: Dataset) -> bool:
 
 
 def for_case(g: Gathered, data: Dataset) -> Any:
-    """A policy as a case takes it."""
+    """A policy in the form that `OPEInput` takes."""
     if not isinstance(g.policy, tuple):
         return g.policy
     cross, seed = g.policy

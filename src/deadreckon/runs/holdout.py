@@ -9,7 +9,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.split import RANDOM, TIME, Fold, Holdout, clusters, group_of
 from deadreckon.tasks.task import Task
 
-FEWEST = 10  # episodes or clusters: of fewer, neither part says much
+FEWEST = 10  # fewest episodes or clusters of which some are held out
 
 
 class Divided(NamedTuple):
@@ -19,7 +19,7 @@ class Divided(NamedTuple):
         learning: the part that methods are trained on.
         taught: (learning,) uint64 `episode_ids` of that part.
         held: (held,) uint64 `episode_ids` of the rest; empty if nothing is held out.
-        told: for `run.json`; None if nothing is held out.
+        told: the record for `run.json`; None if nothing is held out.
     """
 
     learning: Dataset
@@ -97,7 +97,7 @@ def of_share(log: Dataset, share: float) -> Holdout:
 
 
 def _read(told: dict[str, Any] | None) -> Holdout | Fold | None:
-    """What `told` wrote; runs from before anything was held out have nothing."""
+    """The holdout by its record in `run.json`; None without a record, as in runs of older versions."""
     if told is None:
         return None
     if "fold" in told:

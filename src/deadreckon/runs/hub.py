@@ -23,12 +23,13 @@ from deadreckon.foreign.door import refuse_links
 from deadreckon.names import file_part, in_markdown, safe_name, shown
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.runs.folder import TRACKED
 from deadreckon.runs.run import Run, load
 from deadreckon.temporaries import beside
 
 MANIFEST, POLICY, DATASETS = "deadreckon.json", "policy.npz", "datasets/"
 _FORMAT = 1
-_MOST = 100_000  # files
+_MOST = 100_000  # most files
 # What a repository of each kind may hold.
 _FILES = {
     "policy": re.compile(re.escape(POLICY)),
@@ -43,7 +44,7 @@ def push_to_hub(thing: Dataset | Run | EnvPolicy, repo: str, *, private: bool = 
     """Uploads a log, a run or a policy to a repository of the Hugging Face Hub, which is created if it does not exist.
 
     Of a run, the settings, last policies, metrics, evaluations and the ids of its episodes are uploaded; checkpoints, replay
-    and stretches of the log are not. Anyone who may read the repository sees all rows of a log, and of a run the names and
+    and segments of the log are not. Anyone who may read the repository sees all rows of a log, and of a run the names and
     levels of its log's columns.
 
     Args:
@@ -64,7 +65,7 @@ def push_to_hub(thing: Dataset | Run | EnvPolicy, repo: str, *, private: bool = 
         if isinstance(thing, Dataset):
             write_folder(thing, folder)
         elif isinstance(thing, Run):
-            refuse_links(thing.path, "a run's folder")  # which may lead to what nobody means to publish
+            refuse_links(thing.path, "a run's folder", TRACKED)  # links may lead to files that must not be published
             for path in sorted(thing.path.rglob("*")):
                 name = path.relative_to(thing.path).as_posix()
                 if path.is_file() and _FILES["run"].fullmatch(name):
@@ -125,7 +126,7 @@ def _download(call: "_Hub", sizes: Mapping[str, int | None], commit: str, root: 
             call("hf_hub_download", filename=name, revision=commit, local_dir=str(aside))
             if (found := _sum(aside / name)) != about["sha256"]:
                 raise UserError(f"{repo}: {name} is damaged or was exchanged: its sha256 is {found}, not {about['sha256']}")
-        shutil.rmtree(aside / ".cache", ignore_errors=True)  # the client's notes
+        shutil.rmtree(aside / ".cache", ignore_errors=True)  # files of the client
         aside.replace(root / commit)
 
 
@@ -167,7 +168,7 @@ def _sum(path: Path) -> str:
 
 
 def _card(thing: Any, kind: str, repo: str) -> str:
-    """The repository's README, with what the Hub reads of it."""
+    """The repository's README, with the metadata that the Hub reads."""
     what = {"log": "A log", "run": "Policies trained by offline reinforcement learning", "policy": "A policy"}[kind]
     facts = [f"# {repo}", "", f"{what}, uploaded by deadreckon {__version__}."]
     if isinstance(thing, Dataset):
@@ -202,6 +203,6 @@ class _Hub:
     def __call__(self, method: str, **options: Any) -> Any:
         try:
             return getattr(self.client, method)(repo_id=self.repo, repo_type=self.kind, **options)
-        except Exception as error:  # its own, and those of the library by which it reaches the network, which has changed twice
+        except Exception as error:  # its own errors and those of its network library, which has changed twice
             why = " ".join(str(error).split())
             raise UserError(f"Hugging Face Hub, {self.kind} {self.repo}: {type(error).__name__}: {why}") from error

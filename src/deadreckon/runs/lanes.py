@@ -33,10 +33,10 @@ def fields_of(lanes: Sequence[Agent]) -> dict[str, Any]:
 
 
 def agents_of(config: dict[str, Any]) -> list[Agent]:
-    """The agents of a run's `config`, one per seed: what `fields_of` wrote down.
+    """The agents of a run's `config`, one per seed: the inverse of `fields_of`.
 
     Raises:
-        UserError: the agent's module has not been imported: a folder from elsewhere must not name code that runs.
+        UserError: the agent's module has not been imported; a folder must not choose code that is executed.
     """
     name, written = str(config["agent"]["name"]), config["agent"]["fields"]
     if not known_agent(name):
@@ -47,7 +47,7 @@ def agents_of(config: dict[str, Any]) -> list[Agent]:
     tuples: Callable[[Any], Any] = lambda value: tuple(map(tuples, value)) if isinstance(value, list) else value  # noqa: E731
 
     def of_lane(name: str, lane: int) -> Any:
-        # JSON knows lists alone: of a field that lanes may differ in it is one value per lane.
+        # JSON has only lists: for a field that may differ between lanes, a list has one value per lane.
         return tuples(written[name]) if name in fixed or not isinstance(written[name], list) else written[name][lane]
 
     return [kind(**{name: of_lane(name, lane) for name in written}) for lane in range(len(config["seeds"]))]

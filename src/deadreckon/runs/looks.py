@@ -16,7 +16,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import alone, digest, home, read_json, write_json
 from deadreckon.stats.interval import ALPHA
 
-MOST = 10_000  # episodes by whose ids a set is known: the least ones of a larger set
+MOST = 10_000  # most ids that identify a set of episodes: the smallest ones of a larger set
 
 
 class Look(NamedTuple):
@@ -34,7 +34,7 @@ class Look(NamedTuple):
 
 
 class _Told(TypedDict):
-    """A note, as its file has it."""
+    """A record, as stored in its file."""
 
     looks: dict[str, tuple[int, int] | int]
     episodes: NotRequired[list[int]]
@@ -64,7 +64,7 @@ def look(episodes: np.ndarray, policies: str, count: int) -> Look:
         count: of the policies.
 
     Raises:
-        UserError: a note cannot be read or written.
+        UserError: a record cannot be read or written.
     """
     least = np.sort(episodes)[:MOST].tolist()
     folder = home() / "looks"
@@ -87,6 +87,6 @@ def _read(path: Path) -> Note:
     except UserError as error:
         why = str(error).removeprefix(f"{path}: ")
         raise UserError(f"{path} is not a note of looks ({why}); remove it if its counts do not matter") from error
-    # Notes of before knew exactly one set of episodes, by the file's name, and counts alone.
+    # Older records have only counts, for the set of episodes that the file's name identifies.
     known = {what: (at, i) if isinstance(at, int) else at for i, (what, at) in enumerate(told["looks"].items(), 1)}
     return Note(set(told.get("episodes", [])), {what: (count, number) for what, (count, number) in known.items()})

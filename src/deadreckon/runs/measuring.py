@@ -29,11 +29,11 @@ DISCOUNT = 0.995  # DOPE's
 class Measuring:
     """Settings for measuring policies."""
 
-    episodes: int = 1000  # a policy, in each way of acting that is measured
+    episodes: int = 1000  # episodes of a policy, in each mode (sampled or greedy)
     error: float = 0.666  # standard error of the discounted return below which measuring stops (thesis 8.2)
     most: int = 1000  # episodes at most, whatever the error
     seed: int = 1_000_000  # of the episodes; training evaluates on others
-    processes: int = 1  # that measure policies side by side; numbers do not depend on it
+    processes: int = 1  # processes that measure policies in parallel; results do not depend on their number
 
 
 def measured_enough(
@@ -53,10 +53,12 @@ def measured_enough(
         Results for all entries of `wanted`, by (key, mode).
 
     Raises:
-        UserError: fewer than one process.
+        UserError: fewer than one process, or than two episodes, which a standard error needs.
     """
     if options.processes < 1:
         raise UserError(f"processes must be 1 or more, got {options.processes}")
+    if options.episodes < 2:
+        raise UserError(f"episodes must be 2 or more, got {options.episodes}")
     found = dict(known)
     with _side_by_side(options.processes) as each:
         while todo := [which for which in wanted if which not in found or not _enough(found[which], options)]:
@@ -69,7 +71,7 @@ def measured_enough(
 
 @contextmanager
 def _side_by_side(processes: int) -> Iterator[Callable[[list[Any]], Iterator[Any]]]:
-    """What does jobs and gives their results as they come: this process, or several others."""
+    """A function that runs jobs, in this process or in several others, and yields their results as they come."""
     if processes == 1:
         yield lambda jobs: map(_job, jobs)
         return
@@ -81,7 +83,7 @@ def _side_by_side(processes: int) -> Iterator[Callable[[list[Any]], Iterator[Any
 
 
 def _end_with(parent: int) -> None:
-    """Ends this process at an interrupt, and when its parent is gone, which tells nobody when it is killed."""
+    """Ends this process at an interrupt, and when its parent has ended, even if that was killed."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
     def watch() -> None:
@@ -109,7 +111,7 @@ def _uniform(task: str) -> BlackBoxPolicy:
 
 
 def _measure(file: Path | None, task: str, greedy: bool, before: Returns | None, options: Measuring) -> Returns:
-    """`before` and a batch of episodes more, on starts of their own; at first as many as are missing to one batch.
+    """`before` with a further batch of episodes from new starts; a first batch that is incomplete is completed.
 
     Without a file actions are uniform.
     """
@@ -125,7 +127,7 @@ def _measure(file: Path | None, task: str, greedy: bool, before: Returns | None,
 
 
 def _joined(done: int, before: tuple[float, float], more: np.ndarray) -> tuple[float, float]:
-    """Mean and standard error of `done` numbers, known by theirs, and of more."""
+    """Mean and standard error of `done` numbers, given by theirs, together with further numbers."""
     mean, error = before
     count = done + len(more)
     shift = float(more.mean()) - mean

@@ -26,7 +26,7 @@ from deadreckon.stats import drift
 from deadreckon.stats.interval import ALPHA, PERCENT, decimals, level_in_words
 
 VALUE, DRIFT, OUTSIDE = 0.5, 0.4, 0.1  # shares of alpha
-SHOWN = 5  # new levels that are named
+SHOWN = 5  # most new levels that are named
 MadeBy = Literal["policy", "reference"]
 
 
@@ -116,7 +116,7 @@ def monitor(
         estimates: the folder of `deadreckon ope --out` or `recommend`; None searches the run's folder and the folders beside
             it.
         return_range: smallest and largest return that an episode can have; None: see `runs.realised`.
-        seed: which of the run's policies; None: the first.
+        seed: of the run's policy; None: the first that has not failed.
         greedy: whether the policy takes its deterministic (greedy) actions in use; None: as in the estimate, or else yes.
         alpha: probability that anything is reported without a change, over all calls together.
 
@@ -141,7 +141,7 @@ def monitor(
     if sizes[0] != sizes[1]:
         shapes = (f"{log.name} has observations {log.spec.observation_shape}, {log.action_space}" for log in (old, new))
         raise UserError(f"the logs cannot be compared: {' and '.join(shapes)}")
-    # A copy of the log that the policy learned from was not made by the policy, wherever it lies.
+    # A copy of the policy's training log was not made by the policy, wherever the copy is.
     own = reference is None or one.learned_from(old)
     by_policy = (made_by or ("policy" if own else "reference")) == "policy"
     new = finished(new, old)
@@ -177,8 +177,8 @@ def monitor(
 
 
 def _acts(one: Subject, old: Dataset, first: bool, greedy: bool) -> tuple[compared.Sample, bool]:
-    """What the policy does in the reference, in the episodes that it has not learned from where these are enough, and whether
-    they are: in those that taught it, it may do what it has memorised."""
+    """The policy's actions in the reference, in episodes that it was not trained on if these are enough, and whether they are:
+    in training episodes its actions may be memorised."""
     every = np.arange(old.episodes)
     unseen = every if one.taught is None else every[~np.isin(old.episode_ids, one.taught)]
     fresh = one.taught is not None and len(np.unique(compared.units_of(old)[unseen])) >= compared.FEWEST
@@ -187,10 +187,10 @@ def _acts(one: Subject, old: Dataset, first: bool, greedy: bool) -> tuple[compar
 
 
 def _untested(units: int, new: Dataset) -> str:
-    """Why no column was tested.
+    """The reason why no column was tested.
 
     Args:
-        units: of the reference.
+        units: number of units of the reference.
         new: the new log.
     """
     if new.episodes < drift.FIRST:
@@ -202,7 +202,7 @@ def _untested(units: int, new: Dataset) -> str:
 
 
 def _done(one: Subject, observations: np.ndarray, log: Dataset, greedy: bool) -> np.ndarray:
-    """What the policy does at these observations, each the first of an episode."""
+    """The policy's actions at these observations, each as the first of an episode."""
     shaped = jnp.asarray(observations.reshape(len(observations), *log.spec.observation_shape))
     return np.asarray(first_actions(one.policy, shaped, jax.random.key(0), greedy))
 

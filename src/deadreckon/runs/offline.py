@@ -97,10 +97,10 @@ def judge(
 def judge_alone(
     policies: Any, data: Dataset, estimators: Sequence[Any] | str, task: Any, settings: JudgeSettings
 ) -> Judged:
-    """See `judge`; for callers that hold the lock of `settings.out`, or have no folder."""
+    """`judge` for callers that hold the lock of `settings.out`, or have no folder."""
     groups = None if settings.by_group is None else Groups.of(data, settings.by_group)
     candidates = gather(policies)
-    files = [saved_at(each.file, settings.out) for each in candidates]  # as they are judged, whatever is made of them meanwhile
+    files = [saved_at(each.file, settings.out) for each in candidates]  # as they are now, even if they change meanwhile
     check_encodings(candidates, data)
     task = None if task is None else find_task(task)
     if task is not None:
@@ -113,7 +113,7 @@ def judge_alone(
         clusters=None if cluster is None else clusters_of(data, cluster), noise=None,
         **_with_fits_apart(settings).only(EstimateSettings),
     )  # fmt: skip
-    check(case, settings, groups)  # what is refused is no look
+    check(case, settings, groups)  # before a look is counted
     if isinstance(estimators, str) and estimators == "auto":
         estimators = automatic(case, settings.model, settings.accept_model_based)
     estimators = as_estimators(estimators)
@@ -121,7 +121,7 @@ def judge_alone(
         each.check(case)
     current = Look(1, ALPHA, len(candidates))
     if settings.counted:
-        # What the intervals of gains come of: another estimator, or other clusters, would be another try.
+        # What the intervals of gains depend on: with another estimator, or other clusters, it is another look.
         digested = digest([case.manner, case.estimand.as_json(), _told_apart(estimators[0]), cluster], 16)
         current = look(data.episode_ids[episodes.held], digested, len(candidates))
     decision = decide(
@@ -141,7 +141,7 @@ def judge_alone(
         "looks": {"number": current.number, "policies": current.policies, "alpha": current.alpha, "counted": settings.counted},
         **_decision_as_json(decision, current.alpha),
     }  # fmt: skip
-    _write(settings, results)  # before the simulator, which may fail: the estimates have cost a look, and took longest
+    _write(settings, results)  # before the simulator, which may fail: the estimates have cost a look and most of the time
     if task is not None:
         acting = [each.acting for each in candidates]
         results["truth"] = simulated(acting, task, results["estimand"], episodes=settings.episodes, seed=settings.seed)
@@ -155,7 +155,7 @@ def _write(settings: JudgeSettings, results: dict[str, Any]) -> None:
 
 
 def _told_apart(estimator: Estimator) -> str:
-    """An estimator with all its settings; a function by its name, as where it lies in memory is another place each time."""
+    """Text that identifies an estimator: all its settings, or a function's name, as its address changes between processes."""
     return estimator.label if isinstance(estimator, Function) else described(estimator)
 
 
@@ -178,7 +178,7 @@ def _names(candidates: Sequence[Gathered]) -> list[str]:
 
 
 def _with_fits_apart(settings: JudgeSettings) -> JudgeSettings:
-    """Checkpoints of fits have a folder of their own beside the results."""
+    """The settings, with a separate folder for checkpoints of fits below that of the results."""
     return settings if settings.out is None else replace(settings, out=Path(settings.out) / fits_name())
 
 
@@ -186,7 +186,7 @@ def _decision_as_json(decision: Decision, alpha: float) -> dict[str, Any]:
     """Support, estimates with their gains, and choice."""
     choice, support = decision.choice, decision.support
     every = [gains(each, alpha, supported(each, support)) for each in decision.estimates]
-    every[0][: len(choice.gains)] = choice.gains  # which know what speaks against an interval
+    every[0][: len(choice.gains)] = choice.gains  # these take objections to intervals into account
     return {
         "support": {"missing": _known(support.missing), "ratio": _known(support.ratio),
                     "degenerate": support.degenerate.tolist()},
@@ -206,7 +206,7 @@ def _decision_as_json(decision: Decision, alpha: float) -> dict[str, Any]:
 
 
 def _known(values: np.ndarray) -> list[float | None]:
-    """As JSON values, None for NaN."""
+    """Numbers as JSON values, None for NaN."""
     return [None if np.isnan(value) else float(value) for value in values]
 
 
@@ -238,10 +238,10 @@ def simulated(
     returns = played.discounted
     errors = returns.std(1, ddof=1) / np.sqrt(episodes)
     found = {"task": task.name, "episodes": episodes, "mean": returns.mean(1).tolist(), "error": errors.tolist()}
-    # All policies begin alike, so that what starts have in common falls out of differences.
+    # All policies have the same starts, so that common effects of starts cancel in differences.
     differences = returns[:, None] - returns
     found["apart"] = (differences.std(-1, ddof=1) / np.sqrt(episodes)).tolist()
-    # An estimate without a horizon counts what follows a time limit, which the simulator does not show.
+    # An estimate without a horizon includes rewards after a time limit, which the simulator does not show.
     endless = asked["horizon"] is None and asked["discount"] < 1.0
     beyond = float((asked["discount"] ** task.horizon * (played.lengths >= task.horizon)).mean(1).max()) if endless else 0.0
     return found | ({"beyond": beyond} if beyond > TAIL else {})
@@ -308,7 +308,7 @@ def read_estimates(path: Path | str) -> dict[str, Any]:
     """Reads the results that `judge` wrote into a folder, or the file itself.
 
     Raises:
-        UserError: there is none.
+        UserError: there are none, or the file is damaged.
     """
     path = Path(path)
     path = path / NAME if path.is_dir() else path

@@ -101,7 +101,7 @@ def _train_online(
     lanes: Sequence[Agent], task: Task, steps: int, numbers: list[int], folder: Folder, asked: OnlineSettings,
     start: Start | None,
 ) -> Run:  # fmt: skip
-    """The run in `folder`, of one agent a seed."""
+    """The run in `folder`, with one agent per seed."""
     if len(task.observation_shape) != 1:
         shown = "images" if task.observation_dtype == "uint8" else "observations"
         raise UserError(f"{task.name} has {shown} of shape {task.observation_shape}; online training needs flat observations")
@@ -172,7 +172,7 @@ def _train_online(
     try:
         with tracked([folder], trackers) as tracking:
             if job.step == 0 and not folder.part("evaluations", 0).exists():
-                # The policy before it acts: of random networks, which some logs are made with, or of `start`.
+                # The policy before training: of random networks, with which some logs are collected, or of `start`.
                 recorder.judge_now(0)
             else:
                 recorder.catch_up()
@@ -188,10 +188,10 @@ def turns_of(kind: type[Agent], task: str, started: bool, **given: Any) -> Onlin
 
 
 def _demonstrated(given: Dataset | str | Path, task: Task) -> Dataset:
-    """A log of demonstrations, within the bounds of the task that they are of.
+    """A log of demonstrations, with the bounds of actions of its task.
 
     Raises:
-        UserError: no log, or one of another task's sizes.
+        UserError: no log, or one whose sizes differ from the task's.
     """
     log = given if isinstance(given, Dataset) else catalogue.load(given)
     asked = task.observation_shape, task.action_space.size
@@ -242,12 +242,12 @@ def _job(
     shown: Dataset | None,
     log: Beside | None,
 ) -> Fit:
-    """The fit of agents that are resolved for the task, or for the log in the replay, here."""
+    """The fit; agents are resolved for the task, or for the log in the replay."""
     spec = Spec.empty(task.observation_shape, task.action_space, task.name) if log is None else log.log.spec
     lanes = [lane.resolve(spec, updates) for lane in lanes]
     replays = [folder.replay(s) for s in seeds]
     turns = settings.settings
-    assert turns is not None  # whoever makes a job has settled them
+    assert turns is not None  # set by all callers
     options = {} if log is None else {"log": log.log, "share": settings.log_share}
     kind = experience_of(lanes[0], log is not None)
     experience = kind(task, lanes[0], seeds, updates, turns, replays, settings.threads, **options)

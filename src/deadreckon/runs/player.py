@@ -7,11 +7,11 @@ from deadreckon.errors import UserError, reading
 from deadreckon.files import read_json
 from deadreckon.policies.file import fitting, numpy_player, read_policy
 from deadreckon.policies.table_predict import Predictor
-from deadreckon.runs.decision_record import file_of, read_results
+from deadreckon.runs.decision_record import file_of, is_same, read_results, records_beside
 from deadreckon.runs.folder import Folder, policy_seed
 from deadreckon.runs.records import read_status
 
-ESTIMATES = "estimates.json"  # of `ope` and `recommend`, whose choice is taken
+ESTIMATES = "estimates.json"  # of `ope` and `recommend`, whose chosen policy is used
 CROSS_FIT = "crossfit.json"
 
 
@@ -19,7 +19,7 @@ class Chosen(NamedTuple):
     """A policy to use.
 
     Attributes:
-        file: where it is.
+        file: its path.
         words: a description of the policy, and the number of policies.
         sampled: whether the decision that chose it was about its sampled actions; False if there is no decision.
         owner: folder of its run or cross-fit; None for a single file.
@@ -31,6 +31,27 @@ class Chosen(NamedTuple):
     sampled: bool = False
     owner: Path | None = None
     decision: Path | None = None
+
+    def doubts(self, sampled: bool) -> list[str]:
+        """What to say where sampled (or else greedy) actions are to be used, and others were evaluated."""
+        folder, judged = (self.decision, self.sampled) if self.decision is not None else self._evaluated()
+        if folder is None or judged == sampled:
+            return []
+        used, other = ("sampled", "deterministic (greedy)") if sampled else ("deterministic (greedy)", "sampled")
+        return [f"{folder} evaluated {other} actions of this policy, but these are {used} (--sampled {not sampled} changes it)"]
+
+    def _evaluated(self) -> tuple[Path | None, bool]:
+        """The folder of the newest record in or beside the run's that holds estimates of this policy, and of which actions."""
+        if self.owner is None:
+            return None, False
+        for folder in (self.owner, self.owner.parent, *records_beside(self.owner, ESTIMATES)):
+            try:
+                told = read_results(folder / ESTIMATES)
+            except UserError:  # there is none, or one that is damaged or of another version and may be of other policies
+                continue
+            if told["results"] and any(each.get("digest") and is_same(each, self.file) for each in told["policies"]):
+                return folder, not told["estimand"].get("greedy", True)
+        return None, False
 
 
 def chosen(path: Path | str, seed: int | None = None) -> Chosen:
@@ -71,7 +92,7 @@ def chosen(path: Path | str, seed: int | None = None) -> Chosen:
 
 
 def _is_archive(path: Path) -> bool:
-    """Whether a file begins as those of policies do, which may be damaged further on."""
+    """Whether a file begins like that of a policy; the rest is not checked."""
     with reading(path, "a policy file"), open(path, "rb") as file:
         return file.read(2) in (b"PK", b"")
 
@@ -87,7 +108,7 @@ def _of_run(folder: Folder, seed: int | None) -> Chosen:
 
 
 def _own_decision(path: Path) -> tuple[Chosen | None, str]:
-    """What a decision in a run's own folder says to use; None, and what to tell of that, where it is to be passed over."""
+    """The policy that a decision in a run's own folder chose; None, with a remark for users, if the decision is ignored."""
     if "estimand" not in read_json(path / ESTIMATES, dict):  # of another version
         return None, ""
     results = read_results(path / ESTIMATES)
@@ -100,7 +121,7 @@ def _own_decision(path: Path) -> tuple[Chosen | None, str]:
 
 
 def _of_decision(path: Path) -> Chosen:
-    """The policy to deploy of a folder that holds a decision alone.
+    """The policy to deploy of a folder that holds only a decision.
 
     Raises:
         UserError: the decision is to deploy none, or as `_decided`.
@@ -117,7 +138,7 @@ def _decided(path: Path, results: dict[str, Any]) -> Chosen:
     """The policy that a record in the folder `path` says to deploy.
 
     Raises:
-        UserError: its file is not there, or is not as it was judged.
+        UserError: its file is missing, or is not the one that was evaluated.
     """
     name = results["choice"]["name"]
     judged = next((each for each in results["policies"] if each["name"] == name), {})

@@ -2,7 +2,7 @@
 
 `python -m deadreckon.runs.publish RUN --medium STEP --expert STEP` writes `policies/library/TASK.json` and `TASK/*.npz`.
 Without these two options it ships only the eleven snapshots, for tasks whose logs have other behaviour policies. Measurements
-are saved as they are made: after a kill, the same command continues.
+are saved as they are made: after an interruption, the same command continues.
 """
 
 import dataclasses
@@ -29,7 +29,7 @@ from deadreckon.tasks.registry import task as find_task
 
 @dataclass(kw_only=True)
 class Shipping(Measuring):
-    """How policies are measured, and where they are shipped."""
+    """Settings for measuring policies, and the folder in which they are shipped."""
 
     out: str = str(library.ROOT)  # folder of the library
 
@@ -48,11 +48,11 @@ class Kept(NamedTuple):
     """A policy of a run.
 
     Attributes:
-        file: where it is.
-        updates: after which it was kept.
-        environment_steps: likewise.
-        agent: that it is of.
-        key: what measurements are kept under.
+        file: its path.
+        updates: number of updates after which it was stored.
+        environment_steps: number of environment steps after which it was stored.
+        agent: name of its agent.
+        key: identifies its measurements.
     """
 
     file: Path
@@ -69,18 +69,18 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
         The JSON file about them.
 
     Raises:
-        UserError: no run of seed 0 alone, no medium of a run on a log, or no policy was kept after those updates.
+        UserError: seeds other than 0 alone, `medium` for a run on a log, or no policy that was stored after these updates.
     """
     folder = Folder(Path(options.run))
     config = folder.read_config()
-    # The recipe of medium-replay calls the run with seed 0 the one that the policies come from.
+    # The recipe of medium-replay assumes that the policies come from the run with seed 0.
     if config["seeds"] != [0]:
         raise UserError(f"{options.run}: a run of seed 0 alone is needed")
     online = config.get("online")
     if online is None and options.medium is not None:
         raise UserError(f"{options.run} was trained on a log: it has no medium-replay, leave medium out")
     total, task = options.updates or config["steps"], safe_name(str(config["task"]), f"{options.run}: task")
-    # Runs on a log do not keep the policy that they begin with.
+    # Runs on a log do not store their initial policy.
     parts = library.SNAPSHOTS - 1 if online else library.SNAPSHOTS
     spaced = [round((i + (online is None)) * total / parts) for i in range(library.SNAPSHOTS)]
     wanted = {f"snapshot-{i:02d}": step for i, step in enumerate(spaced)}
@@ -106,11 +106,11 @@ def publish(options: Publish, watch: Callable[[str], None] = lambda line: None) 
 def publish_runs(
     runs: Mapping[str, Path], steps: Sequence[int], options: Shipping, watch: Callable[[str], None] = lambda line: None
 ) -> Path:
-    """Writes policies of several runs on one log and measures them, drawing their actions.
+    """Writes policies of several runs on one log and measures them, with sampled actions.
 
     Args:
-        runs: folders by what the policies are called; the seeds of each are shipped.
-        steps: updates after which policies were kept.
+        runs: folders by the names of their policies; all seeds of each are shipped.
+        steps: updates after which policies were stored.
         options: of measuring.
         watch: called with a line for each measurement.
 
@@ -118,8 +118,8 @@ def publish_runs(
         The JSON file about them.
 
     Raises:
-        UserError: no policy was kept after those updates, the runs are of several logs, have held out other episodes than each
-            other, or are online.
+        UserError: no policy was stored after these updates, or the runs are on several logs, have different held-out episodes,
+            or are online.
     """
     folders = {name: Folder(Path(path)) for name, path in runs.items()}
     configs = {name: folder.read_config() for name, folder in folders.items()}
@@ -163,9 +163,9 @@ def _ship(
     task: str, made: dict[str, Any], kept: Mapping[str, Kept], modes: Sequence[str], options: Shipping,
     watch: Callable[[str], None], taught: np.ndarray | None = None,
 ) -> Path:  # fmt: skip
-    """Writes policies by name, and what they are worth in each mode; `made` is what the JSON file says of their runs, and
-    `taught` the ids of the episodes that these learned from, for policies that do not know theirs."""
-    # The library that is there stays whole until the new one is.
+    """Writes policies by name, and their returns in each mode; `made` is the part of the JSON file about their runs, and
+    `taught` the ids of the training episodes, for policies whose files have none."""
+    # The existing library stays complete until the new one is.
     out, work = Path(options.out), Path(options.out) / f".{task}.part"
     state, published = work / "about.json", out / f"{task}.json"
     about = read_json(state if state.exists() else published, dict) if state.exists() or published.exists() else {}
@@ -176,7 +176,7 @@ def _ship(
 
     wanted: dict[tuple[str, str], Path | None] = {("uniform", "sampled"): None}
     for name, each in kept.items():
-        # What is measured is what is shipped: the policy as it is read back from float16.
+        # The policy is measured as it is shipped: as it is read back from float16.
         meta = {"task": task, "name": name, "updates": each.updates, "agent": each.agent}
         own = store.taught(each.file)
         ids = {"taught": taught if own is None else own, "held": store.held(each.file)}
@@ -205,7 +205,7 @@ def _ship(
 
 
 def _measured(about: dict[str, Any], kept: Mapping[str, Kept]) -> dict[str, dict[str, Any]]:
-    """What a published library has measured, by the keys of the policies."""
+    """Measurements in a published library, by the keys of the policies."""
     keys = {each.key for each in kept.values()}
     found = {
         name if name in keys else str(each["updates"]): {mode: each[mode] for mode in ("sampled", "greedy") if mode in each}
@@ -215,7 +215,7 @@ def _measured(about: dict[str, Any], kept: Mapping[str, Kept]) -> dict[str, dict
 
 
 def _replay(folder: Folder, task: str, copies: int, steps: int) -> dict[str, Any]:
-    """Length and mean return of the log that the run's first `steps` environment steps make."""
+    """Length and mean return of the log of the run's first `steps` environment steps."""
     log = replay_log(folder.replay(0), find_task(task), copies, steps, name=task, provenance=Provenance())
     return {"environment_steps": steps, "episodes": log.episodes, "mean": float(log.returns().mean())}
 

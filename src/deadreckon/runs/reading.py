@@ -1,7 +1,7 @@
 """How a log was read: the record in runs and policy files, and checks that another log was read in the same way.
 
-A policy sees numbers, and its run knows episodes by their contents. Both hold for a log whose columns become the same numbers
-and whose rows are divided into the same episodes; anything else is refused here, before it passes for new data.
+A policy acts on numbers, and its run identifies episodes by their contents. Both need a log whose columns become the same
+numbers and whose rows are divided into the same episodes; other logs are refused here, so that they are not taken for new data.
 """
 
 import json
@@ -33,9 +33,9 @@ class Read(NamedTuple):
     """How the training log of a policy was read, as far as it is known.
 
     Attributes:
-        extra: of the log's provenance; None where nobody knows it.
+        extra: of the log's provenance; None if not known.
         path: of its file.
-        episodes: uint64 `episode_ids` of the whole log, held-out ones included; None where they were not noted.
+        episodes: uint64 `episode_ids` of the whole log, held-out ones included; None if not recorded.
     """
 
     extra: Mapping[str, Any] | None = None
@@ -44,7 +44,7 @@ class Read(NamedTuple):
 
     @classmethod
     def of(cls, provenance: Mapping[str, Any] | None, taught: np.ndarray | None, held: np.ndarray | None) -> "Read":
-        """From what a run or a policy file holds."""
+        """From the contents of a run or a policy file."""
         known = None if taught is None or held is None else np.concatenate([taught, held])
         provenance = provenance or {}
         return cls(provenance.get("extra"), provenance.get("path"), known)
@@ -53,7 +53,7 @@ class Read(NamedTuple):
 def noted(log: Dataset) -> dict[str, Any]:
     """The record of a log in a policy file, with which `policies.table_encoder` encodes new rows in the same way.
 
-    Its schema, what the columns that are observed or act held, and the shapes; no path, since such files are passed on.
+    Its schema, ranges and levels of its observation and action columns, and shapes; no path, since such files are passed on.
     """
     told = log.provenance.extra
     extra = {key: value for key, value in told.items() if key in (*ENCODED, HORIZON)}
@@ -72,10 +72,10 @@ def schema_for(name: str, read: Read, path: Path | str) -> tuple[Schema | None, 
     Args:
         name: of the policy or run.
         read: how its log was read.
-        path: the file, which may be another one; that of a schema, which says how the table beside it is read, means this.
+        path: the file, which may be another one than at training; the file of a schema stands for the table beside it.
 
     Returns:
-        The schema, None of other files and if unknown; and the file, in the first case that of the table.
+        The schema, None for other files or if unknown; and the file, with a schema that of the table.
 
     Raises:
         UserError: a schema's file that names no table beside it.
@@ -86,7 +86,7 @@ def schema_for(name: str, read: Read, path: Path | str) -> tuple[Schema | None, 
     table, options = table_of(path)
     schema = Schema.from_json(known, name)
     if options is None and (read.path is None or Path(table).suffix != Path(read.path).suffix):
-        options = {}  # a file of another kind than the first may have another dialect, and has another name
+        options = {}  # a file of another kind than at training may have another dialect, and has another name
     schema = schema.read_as(schema.options() if options is None else options)
     kind = Path(table).is_file() and sniff(table, schema.table.get("separator"))
     return (schema, table) if kind in TABLES and not (kind == "parquet" and is_written(table)) else (None, path)
@@ -96,7 +96,7 @@ def read_like(name: str, read: Read, path: Path | str) -> Dataset:
     """A log, given by its name or a file, read like the log of a policy or run: with its schema and horizon.
 
     Raises:
-        UserError: it cannot be read so.
+        UserError: it cannot be read in this way.
     """
     (schema, path), horizon = schema_for(name, read, path), (read.extra or {}).get(HORIZON)
     return catalogue.load(path, horizon=horizon) if schema is None else read_file(path, schema=schema, horizon=horizon)
@@ -128,7 +128,7 @@ def check_episodes(name: str, read: Read, data: Dataset) -> None:
     Raises:
         UserError: names the policy, and how to read the log.
     """
-    if read.episodes is None or read.extra is None:  # it had no log, or nobody knows it
+    if read.episodes is None or read.extra is None:  # it had no log, or the log is not known
         return
     known = np.isin(data.episode_ids, read.episodes)
     if known.all():

@@ -21,9 +21,9 @@ from deadreckon.runs.compared import units_of
 from deadreckon.stats.confidence_sequence import ConfidenceSequence, confidence_sequence, refuted_at
 from deadreckon.stats.interval import ALPHA, Interval
 
-FEW = 10  # different returns of the reference whose range is taken as it is
-WIDER = 0.5  # of the range of returns, on each side
-ROUNDING = 1e-6  # of that range, by which sums of rewards in single precision may leave it
+FEW = 10  # most different returns of the reference with which its range is not widened
+WIDER = 0.5  # share of the range of returns by which it is widened on each side
+ROUNDING = 1e-6  # share of that range by which sums of rewards in single precision may lie outside
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Realised:
         sequence: the realised mean and its ends, after growing numbers of episodes; all hold simultaneously.
         estimated: the estimate, with an interval that holds simultaneously for all policies among which it may have been
             chosen; None if no estimates are known.
-        among: how many policies these are.
+        among: number of these policies.
         range: of the returns, on which the interval is based.
         source: a description of the range's origin.
         beyond: episodes whose return lies outside it.
@@ -72,7 +72,7 @@ def finished(log: Dataset, like: Dataset) -> Dataset:
 
 
 def returns_of(log: Dataset, estimand: Estimand) -> np.ndarray:
-    """(episodes,) returns as the estimand counts them."""
+    """(episodes,) returns as the estimand defines them."""
     time = np.arange(len(log)) - np.repeat(log.starts, log.lengths)
     counted = np.ones(len(log), bool) if estimand.horizon is None else time < estimand.horizon
     weights = np.where(counted, np.power(estimand.discount, time), 0.0)
@@ -80,13 +80,13 @@ def returns_of(log: Dataset, estimand: Estimand) -> np.ndarray:
 
 
 def _cut(log: Dataset, estimand: Estimand) -> np.ndarray:
-    """(n,) steps of the episodes that a timeout cuts."""
+    """(n,) lengths of the episodes that a timeout cuts off."""
     cut = log.lengths[~np.asarray(log.terminals)[log.ends]]
     return cut if estimand.horizon is None else cut[cut < estimand.horizon]
 
 
 def unseen(log: Dataset, estimand: Estimand) -> float:
-    """The largest share of the discounted time of an episode that lies beyond a timeout, of which the log shows nothing."""
+    """The largest share of the discounted time of an episode that lies beyond a timeout, and so is not in the log."""
     cut = _cut(log, estimand)
     if not len(cut):
         return 0.0
@@ -104,12 +104,12 @@ def realised(
         new: the new log, of finished episodes in the order of time.
         old: the reference.
         told: the estimates, and the policy's index there; None: only the mean of returns is shown.
-        given: the range of returns; None: that of the reference's, see above.
+        given: the range of returns; None: that of the reference, see the docstring of the module.
         alpha: probability that the policy's value is ever reported as below the estimate without being so; each end of the
             interval has this level.
 
     Raises:
-        UserError: the range is none.
+        UserError: an invalid range.
     """
     estimand = Estimand(1.0)
     if told is not None:
@@ -117,7 +117,7 @@ def realised(
     if told is not None and (share := max(before := unseen(old, estimand), unseen(new, estimand))) > TAIL:
         beyond = f"the estimate includes rewards after timeouts ({100 * share:.0f} % of the discounted time)"
         how = "estimate with a horizon (`deadreckon ope --horizon`)"
-        if before <= TAIL:  # episodes side by side, of which several may go on
+        if before <= TAIL:  # parallel episodes, of which several may be unfinished
             cut = _cut(new, estimand)
             those = f"{len(cut):,} of {new.episodes:,} episodes of {new.name} end without a terminal"
             those = f"{those}, after {cut.min():,} steps or more"
@@ -133,8 +133,8 @@ def realised(
     if told is not None:
         first, i, among = told[0]["results"][0], told[1], len(told[0]["policies"])
         value, low, high = (_number(first[key][i]) for key in ("value", "low", "high"))
-        # Each interval is for itself, and whoever chooses among policies takes one whose estimate is rather too high.
-        # Few clusters widen Student's quantile for several policies by more than a normal one's.
+        # Intervals hold for each policy separately, and the estimate of a policy that was chosen among several is biased
+        # upwards. With few clusters, the factor of Student's quantiles is larger than that of a normal distribution's.
         freedom = max(told[0].get("judged", {}).get("units", np.inf) - 1, 1)
         more = float(stdtrit(freedom, 1 - ALPHA / (2 * among)) / stdtrit(freedom, 1 - ALPHA / 2))
         estimated = Interval(value, value - more * (value - low), value + more * (high - value))

@@ -33,10 +33,10 @@ from deadreckon.runs.settings import RecommendOptions, RecommendSettings
 from deadreckon.runs.train import Run, load
 from deadreckon.stats.interval import PERCENT, decimals
 
-EVER = 4.0  # times the budget is proposed where nothing is known of what would do
+EVER = 4.0  # multiple of the budget that is proposed if the necessary time is not known
 LOG = ".log"  # folder of a log that was given in memory
-MANY_DIGITS = 10  # columns of a number
-# How far a candidate came, as it is shown.
+MANY_DIGITS = 10  # width of a printed number
+# States of candidates, as they are shown.
 STATES = {"learning": "was training", "learned": "trained", "diverged": "diverged (NaN or Inf)", "not begun": "not started"}
 
 
@@ -99,7 +99,7 @@ def recommend(
     Args:
         data: a log, the name of a known one, or a file.
         budget: seconds, or a time such as `30m`, for everything from reading the log to the card.
-        out: folder of the runs, of `estimates.json` and of the page; must not be there yet.
+        out: folder of the runs, of `estimates.json` and of the page; must not exist.
         page: writes a page from the folder; its argument says whether it has to be quick. None: no page.
         tell: receives lines as they come, first how the time is divided.
         watch: called while something is fitted, with its name, updates done and in all.
@@ -137,7 +137,7 @@ def recommend(
                 except OSError as error:
                     raise cannot_write(out, error) from error
             found = followed(job, clock, tell, watch)
-        except Exception:  # there is no card yet, and what is left would stand in the way of another try
+        except Exception:  # there is no card yet, and a folder would prevent another attempt
             shutil.rmtree(out, ignore_errors=True)
             raise
         finally:
@@ -153,7 +153,7 @@ def recommend(
             if told["results"] and clock.spent() < clock.budget:
                 try:
                     page(out, False)
-                except Exception as error:  # noqa: BLE001 - the card is there, and counts more than its pictures
+                except Exception as error:  # noqa: BLE001 - the card exists, and is more important than its figures
                     tell(f"report.html has only the card; its figures failed with {type(error).__name__}: {error}")
         return Recommendation(out, told, clock.spent())
 
@@ -162,7 +162,7 @@ def recommend(
 
 
 def _written(out: Path, log: str, again: str | None, found: Found, clock: Clock) -> dict[str, Any]:
-    """`estimates.json`: the estimates, or why there are none; either way with what was tried."""
+    """Writes `estimates.json`: the estimates, or the reason why there are none, and the candidates that were tried."""
     path = out / NAME
     state = found.state
     candidates = state.get("candidates", [])
@@ -182,7 +182,7 @@ def _written(out: Path, log: str, again: str | None, found: Found, clock: Clock)
 
 
 def _unjudged(out: Path, log: str, again: str | None, found: Found, clock: Clock) -> dict[str, Any]:
-    """The card where no policy was judged: do not deploy, why not, what was found, and what would do."""
+    """The card if no policy was evaluated: do not deploy, the reason, the progress, and a budget that should suffice."""
     state, stage = found.state, found.state.get("stage", "starting")
     candidates = state.get("candidates", [])
     evidence = []
@@ -218,10 +218,10 @@ def _rest(stage: str, planned: bool) -> list[str]:
 
 
 def _enough(state: dict[str, Any], clock: Clock) -> str:
-    """A budget that should do, in whole minutes."""
+    """A budget that should suffice, in whole minutes."""
     need = state.get("need")
     seconds = EVER * clock.budget if need is None else max(1.2 * need, 1.25 * clock.budget)
-    if state.get("stage") == "evaluation":  # which took longer than it was thought to
+    if state.get("stage") == "evaluation":  # which took longer than expected
         seconds = max(seconds, clock.budget + 2.0 * (time.time() - state["since"]))
     return f"{max(math.ceil(seconds / 60), 2)}m"
 

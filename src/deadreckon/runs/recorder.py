@@ -29,8 +29,8 @@ from deadreckon.training.fit import Chunk, Fit
 from deadreckon.training.learner import unstack
 from deadreckon.training.part import Part
 
-RECORDED = 8  # episodes per policy whose observations are kept for pictures
-PICTURED = 32  # most observation dimensions of a log whose stretches are kept for pictures
+RECORDED = 8  # episodes per policy whose observations are stored for figures
+PICTURED = 32  # most observation dimensions of a log whose segments are stored for figures
 
 
 def _nothing(policy: EnvPolicy) -> dict[str, float]:
@@ -38,22 +38,22 @@ def _nothing(policy: EnvPolicy) -> dict[str, float]:
 
 
 class Recorder:
-    """Writes what a run shows for itself: metrics a chunk, policies and evaluations at their times.
+    """Writes the files of a run: metrics of every chunk, and policies and evaluations periodically.
 
-    Simulation runs in a thread of its own, so that it does not hold up training where a core is free. The policies it
-    judges are on disk first: an evaluation that a kill interrupts is done again from them.
+    Policies are evaluated in a separate thread, so that training is not delayed if a core is free. They are written to disk
+    first: an evaluation that was interrupted is done again from them.
 
     Args:
         folders: of the runs that share the fit, in the order of its lanes, which are as many for each.
-        job: the fit, or its lanes that learn from one log.
-        judge: where policies are judged, if anywhere.
-        log: that is learned from; None online.
+        job: the fit, or its lanes that are trained on one log.
+        judge: the task in which policies are evaluated, if any.
+        log: the training log; None online.
         every: updates between evaluations.
-        episodes: an evaluation, a lane.
+        episodes: per evaluation and lane.
         taught: (episodes,) uint64 `episode_ids` of the training episodes. Online, a function that returns them when the run has
             finished, because the episodes of its own steps are among them; files of earlier policies do not record any.
         held: (episodes,) uint64 `episode_ids` of the held-out episodes of the log.
-        history: last observations that policies act on.
+        history: number of last observations that policies act on.
     """
 
     def __init__(
@@ -66,14 +66,14 @@ class Recorder:
         self.read = {} if log is None else {"log": noted(log)}
         self.discounts = [float(getattr(lane, "discount", 0.99)) for lane in job.learners]
         self.history, self.spec = history, job.each[0].spec if log is None else log.spec
-        self.probe = _nothing if log is None else LogProbe(stacked(log, history))  # an online run has no log to stay near to
+        self.probe = _nothing if log is None else LogProbe(stacked(log, history))  # an online run has no log to compare with
         self.pool = ThreadPoolExecutor(1)
         self.pending: list[Future] = []
-        # Evaluations start where no training ever looks; the same starts every time, so that curves are paired.
+        # Starts that training never uses, and the same ones every time, so that learning curves are paired.
         self.starts = None if judge is None else first_observations(judge, episode_seeds(0, episodes))
 
     def policies(self) -> list[EnvPolicy]:
-        """The lanes' present policies."""
+        """The lanes' current policies."""
         view = self.job.each[0].view
         states = unstack(self.job.states, len(self.job.seeds))
         return [
@@ -81,7 +81,7 @@ class Recorder:
         ]
 
     def picture(self, log: Dataset) -> None:
-        """Keeps stretches of a log of few dimensions, so that a report can draw it without the log."""
+        """Stores segments of a log of few dimensions, so that a report can show it without the log."""
         missing = [folder.log for folder in self.folders if not folder.log.exists()]
         if self.judge is None or log.spec.observation_size > PICTURED or not missing:
             return
@@ -91,7 +91,7 @@ class Recorder:
                 np.savez_compressed(file, segments=segments)
 
     def catch_up(self) -> None:
-        """Judges kept policies whose evaluation was interrupted."""
+        """Evaluates stored policies whose evaluation was interrupted."""
         for step in self._kept():
             if step > self.job.step:
                 for path in self._paths(step):
@@ -100,11 +100,11 @@ class Recorder:
                 self._submit(step)
 
     def _kept(self) -> list[int]:
-        """Updates after which policies were kept, ascending."""
+        """Updates after which policies were stored, ascending."""
         return sorted({step for folder in self.folders for step in folder.policy_steps()})
 
     def _paths(self, step: int | None = None) -> list[Path]:
-        """Where the policies are kept, one per lane."""
+        """Paths of the policies, one per lane."""
         return [self.folders[lane // self.seeds].policy(seed, step) for lane, seed in enumerate(self.job.seeds)]
 
     def _share(self, run: int, each: int = 1) -> slice:
@@ -112,7 +112,7 @@ class Recorder:
         return slice(run * self.seeds * each, (run + 1) * self.seeds * each)
 
     def seen(self, progress: Chunk) -> list[TrainingProgress]:
-        """What a callback sees of each run."""
+        """The progress of each run, for callbacks."""
         every = []
         for run, folder in enumerate(self.folders):
             own, metrics = self._share(run), {name: values[self._share(run)] for name, values in progress.metrics.items()}
@@ -125,7 +125,7 @@ class Recorder:
         return every
 
     def _judged(self, folder: Folder, step: int) -> pa.Table:
-        """All evaluations of a run up to a step, those included that are not done yet, for which it waits."""
+        """All evaluations of a run up to a step; waits for those that are not done yet."""
         for future in self.pending:
             future.result()
         table = folder.table("evaluations")
@@ -137,7 +137,7 @@ class Recorder:
         done = [future for future in self.pending if future.done()]
         self.pending = [future for future in self.pending if not future.done()]
         for future in done:
-            future.result()  # what went wrong in the background is told at the next chunk, not hours later
+            future.result()  # errors in the background are raised at the next chunk, not hours later
         columns: dict[str, Any] = {"step": np.full(len(seeds), progress.step), "seed": np.asarray(seeds)}
         if (acted := self.job.source.environment_steps) is not None:
             columns["environment_steps"] = np.full(len(seeds), acted)
@@ -147,20 +147,20 @@ class Recorder:
         self._status(progress.step, finished=False)
 
     def _write(self, kind: str, step: int, columns: dict[str, Any], each: int = 1) -> None:
-        """Gives every run its rows, of which each lane has `each`."""
+        """Writes the rows of every run, of which each lane has `each`."""
         for run, folder in enumerate(self.folders):
             own = self._share(run, each)
             folder.write_part(kind, step, {name: values[own] for name, values in columns.items()})
 
     def judge_now(self, step: int) -> None:
-        """Keeps the present policies and sets their evaluation going."""
+        """Stores the current policies and starts their evaluation."""
         self._keep(step)
         self._submit(step)
 
     def _keep(self, step: int) -> None:
         policies = self.policies()
         values = None
-        # Where the log pays otherwise than the task, critics estimate nothing that an episode there could be held against.
+        # If rewards of the log differ from those of the task, values of critics cannot be compared with returns in the task.
         if self.starts is not None and (self.judge is None or self.judge.logs_pay_alike):
             seen, acting = self.starts, [memoryless(policy) for policy in policies]
             if self.history > 1:
@@ -194,7 +194,7 @@ class Recorder:
             columns[name] = np.repeat([probe[name] for probe in probes], count)
         if self.judge is not None:
             last = step == self.job.steps
-            # Nothing is drawn from pictures, which a task seen by its camera has something else for.
+            # Image observations are not used in figures; a task with a camera has other values for them.
             drawn = self.judge.observation_dtype != "uint8" or type(self.judge).shown is not Task.shown
             recorded = RECORDED if drawn else 0
             result = evaluate(
@@ -219,7 +219,7 @@ class Recorder:
             write_json(folder.path / "status.json", own)
 
     def finish(self) -> None:
-        """Waits for the evaluations, then publishes the last policies; with them the run is finished."""
+        """Waits for the evaluations, then writes the last policies; with them the run is finished."""
         for future in self.pending:
             future.result()
         taught = self.taught() if callable(self.taught) else self.taught
@@ -233,21 +233,21 @@ class Recorder:
         self._status(self.job.step, finished=True)
 
     def end_at(self, step: int) -> None:
-        """Ends the run with the present policies, after fewer updates than were asked for."""
+        """Ends the run with the current policies, after fewer updates than were requested."""
         for folder in self.folders:
             folder.shorten(step)
         if step not in self._kept():
             self.judge_now(step)
-        elif self.judge is not None:  # once more, now as the last one, of which trajectories are kept
+        elif self.judge is not None:  # once more, now as the last one, whose trajectories are stored
             self._submit(step)
 
     def close(self) -> None:
-        """Lets evaluations that have begun end, and forgets the others: `catch_up` does them."""
+        """Waits for evaluations that have begun, and cancels the others, which `catch_up` does later."""
         self.pool.shutdown(wait=True, cancel_futures=True)
 
 
 def follow(job: Fit, recorders: Sequence[Recorder], settings: RunSettings, tracking: Sequence[Tracking] = ()) -> None:
-    """Walks a fit to its end: every chunk is recorded, then told to trackers, watcher and callback, which may end all its runs.
+    """Trains a fit to its end: chunks are recorded, then passed to trackers, watcher and callback, which may end all its runs.
 
     Args:
         job: the fit.

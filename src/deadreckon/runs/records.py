@@ -1,6 +1,6 @@
-"""The shapes of what run folders say in JSON: they come from elsewhere, and are checked before anything looks into them.
+"""The fields of JSON files in run folders, which are checked when they are read, because folders may come from elsewhere.
 
-Keys that older versions did not write need not be there, and keys that are not listed are kept as they are.
+Keys that older versions did not write may be missing, and keys that are not listed are kept as they are.
 """
 
 from pathlib import Path
@@ -28,7 +28,7 @@ class Agent(TypedDict):
 
 
 class Provenance(TypedDict):
-    """Where its log comes from."""
+    """The provenance of its log."""
 
     source: NotRequired[str | None]
     recipe: NotRequired[str | None]
@@ -39,7 +39,7 @@ class Provenance(TypedDict):
 
 
 class Behavior(TypedDict):
-    """What the behaviour policy returned."""
+    """The mean return of the behaviour policy, with its interval."""
 
     mean: float
     low: float
@@ -47,7 +47,7 @@ class Behavior(TypedDict):
 
 
 class Holdout(TypedDict):
-    """What is held out, as `data.split` tells it, and how many episodes that is; `fold` and `folds` of a cross-fit's run."""
+    """The holdout as `data.split` records it, and its numbers of episodes; with `fold` and `folds` for a run of a cross-fit."""
 
     share: float
     by: str
@@ -80,7 +80,7 @@ class Evaluation(TypedDict):
 
 
 class Start(TypedDict):
-    """What an online run goes on from."""
+    """The run that an online run continues."""
 
     path: str
     updates: int
@@ -157,11 +157,18 @@ class CrossFitConfig(TypedDict):
 
 
 def read_run(path: Path | str) -> dict[str, Any]:
-    """`run.json`; a run that has a seed twice or fewer steps than one is refused."""
+    """`run.json`.
+
+    Raises:
+        UserError: it is missing or damaged, has no steps, no seeds, equal ones or negative ones, or an incomplete holdout or
+            encoder.
+    """
     found = read_json(path, RunConfig)
     seeds = found["seeds"]
     if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
         raise wrong(path, "seeds", "different whole numbers of 0 or more, at least one", seeds)
+    if found["steps"] < 1:
+        raise wrong(path, "steps", "1 or more", found["steps"])
     for field, holdout in (
         ("data.holdout", found["data"].get("holdout")),
         ("log.holdout", (found.get("log") or {}).get("holdout")),
@@ -177,7 +184,11 @@ def read_run(path: Path | str) -> dict[str, Any]:
 
 
 def read_status(path: Path | str, seeds: int | None = None) -> dict[str, Any]:
-    """`status.json` of a run of so many seeds."""
+    """`status.json` of a run of so many seeds.
+
+    Raises:
+        UserError: it is missing or damaged, or of another number of seeds.
+    """
     found = read_json(path, Status)
     if seeds is not None and found.get("failures") is not None:
         same_length(path, "failures", found["failures"], seeds)
@@ -185,7 +196,11 @@ def read_status(path: Path | str, seeds: int | None = None) -> dict[str, Any]:
 
 
 def read_cross_fit(path: Path | str) -> dict[str, Any]:
-    """`crossfit.json`."""
+    """`crossfit.json`.
+
+    Raises:
+        UserError: it is missing or damaged, or has fewer than 2 or more than 1,000 folds.
+    """
     found = read_json(path, CrossFitConfig)
     if not 2 <= found["folds"] <= 1_000:
         raise wrong(path, "folds", "a whole number from 2 to 1,000", found["folds"])
@@ -193,15 +208,15 @@ def read_cross_fit(path: Path | str) -> dict[str, Any]:
 
 
 def checked_rows(path: Path | str, kind: str, table: pa.Table) -> pa.Table:
-    """A table of a run, whose columns are numbers: one that says of every row which it is, or that is empty.
+    """A table of numbers of a run, if it is empty or has the columns that identify its rows.
 
     Args:
         path: of the file or the folder of its parts, for errors.
         kind: `metrics` or `evaluations`.
-        table: it.
+        table: the table.
 
     Raises:
-        UserError: it lacks a column, or one that must have whole numbers or truth values in all rows has none in some.
+        UserError: it lacks a column, or a column that must have whole numbers or truth values in all rows does not.
     """
     if not table.num_rows:
         return table
@@ -217,14 +232,14 @@ def checked_rows(path: Path | str, kind: str, table: pa.Table) -> pa.Table:
 
 
 def checked_array(path: Path | str, name: str, found: np.ndarray, shape: tuple[str, ...], least: int) -> np.ndarray:
-    """An array of a run.
+    """An array of a run, if it has numbers and the right dimensions.
 
     Args:
         path: of its file, for errors.
         name: of the array.
-        found: it.
-        shape: what its dimensions are, in words.
-        least: of the last dimension.
+        found: the array.
+        shape: names of its dimensions.
+        least: smallest size of the last dimension.
 
     Raises:
         UserError: it holds something else than numbers, or has other dimensions.

@@ -13,7 +13,7 @@ from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.loaded import TablePolicy
 from deadreckon.provided import Shown
-from deadreckon.runs.folder import Folder, policy_seed
+from deadreckon.runs.folder import TRACKED, Folder, policy_seed
 from deadreckon.runs.records import checked_rows, read_status
 from deadreckon.training.fit import Failure
 
@@ -65,12 +65,13 @@ class Run(Shown):
         return Folder(self.path).episodes("held")
 
     def save(self, path: Path | str) -> Path:
-        """Copies the whole run folder, from which the run can be loaded and resumed, to a new place; returns the copy's path.
+        """Copies the run folder, from which the run can be loaded and resumed, to a new place; returns the copy's path. Files
+        of Weights & Biases are left out.
 
         Raises:
             UserError: the path exists already, or cannot be written.
         """
-        return copy_folder(self.path, path)
+        return copy_folder(self.path, path, TRACKED)
 
     @classmethod
     def load(cls, path: Path | str) -> "Run":

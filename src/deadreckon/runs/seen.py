@@ -1,4 +1,4 @@
-"""Which episodes of a log policies have learned from. What counts are the numbers of episodes, never names of logs or files."""
+"""Which episodes of a log policies were trained on, by the contents of episodes and never by names of logs or files."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,10 +9,10 @@ from deadreckon.data.dataset import Dataset
 
 
 def seen(taught: np.ndarray, log: Dataset) -> np.ndarray:
-    """(episodes,) bool: the episode is among those that a policy has learned from.
+    """(episodes,) bool: whether a policy was trained on the episode.
 
     Args:
-        taught: uint64 `episode_ids` that it has learned from, in any order.
+        taught: uint64 `episode_ids` of its training episodes, in any order.
         log: any log, whole or a part.
     """
     return np.isin(log.episode_ids, taught)
@@ -20,11 +20,12 @@ def seen(taught: np.ndarray, log: Dataset) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Seen:
-    """What some policies have seen of a log.
+    """Which episodes of a log some policies were trained on.
 
     Attributes:
-        unseen: (episodes,) bool: no policy of which it is known has learned from the episode.
-        unknown: which policies nobody knows it of: files from before it was noted, or from elsewhere, or functions.
+        unseen: (episodes,) bool: no policy whose training episodes are known was trained on the episode.
+        unknown: indices of policies whose training episodes are not known: files of older versions or from elsewhere, and
+            functions.
     """
 
     unseen: np.ndarray
@@ -32,7 +33,7 @@ class Seen:
 
     @classmethod
     def of(cls, taught: Sequence[np.ndarray | None], log: Dataset) -> "Seen":
-        """Of policies that have learned from these episodes each; None where that is not known."""
+        """For policies with these training episodes each; None where they are not known."""
         known = {each.tobytes(): each for each in taught if each is not None}  # the seeds of a run share theirs
         unseen = np.ones(log.episodes, bool)
         for each in known.values():

@@ -1,7 +1,7 @@
 """A policy as an HTTP service: rows of a table in, named actions out, both as JSON.
 
-`Service` answers bytes with values and knows no network; `app` puts it behind Starlette, which the extra `serve` installs with
-uvicorn. Requests name no code, file or class: they are JSON, and rows are what the encoder takes.
+`Service` computes answers without a network; `app` serves them by Starlette, which the extra `serve` installs with uvicorn.
+Requests cannot name code, files or classes: they are JSON, with rows for the policy's encoder.
 """
 
 import asyncio
@@ -30,11 +30,11 @@ _OPTIONS = ("probabilities", "greedy", "outside", "seed")
 
 @dataclass(frozen=True)
 class Limits:
-    """What a request may hold.
+    """Largest size of a request.
 
     Attributes:
-        body: bytes.
-        rows: rows.
+        body: of its body, in bytes.
+        rows: number of rows.
     """
 
     body: int = 1_000_000
@@ -45,8 +45,8 @@ class Refused(Exception):
     """A request that is answered with an error.
 
     Attributes:
-        status: of HTTP.
-        text: one line.
+        status: HTTP status code.
+        text: the error, in one line.
     """
 
     def __init__(self, status: int, text: str):
@@ -55,17 +55,17 @@ class Refused(Exception):
 
 
 class Service:
-    """What a policy answers.
+    """A policy that answers requests.
 
     Args:
-        policy: takes rows.
-        words: which policy it is.
+        policy: predictor for rows.
+        words: a description of the policy.
         limits: of a request.
-        seed: of what requests that name none draw, one after the other; None: another one in each process.
-        sampled: whether requests that do not say it get sampled actions.
+        seed: of sampled actions in requests without a seed, which follow each other in one stream; None: a random seed.
+        sampled: whether requests without the option `greedy` get sampled actions.
 
     Raises:
-        UserError: the seed is none.
+        UserError: a seed out of range.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Service:
             query: `probabilities`, `greedy`, `outside` and `seed` as texts.
 
         Returns:
-            `action`, or `actions` of several rows, each {column: value}; `probabilities` and `outside` where asked for.
+            `action`, or `actions` of several rows, each {column: value}; `probabilities` and `outside` if requested.
 
         Raises:
             Refused: the body is not JSON, or too many rows, or rows that the policy refuses.
@@ -137,7 +137,7 @@ class Service:
 
 
 def _depth(rows: Any) -> int:
-    """How deep lists lie in lists, by the first of each."""
+    """Depth of nested lists, by the first element of each."""
     depth = 0
     while isinstance(rows, list):
         depth, rows = depth + 1, rows[0] if rows else None
@@ -145,7 +145,7 @@ def _depth(rows: Any) -> int:
 
 
 def _by_row(columns: Mapping[str, np.ndarray]) -> list[Any]:
-    """Columns as one dictionary a row, of plain values."""
+    """Columns as one dictionary of plain values per row."""
     return [dict(zip(columns, row)) for row in zip(*(values.tolist() for values in columns.values()))]
 
 
@@ -153,7 +153,7 @@ def _parsed(body: bytes) -> Any:
     """The value of a JSON text.
 
     Raises:
-        Refused: it is none.
+        Refused: it is not JSON.
     """
 
     def no_number(text: str) -> None:
@@ -163,7 +163,7 @@ def _parsed(body: bytes) -> Any:
         return json.loads(body, parse_constant=no_number)
     except RecursionError as error:
         raise Refused(400, "the body is not JSON that can be read: it is nested too deeply") from error
-    except ValueError as error:  # also of bytes that are not UTF-8, and of whole numbers of thousands of digits
+    except ValueError as error:  # also for bytes that are not UTF-8, and whole numbers of thousands of digits
         raise Refused(400, f"the body is not JSON: {' '.join(str(error).split())[:200]}") from error
 
 
@@ -232,7 +232,7 @@ async def _body(request: Request, most: int) -> bytes:
 
 
 def _answer(status: int, value: Any, headers: Mapping[str, str] | None = None) -> Response:
-    # What is left of a body that was not read must not be taken for the next request.
+    # The rest of a body that was not read completely must not be taken for the next request.
     more = {"connection": "close"} if status in (408, 413) else {}
     return Response(_json(value), status, {**(headers or {}), **more}, "application/json")
 

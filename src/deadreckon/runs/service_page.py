@@ -1,4 +1,4 @@
-"""What a service says of itself: the columns that it takes, as JSON, as an OpenAPI document and as a page without scripts."""
+"""The description of a service: the columns that it takes, as JSON, as an OpenAPI document and as a page without scripts."""
 
 import html
 import json
@@ -148,7 +148,7 @@ def example(policy: Predictor) -> Any:
 
 
 def page(policy: Predictor, words: str, document: dict[str, Any]) -> str:
-    """The page /docs: HTML without scripts, which asks nothing of other servers."""
+    """The page /docs: HTML without scripts, which loads nothing from other servers."""
     told = described(policy, words)
     rows = [["column", "kind", "unit", "values", "may be missing"]]
     for key, column in told["observations"].items():

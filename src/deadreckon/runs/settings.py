@@ -1,4 +1,4 @@
-"""How a run is evaluated, kept and gone on with: what Python, the command line and suites share.
+"""Settings of runs, such as their evaluation, storage and resuming, which Python, the command line and suites share.
 
 Functions take these settings as keywords, `train(agent, log, chunk=500)`, and pass them on as one object. The classes
 named `...Options` are the same keywords for type checkers.
@@ -25,11 +25,11 @@ from deadreckon.training.hyperparameters import check_fields
 
 ChunkWatcher = Callable[[Any, int], Any]  # gets each `training.fit.Chunk` and the number of updates in all
 
-MOST_HISTORY = 10_000  # observations that a policy acts on, at most
+MOST_HISTORY = 10_000  # most observations that a policy acts on
 
 
 def check_seed(seed: int) -> None:
-    """Refuses seeds that no generator takes.
+    """Refuses seeds out of range.
 
     Raises:
         UserError: it is negative or too large.
@@ -40,7 +40,7 @@ def check_seed(seed: int) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class RunSettings(Settings):
-    """What runs on a log and runs in a simulator have in common."""
+    """Settings that runs on a log and runs in a simulator share."""
 
     evaluate_every: int | None = None
     """updates between evaluations; None: a tenth of the run; the last update is evaluated too"""
@@ -54,7 +54,7 @@ class RunSettings(Settings):
     """trackers that show the run: tensorboard, wandb, mlflow, a `runs.trackers.Tracker`, or several of these"""
 
     def check(self, seed: int, **counts: int) -> None:
-        """Refuses what no run can be made of.
+        """Refuses settings out of range.
 
         Args:
             seed: the first random seed.
@@ -75,7 +75,7 @@ class RunSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class TrainSettings(RunSettings):
-    """Of a run on a log."""
+    """Settings of a run on a log."""
 
     stream: bool | None = None  # whether to keep the log in host memory; None: only if it does not fit on the device
     strict: bool = False  # whether to refuse logs with actions out of bounds instead of clipping them
@@ -102,7 +102,7 @@ class TrainSettings(RunSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class OnlineSettings(RunSettings):
-    """Of a run in a simulator."""
+    """Settings of a run in a simulator."""
 
     evaluate_every: int | None = None
     """environment steps between evaluations; None: a fiftieth of the run; the last update is evaluated too"""
@@ -118,7 +118,7 @@ class OnlineSettings(RunSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class ReturnSettings(Settings):
-    """Of the returns that a simulator measures; the same as an `Estimand`."""
+    """Settings of returns that are measured in a simulator; the same as of an `Estimand`."""
 
     discount: float | Sequence[float] = 0.99  # discount factor per step, one for all policies or one each
     horizon: int | None = None  # number of first steps that are discounted and summed; None: all until a terminal or a timeout
@@ -132,13 +132,13 @@ class ReturnSettings(Settings):
 
     @property
     def discounts(self) -> list[float]:
-        """One for all policies, or one each."""
+        """The discount factors: one for all policies, or one each."""
         return np.atleast_1d(np.asarray(self.discount, np.float64)).tolist()
 
 
 @dataclass(frozen=True, kw_only=True)
 class JudgeSettings(DecisionSettings, EstimateSettings):
-    """Of policies that are evaluated from a log: what is estimated, what decides, on which episodes."""
+    """Settings of an evaluation from a log: what is estimated, what decides, on which episodes."""
 
     horizon: int | Literal["auto"] | None = "auto"
     """number of first steps of an episode that count; None: all; auto: the step at which all timeouts fall, if more than
@@ -152,7 +152,7 @@ class JudgeSettings(DecisionSettings, EstimateSettings):
     episodes: int = 100  # number of episodes per policy in the simulator that checks the choice
 
     def check_values(self) -> None:
-        """Refuses what would be found out only after a look, which cannot be taken back."""
+        """Refuses settings out of range before a look is counted, which cannot be undone."""
         super().check_values()
         if self.episodes < 2:
             raise UserError(f"episodes must be 2 or more, for a standard error, got {self.episodes}")
@@ -161,7 +161,7 @@ class JudgeSettings(DecisionSettings, EstimateSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class RecommendSettings(EvidenceSettings):
-    """Of a recommendation, from a log to a decision."""
+    """Settings of a recommendation, from a log to a decision."""
 
     task: str | None = None  # simulator to check the choice in; None: that of a known log, and none for others
     discount: float = 0.99  # discount factor per step of the returns
@@ -173,7 +173,7 @@ class RecommendSettings(EvidenceSettings):
     columns: dict[str, Any] | None = None  # of tables, which column is what; see `Dataset.from_frame`
 
     def check_values(self) -> None:
-        """Refuses what no card can come of, before anything is read."""
+        """Refuses settings out of range before the log is read."""
         super().check_values()
         check_seed(self.seed)
         if not 0.0 <= self.discount < 1.0:

@@ -1,4 +1,4 @@
-"""What is told of a log whose numbers are far from 1 in size, where an agent learns from them as they are."""
+"""Warnings about a log whose numbers are far from 1 in size, if an agent does not scale them."""
 
 from deadreckon.agents.agent import Agent
 from deadreckon.data.dataset import Dataset
@@ -7,9 +7,9 @@ from deadreckon.tasks.registry import of_log
 
 
 def about_sizes(log: Dataset, agent: Agent) -> list[str]:
-    """A line each on observations and rewards that an agent had better see in other units.
+    """One line each about observations and rewards that should be scaled for an agent.
 
-    Nothing on the logs of known tasks, which agents learn from as their authors did, nor on what the settings change.
+    None for logs of known tasks, which agents use as in their papers, or for what the settings scale already.
     """
     if of_log(log.name) is not None:
         return []

@@ -1,4 +1,4 @@
-"""What an online run begins with beside an agent and a task: a run on a log that it goes on from, and a log in its replay."""
+"""Further inputs of an online run: a run on a log that it continues, and a log in its replay."""
 
 import hashlib
 from pathlib import Path
@@ -22,13 +22,13 @@ from deadreckon.training.fit import checkpoints
 
 
 class Start(NamedTuple):
-    """A run on a log that an online run goes on from.
+    """A run on a log that an online run continues.
 
     Attributes:
         run: the run.
-        agents: one per seed, as they learned from the log.
+        agents: one per seed, with the settings of training on the log.
         checkpoint: of its last update.
-        lanes: which of the states there are its own.
+        lanes: the lanes of this run in the checkpoint.
     """
 
     run: Run
@@ -43,13 +43,13 @@ class Start(NamedTuple):
             like: states of the same shapes.
 
         Raises:
-            UserError: the agent that goes on has other networks.
+            UserError: the agent that continues it has other networks.
         """
         return load_tree(self.checkpoint, like, self.lanes)[0]
 
     @property
     def log(self) -> dict[str, Any]:
-        """What is known of the log that it learned from, as in `Beside.told`."""
+        """The record of its training log, as in `Beside.told`."""
         data, task = self.run.config["data"], self.run.config["task"]
         path = (data.get("provenance") or {}).get("path")
         known = {name: data.get(name) for name in ("name", "fingerprint", "holdout")}
@@ -57,12 +57,12 @@ class Start(NamedTuple):
 
     @property
     def read(self) -> Read:
-        """How the log was read that it learned from."""
+        """How its training log was read."""
         return Read.of(self.run.config["data"].get("provenance"), None, None)
 
     @property
     def told(self) -> dict[str, Any]:
-        """For `run.json`: where it lies, its updates, and what tells its states from others."""
+        """The record for `run.json`: its path, its updates, and a hash of its states."""
         arrays, _ = load_arrays(self.checkpoint)
         content = hashlib.blake2b(digest_size=8)
         for name, array in sorted(arrays.items()):
@@ -72,7 +72,7 @@ class Start(NamedTuple):
 
 
 def start_of(given: object) -> Start:
-    """A run to go on from.
+    """A run to continue.
 
     Args:
         given: the run, or its folder.
@@ -104,10 +104,10 @@ class Beside(NamedTuple):
     """A log in the replay of an online run.
 
     Attributes:
-        log: what is learned from.
-        taught, held: `episode_ids` of its episodes, and of those that are held out.
-        told: for `run.json`.
-        read: how it was read, for `run.json` too.
+        log: its training episodes.
+        taught, held: `episode_ids` of these, and of the held-out episodes.
+        told: the record for `run.json`.
+        read: the record of how it was read, also for `run.json`.
     """
 
     log: Dataset
@@ -120,16 +120,16 @@ class Beside(NamedTuple):
 def beside(
     given: Dataset | str | Path | None, before: dict[str, Any] | None, read: Read, task: Task, share: float
 ) -> Beside | None:
-    """The log in the replay: the one that is named, or the one that is known from before; None where there is neither.
+    """The log in the replay: the given one, or the one of the earlier run; None if there is neither.
 
-    What was held out before stays held out.
+    Episodes that were held out before stay held out.
 
     Args:
         given: the log, the name of a known one, or a file.
-        before: what it must be, as in `Beside.told`; None: any log.
-        read: how it was read before; tables are read by the same schema again, whatever named their columns.
-        task: that is learned in.
-        share: of each batch.
+        before: the record of the log that it must be, as in `Beside.told`; None: any log.
+        read: how it was read before; tables are read with the same schema again.
+        task: the task of the online run.
+        share: of the log in each batch.
 
     Raises:
         UserError: it is another log than before, or of another task's sizes.

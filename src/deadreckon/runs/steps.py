@@ -1,4 +1,4 @@
-"""Steps of simulation that an online run took, to learn and apart from that in its evaluations, and how it went in between."""
+"""Simulation steps of an online run, in training and in its evaluations, and its returns over time."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -9,12 +9,12 @@ from deadreckon.online import Online
 
 
 class Simulated(NamedTuple):
-    """Steps of each seed.
+    """Simulation steps per seed.
 
     Attributes:
-        learning: that the agent took, the random ones among them.
-        evaluating: of the evaluations.
-        evaluations: how many of these there were.
+        learning: in training, including random ones.
+        evaluating: in evaluations.
+        evaluations: number of evaluations.
     """
 
     learning: int
@@ -31,7 +31,7 @@ def simulated(config: Mapping[str, Any], evaluations: Mapping[str, np.ndarray]) 
 
     Args:
         config: its `run.json`.
-        evaluations: its table of evaluations, a row an episode, by column.
+        evaluations: columns of its table of evaluations, which has one row per episode.
     """
     steps = np.asarray(evaluations["step"])
     lengths = np.asarray(evaluations["length"])
@@ -40,7 +40,7 @@ def simulated(config: Mapping[str, Any], evaluations: Mapping[str, np.ndarray]) 
 
 
 class Course(NamedTuple):
-    """Mean returns of an online run: of the policy that it began with, the lowest since, and the last.
+    """Mean returns of an online run: of its initial policy, the lowest one, and of the last policy.
 
     Attributes:
         first, lowest, last: over seeds and episodes.
@@ -58,7 +58,7 @@ class Course(NamedTuple):
 
 
 def course(config: Mapping[str, Any], evaluations: Mapping[str, np.ndarray]) -> Course:
-    """How an online run went; arguments as for `simulated`."""
+    """Mean returns of an online run over time; arguments as for `simulated`."""
     step, returns = np.asarray(evaluations["step"]), np.asarray(evaluations["return"])
     steps = np.unique(step)
     means = np.array([returns[step == each].mean() for each in steps])

@@ -1,4 +1,4 @@
-"""One policy in use: what acts, what it was made of, its log, and further logs read as that one was."""
+"""One policy with its origin and its log, and further logs that are read like its training log."""
 
 from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass, field, replace
@@ -21,35 +21,35 @@ from deadreckon.names import shown
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.runs.crossfit import MIXTURE
-from deadreckon.runs.decision_record import is_from, is_same, read_results
+from deadreckon.runs.decision_record import is_from, is_same, read_results, records_beside
 from deadreckon.runs.gather import gather
 from deadreckon.runs.offline import NAME
 from deadreckon.runs.player import CROSS_FIT, chosen
 from deadreckon.runs.reading import HORIZON, Read, check_encoding, read_like, schema_for
 from deadreckon.runs.run import Run, load
 
-GAPS = "missing "  # begins the names of extra columns that say where values are missing; the name of the column follows
-FIRST = "fold0"  # of a cross-fit's runs, all of which know the whole log
-OPTIONAL = ("propensity", "cost", "weight", "group", "keep")  # roles of columns that nobody compares
+GAPS = "missing "  # prefix of the names of extra columns that say where values of a column are missing
+FIRST = "fold0"  # first run of a cross-fit; the `run.json` of each describes the whole log
+OPTIONAL = ("propensity", "cost", "weight", "group", "keep")  # roles of columns that are not compared
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A policy, and what is known of where it comes from.
+    """A policy, and its origin as far as it is known.
 
     Attributes:
         name: of the run or file, and the seed.
-        policy: what acts.
-        run: name of the run or file, as `estimates.json` has it.
-        seed: of the run's seeds; None where there is none.
-        file: where the policy is saved; None: nowhere.
-        read: how the log was read that it learned from.
-        told: what the policy's file keeps of its log, by which `policies.table_encoder` encodes rows.
-        config: `run.json`; None of policies without a run.
-        data: what `run.json` says of the log, or that of a cross-fit's first run; empty of a file alone.
-        folder: of the run or cross-fit; None of a file alone.
-        decision: folder of the decision that chose it; None where there is none.
-        taught: (episodes,) uint64 `episode_ids` of the episodes that it learned from; None where that is not known.
+        policy: the policy.
+        run: name of the run or file, as in `estimates.json`.
+        seed: of the run's seeds; None if there is none.
+        file: the policy's file; None: none.
+        read: how its training log was read.
+        told: the record of its log in the policy's file, by which `policies.table_encoder` encodes rows.
+        config: `run.json`; None for policies without a run.
+        data: the part of `run.json` about the log, of a cross-fit that of its first run; empty for a single file.
+        folder: of the run or cross-fit; None for a single file.
+        decision: folder of the decision that chose it; None if there is none.
+        taught: (episodes,) uint64 `episode_ids` of its training episodes; None if not known.
     """
 
     name: str
@@ -67,20 +67,20 @@ class Subject:
 
     @property
     def schema(self) -> Schema | None:
-        """Of the table that it learned from, with the levels and fills that were found; None where there was no table."""
+        """The schema of its training table, with the levels and fills that were found; None if there was no table."""
         found = (self.read.extra or {}).get("schema")
         return None if found is None else Schema.from_json(found, self.name)
 
     def log(self, given: Any = None, gaps: bool = False, *, option: str) -> Dataset:
-        """A log, read as the one that the policy learned from; that one itself where none is given.
+        """A log, read like the policy's training log; if none is given, the training log.
 
         Args:
             given: the log, its file or data frame.
-            option: by which a user gives one, for errors.
-            gaps: whether values may be missing where the policy's log had all; see `_with_gaps`.
+            gaps: whether values may be missing in columns that were complete in the training log; see `_with_gaps`.
+            option: by which a user gives a log, for errors.
 
         Raises:
-            UserError: it cannot be read so, or the policy's own log is not where it was or has changed.
+            UserError: it cannot be read in this way, or the training log is not where it was or has changed.
         """
         if isinstance(given, Dataset):
             return self._checked(given)
@@ -101,7 +101,7 @@ class Subject:
             raise UserError(f"{text}: its run.json has no fingerprint; name it with {option}")
         try:
             found = self._like(path) if path is not None else catalogue.load(known["name"])
-        except UserError:  # which may quote the file, and a folder from elsewhere may say that any file is its log
+        except UserError:  # it may quote the file, and a folder from elsewhere may name any file as its log
             text = f"the log that {self.name} was trained on cannot be read again, so name it with {option}"
             raise UserError(f"{text} (it was {where})") from None
         if "fingerprint" in known and found.fingerprint != known["fingerprint"]:
@@ -109,15 +109,15 @@ class Subject:
         return found
 
     def learned_from(self, log: Dataset) -> bool:
-        """Whether a log is the one that the policy learned from, with the same content wherever it lies; where only a policy's
-        file is there, whether it knows all episodes."""
+        """Whether a log is the policy's training log, by its content and not its path; for a single policy file, whether the
+        file lists all of the log's episodes."""
         if "fingerprint" not in self.data:
             return self.read.episodes is not None and bool(np.isin(log.episode_ids, self.read.episodes).all())
         kept = {name: column for name, column in log.extras.items() if not name.startswith(GAPS)}
         return replace(log, extras=kept).fingerprint == self.data["fingerprint"]
 
     def _checked(self, log: Dataset) -> Dataset:
-        """The log, if its columns are the numbers that the policy takes."""
+        """The log, if its observations fit the policy."""
         check_encoding(self.name, self.read, log)
         size, here = self.told.get("observation_shape"), log.observations.shape[1:]
         if size is not None and tuple(size) != here:
@@ -142,15 +142,15 @@ class Subject:
         return self._with_gaps(partial(read, path, horizon=horizon), schema, there)
 
     def _with_gaps(self, make: Callable[..., Dataset], schema: Schema, there: Container[str]) -> Dataset:
-        """A log in which values are missing that none was in the policy's: they become the mean that was there, or no level.
+        """A log that may lack values in columns that were complete in the policy's log: these become its mean, or no level.
 
-        The extra columns `missing NAME` say where; of a column beside one that is called NAME_missing none may be missing.
-        Columns that a log of a policy in use need not have, such as propensities, are left out where they are not `there`.
+        The extra columns `missing NAME` say where. A column may not lack values if there is another one called NAME_missing.
+        Columns that a log of a policy in use need not have, such as propensities, are left out if they are not `there`.
         """
         extra = self.read.extra or {}
         held = extra.get(HELD) or {}
         observed = schema.having("observation")
-        taken = {column.name for column in observed}  # a column that is called as a mark would be is itself
+        taken = {column.name for column in observed}  # a column may have the name that a mark of missing values would have
         unmarked = [column for column in observed if not column.marked]
         complete = [column for column in unmarked if f"{column.name}_missing" not in taken]
         whole = [replace(column, marked=False) for column in unmarked if column not in complete]
@@ -175,21 +175,21 @@ class Subject:
 
 
 def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
-    """The policy of a run, a decision, a cross-fit or a policy file; which it is, `player.chosen` says.
+    """The policy of a run, a decision, a cross-fit or a policy file, as chosen by `player.chosen`.
 
     Args:
-        given: the run, its folder, a cross-fit's folder, a policy file, or a folder of `ope` or `recommend`, whose policy to
-            deploy is meant.
+        given: the run, its folder, a cross-fit's folder, a policy file, or a folder of `ope` or `recommend`, for its policy to
+            deploy.
         seed: of the run's seeds; None: the first that has not failed.
 
     Raises:
-        UserError: there is none.
+        UserError: there is no such policy.
     """
     path = given.path if isinstance(given, Run) else given
     if not isinstance(path, str | Path):
         raise UserError(f"a policy is named by its run, its folder or its file, got {type(given).__name__}")
     path = Path(path)
-    if seed is not None and (path / CROSS_FIT).exists():  # of several seeds, the mixture of one is in no file
+    if seed is not None and (path / CROSS_FIT).exists():  # with several seeds, the mixture of one may have no file
         owner, decision = path, None
         one = next((each for each in gather(path) if each.seed == seed), None)
         if one is None:
@@ -203,7 +203,7 @@ def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
     run = load(owner) if owner is not None and (owner / "run.json").exists() else None
     if (file := one.file) is None:
         assert owner is not None
-        file = owner / MIXTURE  # of all seeds, which knows the same log
+        file = owner / MIXTURE  # of all seeds, with the record of the same log
     told = store.meta(file).get("log", {})
     config = None if run is None else run.config
     data = config or (load(owner / FIRST).config if owner is not None and (owner / FIRST / "run.json").exists() else {})
@@ -214,30 +214,27 @@ def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
 
 
 def estimates_of(one: Subject, given: Path | str | None = None) -> tuple[dict[str, Any], int] | None:
-    """What `deadreckon ope --out` or `recommend` estimated of a policy, and its place there.
+    """The estimates by `deadreckon ope --out` or `recommend` that include a policy, and its index there.
 
-    It is known by its file. The names of its run and seed, which others may have too, do where the folder is given or is the
-    run's own and its file is not where it was judged.
+    It is identified by its file. The names of run and seed, which other policies may have too, are enough if the folder is
+    given, or if the estimates are in the run's own folder and the evaluated file is there or is gone.
 
     Args:
         one: the policy.
-        given: the folder or file; None looks in that of the decision which chose the policy, in the run's folder, in the one
-            above, where `recommend` puts it, and in those beside it, where `ope --out` usually does.
+        given: the folder or file; None searches the folder of the decision that chose the policy, the run's folder, the folder
+            above, where `recommend` writes, and those beside it, where `ope --out` usually does.
 
     Raises:
-        UserError: the given one is none, or does not have this policy.
+        UserError: the given one does not exist, or does not include this policy.
     """
     own = [*([one.decision] if one.decision else []), *([one.folder, one.folder.parent] if one.folder else [])]
-    beside = []
-    if one.folder is not None:  # such as runs/clinic-ope beside runs/clinic, the newest first
-        beside = [file.parent for file in one.folder.parent.glob(f"*/{NAME}") if file.parent not in own]
-        beside.sort(key=lambda folder: (folder / NAME).stat().st_mtime, reverse=True)
+    beside = [] if one.folder is None else [each for each in records_beside(one.folder, NAME) if each not in own]
     places = [*own, *beside] if given is None else [Path(given)]
     for place in places:
         file = place / NAME if place.is_dir() or given is None else place
         if not file.exists():
             continue
-        if "estimand" not in read_json(file, dict):  # of another version, and not refused where it only lies beside
+        if "estimand" not in read_json(file, dict):  # of another version; it may only lie beside, so it is ignored
             continue
         told = read_results(file)
         if not told["results"]:
@@ -259,8 +256,8 @@ def estimates_of(one: Subject, given: Path | str | None = None) -> tuple[dict[st
 
 
 def _is_saved(one: Subject, judged: Mapping[str, Any], named: bool) -> bool:
-    """Whether a policy that was judged is this one by its file, which holds the same; both may have none, and then the same
-    names."""
+    """Whether an evaluated policy, whose file has the same content, is this one; if neither has a file, by the names of run and
+    seed (`named`)."""
     file = judged.get("file")
     if file is None or one.file is None:
         return file is one.file and named

@@ -78,7 +78,7 @@ def train_lanes(
     for key, runs in grouped.items():
         log, agents = logs[key], list(runs.values())
         levels = log.provenance.extra.get("action_levels") or ([0, 1] if not log.spec.discrete or log.actions.any() else [0])
-        if len(levels) < 2 and "schema" in log.provenance.extra:  # a table's, whose space has two actions all the same
+        if len(levels) < 2 and "schema" in log.provenance.extra:  # of a table, whose action space has at least two actions
             raise UserError(f"{log.name}: its only action is {levels[0]}, so there is nothing to choose between")
         judge = judge_of(log, task)
         log = log.with_action_space(log.action_space if judge is None else judge.action_space, settings.strict)
@@ -123,7 +123,7 @@ def train_lanes(
     refuse_link(kept, "a run's folder")
     if out != folders[0].path and kept.exists() and not all(folder.config.exists() for folder in folders):
         raise UserError(f"{kept} is of other runs; give {', '.join(folder.path.name for folder in folders)} another folder")
-    # Built before anything is written: whatever does not fit is told while the disk is untouched.
+    # Built before anything is written, so that invalid input is refused while the disk is unchanged.
     own = learned[0].rows if len(learned) == 1 else [one.rows for one in learned for _ in one.lanes]
     how: dict[str, Any] = {"stream": settings.stream, "stops": every, "sight": sight}
     job = Fit(lanes, own, numbers * len(folders), steps, settings.chunk, kept, **how)
@@ -160,7 +160,7 @@ def train_lanes(
 
 
 def _configs(one: _Learned, seeds: int, lanes: int) -> list[dict[str, Any]]:
-    """What `run.json` says of each run on a log, which has `seeds` of the `lanes` of the program."""
+    """The parts of `run.json` that depend on the log, for each run on it; a run has `seeds` of the program's `lanes`."""
     log, judge, part = one.log, one.judge, one.part
     own = {
         "data": {"name": log.name, "fingerprint": log.fingerprint, "rows": len(log), "episodes": log.episodes,
@@ -175,7 +175,11 @@ def _configs(one: _Learned, seeds: int, lanes: int) -> list[dict[str, Any]]:
 
 
 def _shift(one: _Learned, asked: int | None) -> int:
-    """Pixels by which pictures of a log are moved."""
+    """Pixels, the largest random shift of a log's images.
+
+    Raises:
+        UserError: more than half of an image.
+    """
     height = min(one.log.spec.observation_shape[:2])
     if asked is not None:
         if asked > height // 2:
@@ -183,7 +187,7 @@ def _shift(one: _Learned, asked: int | None) -> int:
         return asked
     stem = one.log.name.partition("@")[0]
     task = one.judge or of_log(stem)
-    still = stem in SHAPES or (task is not None and task.places_matter)  # D4RL's pictures of roads, by any of their names
+    still = stem in SHAPES or (task is not None and task.places_matter)  # D4RL's images of roads, by any of their names
     return 0 if still else usual_shift(one.log.spec.observation_shape[0])
 
 
