@@ -210,6 +210,8 @@ def test_learns_the_line_resumes_and_survives_its_file(name, tmp_path):
     agent = small(name)
     names = {"actor_lr", "critic_lr", "lr", "behavior_lr"} & {f for f in vars(agent)}
     agent = agent.replace(**{n: 1e-3 for n in names}, **({} if name == "bc" else {"discount": 0.9}))
+    if "actor_decay_steps" in vars(agent):  # of the 2,000 updates below
+        agent = agent.replace(actor_decay_steps=2000.0)
     if name in ("iql", "xql"):
         agent = agent.replace(beta=10.0)
     if name == "cql":

@@ -10,6 +10,7 @@ from deadreckon.agents.agent import bellman_loss
 from deadreckon.data.batch import Batch
 from deadreckon.data.spec import Box, Spec
 from deadreckon.dynamics import Ensemble, Model
+from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.online import Online
 from deadreckon.randomness import key_for
@@ -143,6 +144,12 @@ def test_steve_weighs_horizons_by_their_certainty():
     # The third row ends in the model's first step: the networks disagree only about that step.
     np.testing.assert_allclose(targets[2, :, :, 2], [[3.9] * 3, [5.7] * 3], rtol=1e-5)
     np.testing.assert_allclose(found.value[3], 4.0, rtol=1e-6)
+
+
+def test_steve_needs_critics_that_can_differ():
+    spec = Spec.empty((3,), Box((-1.0,), (1.0,)), "any")
+    with pytest.raises(UserError, match="STEVE.critics must be 2 or more, got 1"):
+        STEVE(critics=1).resolve(spec, 10)
 
 
 @pytest.mark.slow

@@ -226,6 +226,8 @@ def test_refusals(fields, words):
     assert MOBILE(**TINY | {"min_target": None}).resolve(corridor().spec, 1).min_target is None
     with pytest.raises(UserError, match="MOBILE.elites must be 2 or more, got 1"):
         MOBILE(**TINY | {"elites": 1}).resolve(LOG.spec, 1)
+    with pytest.raises(UserError, match="MOReL.members must be 2 or more, got 1"):
+        MOReL(**TINY | {"members": 1, "elites": 1}).resolve(LOG.spec, 1)
 
 
 

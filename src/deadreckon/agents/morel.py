@@ -36,8 +36,10 @@ class MOReL(OfflineMBRL):
     penalty: NonNegative = 30.0  # distance of the value of unknown states below the worst that logged rewards allow
 
     def resolve(self, spec, steps):
-        """Refuses a discount under which negative rewards have no worst value."""
+        """Refuses one network, which has no disagreement, and a discount under which negative rewards have no worst value."""
         agent = super().resolve(spec, steps)
+        if agent.members < 2:
+            raise UserError(f"MOReL.members must be 2 or more, got {agent.members}")
         if agent.discount >= 1.0 and spec.rows and spec.reward.min < 0.0:
             raise UserError("MOReL.discount must be below 1 where rewards are negative: unknown states must be worse than any")
         return agent

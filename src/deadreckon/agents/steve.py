@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 
 from deadreckon.agents.model_based import ModelBasedSAC
 from deadreckon.dynamics import ended
+from deadreckon.errors import UserError
 from deadreckon.nets.mlp import q_values
 from deadreckon.randomness import keys
 from deadreckon.training.hyperparameters import Count, CountOrZero, static
@@ -37,6 +38,13 @@ class STEVE(ModelBasedSAC):
 
     horizon: CountOrZero = static(3)  # largest rollout horizon H in steps of the model
     critics: Count = static(4)  # number of Q-networks, whose variance is part of the weights
+
+    def resolve(self, spec, steps):
+        """Refuses one critic, whose targets without a step in the model have no variance, and so all of the weight."""
+        agent = super().resolve(spec, steps)
+        if agent.critics < 2:
+            raise UserError(f"STEVE.critics must be 2 or more, got {agent.critics}")
+        return agent
 
     def target(self, state, batch, key):
         """y above."""

@@ -1,4 +1,4 @@
-"""Online training: the agents' own experience, in simulators and in learned models of them."""
+"""Online training: on experience that agents collect in simulators, and in learned models of them."""
 
 from deadreckon.online.exploration import Exploration
 from deadreckon.online.rows import episodes_log, replay_log

@@ -1,4 +1,4 @@
-"""Experience that is mostly made up: MBPO's rollouts in a model of what has really been seen (thesis 5.3, Algorithm 3)."""
+"""Experience that is mostly simulated: MBPO's branched rollouts in a model of the real steps (thesis 5.3, Algorithm 3)."""
 
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,19 +16,19 @@ from deadreckon.files import replacing
 from deadreckon.online.model_learning import ModelLearning
 from deadreckon.randomness import generator, key_for
 
-EPOCH = 1000  # real steps, in which rollout lengths are counted
-SPARE = 10  # times as many rows are made up at a time as are kept of a fit, at most; half as many are enough
+EPOCH = 1000  # real steps of an epoch, the unit of the schedule of rollout lengths
+SPARE = 10  # most rows that are simulated at a time, as a multiple of those that are kept of a fit; half of it is enough
 
 
 class BranchedRollouts(ModelLearning):
-    """Real steps, an ensemble fitted to them, and the rollouts that agents learn from.
+    """Real steps, an ensemble fitted to them, and the rollouts that agents are trained on.
 
-    A made-up row is observation, action in [-1, 1], reward, next observation, terminal. What batches are drawn from are the
-    rollouts of the last `retain_steps` real steps, and as many real rows, drawn with replacement when rollouts are made, as
-    `real_ratio` asks for.
+    A simulated row is observation, action in [-1, 1], reward, next observation, terminal. Batches are drawn from the rollouts
+    of the last `retain_steps` real steps and from real rows, which are drawn with replacement when rollouts are made and are
+    the share `real_ratio` of all.
 
     Raises:
-        UserError: as `Exploration`, or turns that do not fit each other.
+        UserError: as `ModelLearning`, or if `retain_steps` or `model_buffer_size` do not fit `model_train_freq`.
     """
 
     revision: ClassVar[int] = 1
@@ -40,7 +40,7 @@ class BranchedRollouts(ModelLearning):
         if agent.retain_steps % agent.model_train_freq:
             every = agent.model_train_freq
             raise UserError(f"retain_steps ({agent.retain_steps}) must be a multiple of model_train_freq ({every})")
-        self._width = 2 * self.spec.observation_size + self.spec.action_size + 2  # numbers in a row that is learned from
+        self._width = 2 * self.spec.observation_size + self.spec.action_size + 2  # numbers in a training row
         self._kept = agent.retain_steps // agent.model_train_freq  # batches of rollouts
         self._share = agent.model_buffer_size // self._kept  # rows of each, at most
         if self._share < 1:
@@ -59,12 +59,12 @@ class BranchedRollouts(ModelLearning):
         return self._count
 
     def extend(self, learner: Any, states: Any, roots: Key[Array, "lanes"], step: int) -> tuple[Any, dict[str, Array]]:
-        """See `Experience`; new steps are learned from, and branched off from, when the model is fitted next."""
+        """See `Experience`; new steps are used for training and as starts of rollouts from the next fit of the model on."""
         states, _ = super().extend(learner, states, roots, step)
         return states, {"packed": self._buffer}
 
     def _fitted(self, learner: Any, states: Any, turn: int) -> Any:
-        """Also makes rollouts in the ensembles."""
+        """Also simulates rollouts in the ensembles."""
         states = super()._fitted(learner, states, turn)
         length = self.agent.rollout_length_at((self.environment_steps - self.settings.explore) // EPOCH)
         found = []
@@ -74,9 +74,9 @@ class BranchedRollouts(ModelLearning):
             starts = jnp.asarray(real[rng.integers(len(real), size=n), : self.spec.observation_size])
             key = key_for(jax.random.key(self._mixed(lane, turn)), "rollouts")
             rows = self._made_up(agent, state, starts, length, key)
-            if not len(rows):  # a lane that diverged, which it is told after its updates
+            if not len(rows):  # a lane that diverged, which is marked as failed after its updates
                 rows = real[:, : self._width]
-            # Lanes have equally many rows; those of rollouts that ended early are made up for by others.
+            # Lanes have the same number of rows: if rollouts ended early, rows are repeated.
             found.append(rows[np.resize(rng.permutation(len(rows)), min(n * length, self._share))])
         self._batches[turn] = np.stack(found)
         self._waiting.append(turn)
@@ -86,8 +86,8 @@ class BranchedRollouts(ModelLearning):
         return states
 
     def _made_up(self, agent: MBPO, state: Any, starts: Array, length: int, key: PRNGKeyArray) -> np.ndarray:
-        """Rows of rollouts. Of long ones few would be kept, so these are made portion by portion until there are enough."""
-        halvings = 0  # a portion is a power of two of all, so that few programs serve all lengths
+        """Rows of rollouts. Few rows of long ones would be kept, so these are simulated in portions until there are enough."""
+        halvings = 0  # a portion is the starts halved so many times, so that few compiled programs serve all lengths
         while (len(starts) >> halvings) > 1 and (len(starts) >> halvings) * length > SPARE * self._share:
             halvings += 1
         portion, found, count = len(starts) >> halvings, [], 0
@@ -102,13 +102,13 @@ class BranchedRollouts(ModelLearning):
         return np.concatenate(found)
 
     def _refill(self, turn: int) -> None:
-        """Puts what is learned from onto the device, for the turn that was the last."""
-        self._buffer = jnp.zeros((len(self.seeds), 0, 0))  # what was learned from makes room first
+        """Puts the training rows for the last fit of the model onto the device."""
+        self._buffer = jnp.zeros((len(self.seeds), 0, 0))  # frees the memory of the previous rows first
         kept = [self._batches[t] for t in sorted(self._batches)]
         made_up, share, steps = sum(rows.shape[1] for rows in kept), self.agent.real_ratio, self.known(turn)
         more = round(made_up * share / (1.0 - share))
         self._count = made_up + more
-        # With room for growth, so that few programs serve all lengths of rollouts.
+        # With room for growth, so that few compiled programs serve all lengths of rollouts.
         rows = np.zeros((len(self.seeds), room(self._count), self._width), np.float32)
         np.concatenate(kept, 1, out=rows[:, :made_up])
         for lane, seed in enumerate(self.seeds):
@@ -119,11 +119,11 @@ class BranchedRollouts(ModelLearning):
     # ---- checkpoints ------------------------------------------------------------------------------------------------
 
     def flush(self) -> None:
-        """See `Experience`; a batch of rollouts is a file, kept as long as a checkpoint may ask for it."""
+        """See `Experience`; a batch of rollouts is a file, which is kept as long as a checkpoint may need it."""
         super().flush()
         if not self.paths:
             return
-        for turn in (turn for turn in self._waiting if turn in self._batches):  # others are learned from no more
+        for turn in (turn for turn in self._waiting if turn in self._batches):  # others are no longer used
             for lane, path in enumerate(self.paths):
                 with replacing(self._file(path, turn)) as temporary, open(temporary, "wb") as file:
                     np.save(file, self._batches[turn][lane], allow_pickle=False)
@@ -143,7 +143,7 @@ class BranchedRollouts(ModelLearning):
         """See `Experience`.
 
         Raises:
-            UserError: rollouts that a checkpoint counts on are not there.
+            UserError: files of rollouts that the checkpoint needs are missing or damaged.
         """
         super().restore(state)
         blocks = (self.environment_steps - self.settings.explore) // self.settings.block

@@ -1,4 +1,4 @@
-"""Which kind of experience an agent learns from online."""
+"""The kind of experience that an agent is trained on online."""
 
 from deadreckon.agents.agent import Agent
 from deadreckon.agents.dapg import DAPG
@@ -20,7 +20,7 @@ _KINDS: dict[type[Agent], type[Exploration]] = {
 
 
 def experience_of(agent: Agent, beside: bool = False) -> type[Exploration]:
-    """The class whose rows this agent learns from, `beside` a log or alone; of several that fit, the first in the table."""
+    """The class of experience for this agent, `beside` a log or without one; of several that fit, the first in the table."""
     if beside:
         return MixedReplay
     return next((kind for base, kind in _KINDS.items() if isinstance(agent, base)), Exploration)

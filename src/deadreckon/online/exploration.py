@@ -30,7 +30,7 @@ from deadreckon.training.replay import Replay, read_rows
 def _act(
     learner: Any, states: Any, seen: Float[Array, "l n o"], carry: Any, roots: Key[Array, "l"], t: Array
 ) -> tuple[Shaped[Array, "l n *a"], Any]:
-    """Actions in [-1, 1] or numbers of discrete ones, and what the policies carry to the next step."""
+    """Actions in [-1, 1] or numbers of discrete ones, and the policies' memory for the next step."""
 
     def one(learner: Any, state: Any, seen: Array, carry: Any, root: PRNGKeyArray) -> tuple[Array, Any]:
         step = Step(seen, jnp.zeros(len(seen)), jnp.zeros(len(seen), bool))
@@ -38,15 +38,18 @@ def _act(
         if learner.exploration_noise:
             noise = jax.random.normal(key_for(root, "exploration", t), action.shape)
             action = jnp.clip(action + learner.exploration_noise * noise, -1.0, 1.0)
-        # A lane that diverged is told so after its updates; until then it must not stop the simulator.
-        return jnp.nan_to_num(action), carry
+        # A lane that diverged is marked as failed after its updates; until then it must not stop the simulator.
+        return jnp.nan_to_num(action, posinf=LARGEST, neginf=-LARGEST), carry
 
     return jax.vmap(one)(learner, states, seen, carry, roots)
 
 
+LARGEST = 1e6  # size of an action of a policy that diverged, which stays finite in the units of the environment
+
+
 @eqx.filter_jit
 def _explore(roots: Key[Array, "l"], t: Array, shape: tuple[int, int], discrete: bool) -> Shaped[Array, "l n *a"]:
-    """Uniform actions of so many copies: of so many numbers in [-1, 1], or one of so many discrete ones."""
+    """Uniform actions of `shape[0]` copies: `shape[1]` numbers in [-1, 1] each, or one of `shape[1]` discrete actions."""
     if discrete:
         return jax.vmap(lambda root: jax.random.randint(_key(root, t), shape[:1], 0, shape[1]))(roots)
     return jax.vmap(lambda root: jax.random.uniform(_key(root, t), shape, minval=-1.0, maxval=1.0))(roots)
@@ -57,19 +60,19 @@ def _key(root: PRNGKeyArray, t: Array) -> PRNGKeyArray:
 
 
 class Exploration:
-    """The rows that agents make in a task; what `Fit` calls experience.
+    """The rows that agents collect in a task: an `Experience` for `Fit`.
 
     A row in the file is observation, action, reward, next observation, terminal, timeout, float32. Row `r` comes from copy
     `r % copies`. Actions are as the policy drew them; the simulator gets them clipped to the bounds.
 
     Args:
-        task: where.
+        task: in which agents act.
         agent: one of the lanes; it defines the contents of batches.
         seeds: one per lane.
         updates: in the whole run.
         settings: of the alternation of acting and updates.
         paths: of the replay files, one per lane; none: rows are kept only in memory.
-        threads: to simulate with.
+        threads: of the simulator; None: all cores.
 
     Raises:
         UserError: a task or an agent that does not support online training.
@@ -96,7 +99,7 @@ class Exploration:
         self.needs = needs = agent.needs(self.spec)
         shape = task.observation_shape
         self.columns = row_columns(task)
-        # Transitions of several steps are summed up when they are drawn, as far as their episodes go on.
+        # Transitions of several steps are summed when they are drawn, up to the ends of their episodes.
         sums = self._sums and needs.sums
         fields = {name: shape for name, shape in self.columns.items() if sums or name != "timeout"} | self._further(needs)
         # All columns are float32 in the file, which holds the numbers of discrete actions exactly.
@@ -117,7 +120,7 @@ class Exploration:
         self.metrics: dict[str, np.ndarray] = {}
         self.seen = self.simulator.reset().reshape(*self._shape, *shape)
         self._action = slice(shape[0], shape[0] + int(np.prod(self.columns["action"])))
-        # What policies remember, of those that do, and begin an episode with.
+        # The memory of policies that have one, at the start of an episode.
         begin = lambda: agent.policy(agent.init(self.spec, jax.random.key(0))).start(self.copies)  # noqa: E731
         remembers = jax.tree.leaves(eqx.filter_eval_shape(begin))
         self._fresh = jax.tree.map(lambda leaf: jnp.stack([leaf] * len(seeds)), begin()) if remembers else ()
@@ -125,12 +128,12 @@ class Exploration:
         self.replay = Replay(row_width(task), settings.steps(updates), len(seeds), self._learnable, paths, self._learned)
         self._begin(agent)
 
-    _learning = "learn online"  # what an agent that is refused does not
-    _as_it_is = True  # whether agents see observations as the task shows them
-    _sums = True  # whether it can give transitions of several steps; kinds of experience with other rows say that they cannot
+    _learning = "learn online"  # what a refused agent cannot do, for the error
+    _as_it_is = True  # whether agents get observations as they are in the task
+    _sums = True  # whether transitions of several steps are supported; subclasses with other rows do not support them
 
     def _spec(self) -> Spec:
-        """What methods know before they see rows."""
+        """The spec before there are rows."""
         if self.settings.explore < 1:
             raise UserError(
                 "explore, the number of environment steps with random actions before the first update, must be 1 or more where "
@@ -139,26 +142,26 @@ class Exploration:
         return Spec.empty(self.task.observation_shape, self.task.action_space, self.task.name)
 
     def _fits(self, agent: Agent) -> bool:
-        """Whether an agent can learn from such rows."""
+        """Whether an agent can be trained on such rows."""
         return agent.online
 
     def _further(self, needs: BatchSpec) -> dict[str, tuple[int, ...]]:
-        """Columns that are known of a row later than the row, as learners see them."""
+        """Further columns, as learners get them, whose values become known only after their row."""
         return {}
 
     @property
     def _learned(self) -> int | None:
-        """Numbers in a row as learners see it; None: as many as in the files."""
+        """Numbers in a row as learners get it; None: as many as in the files."""
         return None
 
     def _begin(self, agent: Any) -> None:
-        """What a kind of experience of its own needs beside this; `agent` is one of the lanes."""
+        """Further initialisation of subclasses; `agent` is one of the lanes."""
 
     def show(self, log: Dataset) -> None:
-        """Takes demonstrations, which some agents learn from first.
+        """Takes demonstrations, on which some agents are trained first.
 
         Raises:
-            UserError: this one does not.
+            UserError: this agent takes none.
         """
         raise UserError(f"{self.learns} takes no demonstrations")
 
@@ -188,7 +191,7 @@ class Exploration:
         return unpacked(rows, self.columns)
 
     def _collect(self, learner: Any, states: Any, roots: Key[Array, "l"], due: int) -> None:
-        """Acts until there are so many rows."""
+        """Acts until there are `due` rows."""
         rows = [self._step(learner, states, roots, at) for at in range(self.replay.count, due, self.copies)]
         if rows:
             made = np.concatenate(rows, 1)
@@ -204,11 +207,11 @@ class Exploration:
             warnings.warn(f"{self.task.name}: {told}; networks learn slowly from large numbers: {do}", stacklevel=2)
 
     def _keep(self, rows: Float[np.ndarray, "l n w"]) -> None:
-        """Adds the lanes' new rows to those that are learned from."""
+        """Adds the lanes' new rows to the training rows."""
         self.replay.append(rows)
 
     def _step(self, learner: Any, states: Any, roots: Key[Array, "l"], at: int) -> np.ndarray:
-        """One step of every copy as rows; `at` are the steps that a lane has taken before."""
+        """One step of every copy as rows; `at` is the number of steps that a lane has taken before."""
         turn = jnp.int32(at // self.copies)
         if at < self.settings.explore:
             unit = _explore(roots, turn, (self.copies, self.spec.action_size), self.spec.discrete)
@@ -230,7 +233,7 @@ class Exploration:
         return rows.reshape(*self._shape, -1)
 
     def _begin_episodes(self, over: np.ndarray) -> None:
-        """Begins an episode in these copies, counted through all lanes."""
+        """Begins an episode in these copies, numbered through all lanes."""
         seen = self.seen.reshape(-1, *self.seen.shape[2:])
         seen[over] = self.simulator.reset(over)
         begins = np.isin(np.arange(len(seen)), over).reshape(self._shape)
@@ -242,7 +245,7 @@ class Exploration:
         self.replay.flush()
 
     def state(self) -> dict[str, Any]:
-        """See `Experience`: the simulator's state, what was last seen, what policies remember, and the number of rows."""
+        """See `Experience`: the simulator's state, the last observations, the policies' memory, and the number of rows."""
         own = {"seen": self.seen, "count": np.asarray(self.replay.count), "carry": self.carry}
         return {"simulator": self.simulator.state(), **own}
 
@@ -260,7 +263,7 @@ class Exploration:
             self._begin_episodes(lost)
 
     def _cut(self, lost: np.ndarray, count: int) -> None:
-        """Ends the episodes of these copies, counted through all lanes, by a timeout in their last rows in the files."""
+        """Ends the episodes of these copies, numbered through all lanes, by a timeout in their last rows in the files."""
         terminal, timeout = self.replay.width - 2, self.replay.width - 1
         for lane, copy in zip(*np.divmod(lost, self.copies)) if count else ():
             row = count - self.copies + int(copy)
@@ -269,5 +272,5 @@ class Exploration:
 
 
 def _where(which: np.ndarray, fresh: Array, now: Array) -> Array:
-    """Of (lanes, copies, ...) the fresh ones where (lanes, copies) says."""
+    """`fresh` (lanes, copies, ...) where `which` (lanes, copies) is true, else `now`."""
     return jnp.where(which.reshape(*which.shape, *[1] * (now.ndim - 2)), fresh, now)

@@ -98,7 +98,7 @@ class MixedReplay(Exploration):
         self._note_returns(rows, first)
 
     def _note_returns(self, rows: Float[np.ndarray, "l n w"], first: int) -> None:
-        """Lets learners know the returns of episodes that ended in new rows."""
+        """Updates the returns of episodes that ended in new rows."""
         if self._returns is None:
             return
         reward = rows[..., self._action.stop]
@@ -106,7 +106,7 @@ class MixedReplay(Exploration):
         self.replay.amend(changed, self._returns.values)
 
     def restore(self, state: dict[str, Any]) -> None:
-        """See `Experience`; returns follow from the rows."""
+        """See `Experience`; returns are computed again from the rows."""
         super().restore(state)
         if self._returns is not None and (count := self.replay.count):
             rows = [np.asarray(read_rows(path, self.replay.width, count)) for path in self.paths]
@@ -118,7 +118,7 @@ UNKNOWN = np.array([-np.inf, 0.0], np.float32)  # the return of an episode that 
 
 
 class Returns:
-    """The returns of the episodes of several copies, whose rows come in turns; see `continued_returns`.
+    """The returns of the episodes of several copies, whose rows are interleaved; see `continued_returns`.
 
     Attributes:
         values: (lanes, capacity, 2) discounted rewards and steps from each row on; `UNKNOWN` until its episode has ended.
@@ -132,23 +132,23 @@ class Returns:
         self.clear()
 
     def clear(self) -> None:
-        """Forgets all rows."""
+        """Drops all rows."""
         self.values[:] = UNKNOWN
         self._begun[:] = np.arange(self.copies)
 
     def see(
         self, first: int, reward: Float[np.ndarray, "l n"], terminal: np.ndarray, timeout: np.ndarray
     ) -> int:  # fmt: skip
-        """Takes note of rows from `first` on.
+        """Adds new rows.
 
         Args:
-            first: row.
+            first: index of the first of them.
             reward: of each row.
             terminal: (l, n) truth values.
             timeout: (l, n) truth values.
 
         Returns:
-            The first row whose values are others now.
+            The first row whose values have changed.
         """
         self._rewards[:, first : first + reward.shape[1]] = reward
         changed = first
@@ -176,7 +176,7 @@ def check_agent(agent: Agent) -> None:
 
 
 def check_sizes(log: Dataset, task: Task) -> None:
-    """Refuses a log that cannot stand beside experience in a task.
+    """Refuses a log that cannot be combined with experience in a task.
 
     Raises:
         UserError: its observations or actions have other sizes than those of the task.
@@ -191,7 +191,7 @@ def check_sizes(log: Dataset, task: Task) -> None:
 
 
 def check_bounds(log: Dataset, task: Task) -> None:
-    """Refuses a log whose coordinates of actions, which the policy has too, reach beyond those of a task of the same sizes.
+    """Refuses a log whose bounds of actions, which the policy also has, are wider than those of a task of the same sizes.
 
     Raises:
         UserError: its actions have wider bounds.
@@ -205,10 +205,10 @@ def check_bounds(log: Dataset, task: Task) -> None:
 
 
 def logged_rows(share: float, batch_size: int) -> int:
-    """Rows of a batch that are of the log.
+    """Number of rows of a batch that come from the log.
 
     Raises:
-        UserError: no share, or no whole number of rows.
+        UserError: a share out of range, or one that gives no whole number of rows.
     """
     if not 0 <= share < 1:
         raise UserError(f"log_share must be 0 or more and below 1, got {share}")

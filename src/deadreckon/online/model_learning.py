@@ -1,4 +1,4 @@
-"""Experience of agents with a learned model: real steps, and an ensemble that is fitted to them anew every so often."""
+"""Experience of agents with a learned model: real steps, and an ensemble that is fitted to them repeatedly."""
 
 import zlib
 from collections.abc import Iterator
@@ -19,10 +19,11 @@ from deadreckon.training.learner import unstack
 
 
 class ModelLearning(Exploration):
-    """Every `model_train_freq` real steps fits the ensembles in the agents' states to all of them, going on from the last fit.
+    """Fits the ensembles in the agents' states every `model_train_freq` real steps, to all real rows, from the last fit on.
 
     Raises:
-        UserError: as `Exploration`, or turns that do not fit each other.
+        UserError: as `Exploration`; too few random steps for a fit; `model_train_freq` that is no multiple of `block`; or the
+            name of another task.
     """
 
     revision: ClassVar[int] = 1
@@ -46,7 +47,7 @@ class ModelLearning(Exploration):
         self.metrics = {name: np.full(len(self.seeds), np.nan) for name in ("model_error", "model_epochs")}
 
     def extend(self, learner: Any, states: Any, roots: Key[Array, "lanes"], step: int) -> tuple[Any, dict[str, Array]]:
-        """See `Experience`; a model that is due is fitted before the policies act, for some of them plan in it."""
+        """See `Experience`; a model that is due is fitted before the policies act, because some of them plan with it."""
         self._collect(learner, states, roots, self.settings.explore)
         turn, rest = self.turn(step)
         if rest == 0:
@@ -60,7 +61,7 @@ class ModelLearning(Exploration):
             real, start = unpacked(self.real(lane), self.columns), state.model if turn else None
             try:
                 ensemble, report = agent.trainer.fit(agent.model, self.spec, real, self._mixed(lane, turn), start)
-            except DivergedError:  # numbers that are not finite mark the lane as failed; the others go on
+            except DivergedError:  # NaN in its state marks the lane as failed; the others continue
                 ensemble = jax.tree.map(lambda leaf: leaf if leaf.dtype == jnp.int32 else leaf * jnp.nan, state.model)
                 report = Report(0, np.full(agent.members, np.nan), np.nan, 0)
             ensembles.append(ensemble)
@@ -74,23 +75,23 @@ class ModelLearning(Exploration):
         return zip(unstack(learner, len(self.seeds)), unstack(states, len(self.seeds)))
 
     def turn(self, step: int) -> tuple[int, int]:
-        """Which fit of the model the block of updates from `step` on uses, and how many blocks came since."""
+        """Number of the fit of the model that the block of updates from `step` on uses, and of the blocks since that fit."""
         return divmod(step // self.block, self._turns)
 
     def known(self, turn: int) -> int:
-        """Real steps that a fit knew."""
+        """Number of real steps that a fit of the model was trained on."""
         return self.settings.explore + turn * self._turns * self.settings.block
 
     def real(self, lane: int) -> Float[np.ndarray, "n w"]:
-        """All real rows of a lane, as they are learned from."""
+        """All real rows of a lane, as learners get them."""
         return np.asarray(self.replay.buffer[lane, : self.environment_steps])
 
     def _mixed(self, lane: int, turn: int) -> int:
-        """A seed for every turn of a lane's seed."""
+        """A seed for each fit of the model of a lane."""
         return zlib.crc32(f"{self.seeds[lane]} {turn}".encode())
 
     def state(self) -> dict[str, Any]:
-        """See `Experience`: also what is told of the last fit."""
+        """See `Experience`; also the metrics of the last fit."""
         return {**super().state(), "metrics": self.metrics}
 
     def restore(self, state: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""Experience in a model from beginning to end: whole episodes that SLBO's policy makes up, learned from once."""
+"""Experience that is simulated in a model: whole episodes of SLBO's policy, each used once."""
 
 from typing import Any, ClassVar
 
@@ -15,12 +15,12 @@ from deadreckon.online.model_learning import ModelLearning
 from deadreckon.online.on_policy import digested, learned_fields, observing
 from deadreckon.randomness import generator, key_for, keys
 
-STARTS = 256  # real initial states that made-up episodes begin in, drawn anew with every fit of the model
-FAR = 100.0  # deviations of what was really seen, beyond which nothing is made up
+STARTS = 256  # real initial states of simulated episodes, drawn again at every fit of the model
+FAR = 100.0  # standard deviations from the mean of real observations at which simulated episodes are cut off
 
 
 class ModelRollouts(ModelLearning):
-    """Real steps, a model fitted to them, and what the policy has just done in that model, as `PPO.digest` sees it."""
+    """Real steps, a model fitted to them, and the policy's latest steps in that model, as processed by `PPO.digest`."""
 
     revision: ClassVar[int] = 1
     _as_it_is = False
@@ -37,7 +37,7 @@ class ModelRollouts(ModelLearning):
         return self.agent.rollouts * self.agent.rollout_length
 
     def extend(self, learner: Any, states: Any, roots: Key[Array, "l"], step: int) -> tuple[Any, dict[str, Array]]:
-        """See `Experience`; real observations are standardised with once they are seen."""
+        """See `Experience`; real observations enter the standardisation as soon as they are collected."""
         self._collect(learner, states, roots, self.settings.explore)
         if self.environment_steps == self.settings.explore:
             states = observing(learner, states, self.last(self.settings.explore)["observation"])
@@ -50,7 +50,7 @@ class ModelRollouts(ModelLearning):
         return digested(tuple(self.fields), learner, states, rows)
 
     def _begun(self, lane: int, turn: int) -> Float[np.ndarray, "n o"]:
-        """Initial states of real episodes, of those that were there when the model was fitted."""
+        """Initial states of real episodes, drawn from those before the model was fitted."""
         steps = self.known(turn)
         rows = self.real(lane)[:steps]
         over = (rows[: steps - self.copies, -2:] > 0).any(1)  # terminal or timeout; a copy's next row is a start
@@ -75,7 +75,7 @@ def _lived(
             here = Step(seen, jnp.zeros(rollouts), jnp.zeros(rollouts, bool))
             action = policy.act(here, policy.start(rollouts), k_act, greedy=False)[0]
             reward, following, over, lost = transition(agent.model, model, agent.over, seen, action, k_next)
-            # A step out of all bounds leads nowhere and earns nothing, and the episode is cut off there.
+            # A step that is too far off keeps its state and has no reward, and the episode is cut off there.
             lost |= (jnp.abs(following - model.mean[:size]) > FAR * model.std[:size]).any(-1)
             following = jnp.where(lost[:, None], seen, following)
             row = {"observation": seen, "action": action, "reward": jnp.where(lost, 0.0, reward), "next_observation": following,

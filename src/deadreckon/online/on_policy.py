@@ -1,4 +1,4 @@
-"""Experience that is learned from once: the last block of steps, with advantages."""
+"""Experience that is used once: the last block of steps, with advantages."""
 
 from typing import Any, ClassVar
 
@@ -12,10 +12,10 @@ from deadreckon.online.exploration import Exploration
 
 
 class OnPolicy(Exploration):
-    """What the policies did in the last block, as `PPO.digest` sees it.
+    """The policies' steps in the last block, as processed by `PPO.digest`.
 
     Attributes:
-        shared: what `digest` gets beside a lane's rows, the same for all lanes.
+        shared: further arguments of `digest`, the same for all lanes.
     """
 
     revision: ClassVar[int] = 1
@@ -41,19 +41,19 @@ class OnPolicy(Exploration):
         return digested(tuple(self.fields), learner, states, by_copy, *self.shared)
 
     def _before(self, learner: Any, states: Any, step: int) -> Any:
-        """The states before they act again, which standardise by the block before too, at first by the random steps."""
+        """The states before acting, after the last block, or at first the random steps, has entered their standardisation."""
         known = self.settings.explore if step == 0 else self.settings.block
         return observing(learner, states, self.last(known)["observation"])
 
 
 def learned_fields(agent: Any, columns: dict[str, tuple[int, ...]]) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
-    """What the agent's `digest` makes of rows with these columns."""
+    """Shapes and types of the columns that the agent's `digest` returns for rows with these columns."""
     return {name: (columns.get(name, ()), np.dtype(np.float32)) for name in agent.digests}
 
 
 @eqx.filter_jit
 def observing(learner: Any, states: Any, observation: Float[Array, "l n o"]) -> Any:
-    """The states, which have seen some more observations."""
+    """The states, with these observations in their standardisation."""
     return jax.vmap(lambda agent, state, seen: agent.observing(state, seen))(learner, states, observation)
 
 

@@ -1,4 +1,4 @@
-"""Rows of replay files: what they hold, and a log made of them."""
+"""Rows of replay files: their columns, and logs made of them."""
 
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ def unpacked(rows: Any, shapes: dict[str, tuple[int, ...]]) -> dict[str, Any]:
 
 
 def row_columns(task: Task) -> dict[str, tuple[int, ...]]:
-    """What a row of a replay file holds, in this order."""
+    """The columns of a row of a replay file, in order, with their shapes."""
     shape = task.observation_shape
     action = () if isinstance(task.action_space, Discrete) else (task.action_space.size,)
     return {"observation": shape, "action": action, "reward": (), "next_observation": shape, "terminal": (), "timeout": ()}
@@ -33,7 +33,11 @@ def row_width(task: Task) -> int:
 
 
 def replay_log(path: Path, task: Task, copies: int, steps: int, *, name: str, provenance: Provenance) -> Dataset:
-    """The first `steps` rows of a replay file as a log: the copies' episodes one after the other, copy by copy."""
+    """The first `steps` rows of a replay file as a log: the copies' episodes one after the other, copy by copy.
+
+    Raises:
+        UserError: the file is missing or too short.
+    """
     rows = read_rows(path, row_width(task), steps)
     rows = np.concatenate([np.asarray(rows[copy::copies]) for copy in range(copies)])
     return _log(rows, _last_rows(steps, copies), task, name, provenance)
@@ -47,14 +51,14 @@ def episodes_log(
     Args:
         path: of the file.
         task: where its rows come from.
-        copies: of the environment, whose rows take turns.
+        copies: number of environments, whose rows are interleaved.
         steps: rows of the file that count: a multiple of the copies' episodes.
-        episodes: how many, in the order in which they were; the first and the last are among two or more.
+        episodes: number of episodes, in their order; two or more include the first and the last.
         name: of the log.
         provenance: of the log.
 
     Raises:
-        UserError: episodes of the file do not end together, each at the horizon.
+        UserError: the file is missing or too short, or its episodes do not end together, each at the horizon.
     """
     horizon = task.horizon
     rows = read_rows(path, row_width(task), steps)
@@ -69,7 +73,7 @@ def episodes_log(
 
 
 def _log(rows: np.ndarray, cut: np.ndarray, task: Task, name: str, provenance: Provenance) -> Dataset:
-    """Of rows that lie one after the other; `cut`: those after which the recording was cut, if no episode ends there."""
+    """A log of consecutive rows; `cut`: those after which the recording was cut off, if no episode ends there."""
     columns = unpacked(rows, row_columns(task))
     terminals, timeouts = columns["terminal"] > 0, columns["timeout"] > 0
     timeouts[cut] = True
@@ -83,5 +87,5 @@ def _log(rows: np.ndarray, cut: np.ndarray, task: Task, name: str, provenance: P
 
 
 def _last_rows(steps: int, copies: int) -> np.ndarray:
-    """(copies,) index of each copy's last row once the copies' rows lie one after the other."""
+    """(copies,) index of each copy's last row if the copies' rows are ordered copy by copy."""
     return np.cumsum([len(range(copy, steps, copies)) for copy in range(copies)]) - 1

@@ -71,5 +71,5 @@ class Online:
         return blocks * self.updates_per_block
 
     def steps(self, updates: int) -> int:
-        """Environment steps taken when `updates` are done, a block's before the first of its updates."""
+        """Environment steps taken when `updates` are done; the steps of a block come before its updates."""
         return self.explore + -(-updates // self.updates_per_block) * self.block if updates else 0
