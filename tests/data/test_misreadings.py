@@ -475,6 +475,12 @@ def test_arrays_of_other_shapes_are_told_by_their_names():
     ragged = {"obs": [[1, 2], [3]], "act": [[1], [2]], "rew": [1.0, 2.0], "terminated": [0, 1], "truncated": [0, 0]}
     with pytest.raises(UserError, match="column obs is no array of numbers in which every row has the same shape"):
         Dataset.from_dict(ragged)
+    texts = {"obs": [[1], [3]], "act": [[1], [2]], "rew": ["a", "b"], "terminated": [0, 1], "truncated": [0, 0]}
+    with pytest.raises(UserError, match="column rew is no array of numbers in which every row has the same shape"):
+        Dataset.from_dict(texts)
+    two = {key: np.stack([column, column], 1) for key, column in {**buffer, "rewards": R, "dones": end}.items()}
+    with pytest.raises(UserError, match=r"column timeouts has shape \(120,\), rewards have \(120, 2\); both are"):
+        Dataset.from_dict({**two, "timeouts": end})
     with pytest.raises(UserError, match=r"not a table of plain columns \(Could not convert 'a' .* column y with type object\)"):
         Dataset.from_frame(pd.DataFrame(base(y=pd.Series([1, "a"] * (N // 2), dtype=object))))
 

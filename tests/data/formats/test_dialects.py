@@ -3,6 +3,7 @@
 import gzip
 import random
 
+import pyarrow as pa
 import pytest
 from dialect_files import READ
 
@@ -12,6 +13,7 @@ from deadreckon.data import catalogue
 from deadreckon.data.describe import describe_table
 from deadreckon.data.formats import io
 from deadreckon.data.formats.any_table import read_table
+from deadreckon.data.formats.cells import flags_of
 from deadreckon.data.formats.dialect import Dialect, encoding_of, sniff
 from deadreckon.data.formats.io import convert, read
 from deadreckon.data.formats.stream import convert_table
@@ -284,3 +286,9 @@ def test_an_action_that_is_none_everywhere_is_a_level(tmp_path):
     # By its name, where nobody asks.
     (tmp_path / "named.csv").write_text("x,action,reward\n1,None,1\n2,None,0\n")
     assert read(tmp_path / "named.csv").provenance.extra["action_levels"] == ["None"]
+
+
+def test_a_word_after_many_spellings_of_yes_and_no_is_no_flag():
+    spellings = ["yes", "no", "Yes", "No", "YES", "NO", "yEs", "nO", "yeS"]
+    assert flags_of(pa.array(spellings), known=False) is not None
+    assert flags_of(pa.array([*spellings, "maybe"]), known=False) is None

@@ -1,1 +1,1 @@
-"""Files of logs: what tells formats apart (`io`), how any file becomes a `Dataset` (`build`), and a file a format."""
+"""Files of logs: detection of formats (`kind`), reading and converting (`io`), common parts (`build`), and each format."""

@@ -1,4 +1,4 @@
-"""Any file of a table as a pyarrow table: CSV in its dialects, Parquet, spreadsheets, SQLite and DuckDB."""
+"""Reading of tables from files as pyarrow tables: CSV in its dialects, Parquet, spreadsheets, SQLite and DuckDB."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -28,7 +28,7 @@ def read_table(
     query: str | None = None,
     table: str | None = None,
 ) -> tuple[pa.Table, Dialect | None, list[str]]:
-    """A file of a table, whose format is told by its content; what is None is found.
+    """Reads a table from a file, whose format is detected from its content, like the options that are None.
 
     Args:
         path: of the file.
@@ -42,11 +42,11 @@ def read_table(
         table: of a database: its name.
 
     Returns:
-        The table; the dialect of a text file, of other formats the order of dates alone, None where there are no such dates;
-        and one line for each thing that may be read otherwise than it was meant.
+        The table; the dialect of a text file, for other formats only with the order of dates, or None if there are no such
+        dates; and messages, one line for each assumption that may be wrong.
 
     Raises:
-        UserError: one line with the file; the file is no table, is damaged, or takes no such option.
+        UserError: one line with the file; the file is no table, is damaged, or does not have the option.
     """
     ways = {
         "separator": separator, "decimal": decimal, "thousands": thousands, "encoding": encoding, "dates": dates,
@@ -62,9 +62,9 @@ def table_of_kind(
 
     Args:
         path: of the file.
-        kind: its format, as `kind.sniff` tells it.
-        ways: {keyword of `read_table`: its value}; those that are absent are found.
-        known: what some columns hold, whatever their cells suggest.
+        kind: its format, as returned by `kind.sniff`.
+        ways: {keyword of `read_table`: its value}; absent ones are detected.
+        known: the types of some columns, regardless of what their cells look like.
     """
     no_options(path, kind, dict(ways))
     separator, decimal, thousands, encoding, dates, sheet, query, table = map(ways.get, READING)
@@ -101,19 +101,19 @@ def table_of_kind(
 def read_rows(
     path: Path | str, schema: Schema, *, plain: dict[str, Any] | None = None, **ways: Any
 ) -> tuple[pa.Table, list[str]]:  # fmt: skip
-    """A file of further rows of a table, whose columns are read as its schema has them.
+    """Reads a file with further rows of a table, with the types of columns in the table's schema.
 
-    A column of texts stays one though its cells may all look like numbers or truth values here, and so does one of flags though
-    one word alone may occur.
+    A column of texts stays one even if all its cells look like numbers or truth values in this file, and so does a column of
+    flags of which only one of the two words occurs.
 
     Args:
         path: of the file, in any format of tables.
-        schema: of the log, as it was resolved.
-        plain: columns of which the values as they stand in the file are put in here, those of a text file as texts.
-        **ways: how the file is to be read; see `read_table`. What is not given is as the schema has it, and found else.
+        schema: of the log, resolved.
+        plain: a dict with columns as keys, whose values are set to these columns before conversion (texts for a text file).
+        **ways: options of `read_table`. Those that are not given are taken from the schema, or else detected.
 
     Returns:
-        The table, and one line for each thing that may be read otherwise than it was meant.
+        The table, and messages, one line for each assumption that may be wrong.
 
     Raises:
         UserError: see `read_table`.
@@ -134,7 +134,7 @@ def read_rows(
         how = f"read with the separator {own['separator']!r} of the schema's log; --separator names another"
         raise UserError(f"{error} ({how})") from error
     if assumed and not any(each.name in table.column_names for each in used):
-        head, here = " ".join(table.column_names), table.num_columns - 1  # a name may hold one of the marks
+        head, here = " ".join(table.column_names), table.num_columns - 1  # a name may contain a separator
         if other := next((mark for mark in SEPARATORS if mark != own["separator"] and head.count(mark) > here), None):
             text = f"it is read with the separator {own['separator']!r}, as the schema's log was, and seems to have {other!r}"
             raise UserError(f"{path}: {text}; say --separator {other!r} and, if its decimals have a comma, --decimal comma")

@@ -1,4 +1,4 @@
-"""Columns under another library's names as the columns of a log."""
+"""Conversion of columns with the names of another library to the columns of a log."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,11 +17,12 @@ from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError, naming
 
 _MAIN = ("observation", "observations", "obs")  # the observation among the columns of a dict of them
-# Flags of ends: one that has no part to play would be an extra that nobody looks at.
+# Names of end flags: one without a role is refused, because as an extra it would have no effect.
 ENDS = {"terminals", "timeouts", "terminated", "truncated", "terminateds", "truncateds", "terminations", "truncations", "done",
         "dones", "masks"}  # fmt: skip
 _FLAGS = ("terminated", "truncated", "done", "alive", "discount")
 _CORE = ("observations", "next_observations")
+_NEEDED = ("observations", "actions", "rewards")
 
 
 @dataclass(frozen=True)
@@ -29,10 +30,10 @@ class Arranged:
     """Columns as `Dataset.from_arrays` takes them.
 
     Attributes:
-        columns: by its names, further ones among them.
-        told: how they were read, one line each.
+        columns: by its names; others become extras.
+        told: messages on how they were read, one line each.
         extra: for the provenance: the layout, names of the observation's dimensions, columns left out.
-        space: of the actions, where the source tells it.
+        space: of the actions, if the source has it.
     """
 
     columns: dict[str, np.ndarray]
@@ -46,8 +47,8 @@ def arranged(path: Path | str, columns: Mapping[str, Any], done: str | None = No
 
     Args:
         path: named in errors.
-        columns: {name: (rows, ...)}, nested dicts as in RLlib or TorchRL; numbers and texts may be among them.
-        done: what a column of ends alone means, "terminals" or "timeouts"; None: it is refused.
+        columns: {name: (rows, ...)}, possibly nested dicts as in RLlib or TorchRL; numbers and texts may be among them.
+        done: meaning of a column `done` without other end flags, "terminals" or "timeouts"; None: it is refused.
 
     Raises:
         UserError: one line that names the column and the row.
@@ -71,7 +72,7 @@ def arranged(path: Path | str, columns: Mapping[str, Any], done: str | None = No
 
 
 def _codes(name: str, values: Any) -> np.ndarray | None:
-    """(rows,) numbers of names of episodes that are texts, or integers of any size; None where they are neither."""
+    """(rows,) integer codes of names of episodes, which are texts or integers of any size; None for other values."""
     if isinstance(values, np.ndarray):
         values = values.reshape(-1).tolist() if values.dtype.kind in "OUS" and values.ndim else None
     if not isinstance(values, list) or not any(isinstance(value, str | bytes | int) for value in values):
@@ -106,7 +107,7 @@ def as_array(values: Any) -> Any:
 
 
 def _plain(columns: Mapping[str, Any], done: str | None) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Columns that have our names, and what D4RL says beside them; `done` alone becomes what it is said to be."""
+    """Columns with our names, and D4RL's metadata; a column `done` without other end flags becomes the column named `done`."""
     named = {str(key): column for key, column in columns.items()}
     given = {key: column for key, column in named.items() if "/" not in key}
     metadata: dict[str, Any] = {}
@@ -125,6 +126,10 @@ def _plain(columns: Mapping[str, Any], done: str | None) -> tuple[dict[str, Any]
 def _read(layout: Layout, parts: Parts, done: str | None) -> Arranged:
     lines = [told(layout)]
     _same_rows(layout, parts)
+    for key in _NEEDED:
+        named = [name for name, role in layout.names.items() if role == key]
+        if (other := next((name for name in named if name in parts.other), None)) and not parts.arrays.keys() & {*named}:
+            raise UserError(f"column {other} is no array of numbers in which every row has the same shape")
     if layout.order is not None:
         layout.order(parts)
     lines += parts.told
@@ -132,11 +137,8 @@ def _read(layout: Layout, parts: Parts, done: str | None) -> Arranged:
     if parts.names is not None:
         extra["observation_names"] = parts.names
     roles, names, further = _roles(layout, parts, extra)
-    for key in ("observations", "actions", "rewards"):
+    for key in _NEEDED:
         if key not in roles:
-            other = next((name for name, role in layout.names.items() if role == key and name in parts.other), None)
-            if other is not None:
-                raise UserError(f"column {other} is no array of numbers in which every row has the same shape")
             found = ", ".join(sorted(parts.arrays.keys() - {"cut"}))
             raise UserError(f"no {key} among the columns {found} of {layout.library}'s layout")
     rows = len(roles["actions"])
@@ -171,7 +173,7 @@ def _read(layout: Layout, parts: Parts, done: str | None) -> Arranged:
 
 
 def _same_rows(layout: Layout, parts: Parts) -> None:
-    """Refuses columns of a log that have other numbers of rows than its actions."""
+    """Refuses columns of a log that do not have as many rows as its actions."""
     name = next((name for name, role in layout.names.items() if role == "actions" and name in parts.arrays), None)
     for key in () if name is None else (key for other in layout.names for key in parts.under(other)):
         if len(parts.arrays[key]) != len(parts.arrays[name or ""]):
@@ -207,7 +209,7 @@ def _roles(
 
 
 def _log_probs(roles: Mapping[str, np.ndarray], names: Mapping[str, str]) -> dict[str, np.ndarray]:
-    """The logging policy's log-probabilities of the logged actions, if the source has them."""
+    """The behaviour policy's log-probabilities of the logged actions, if the source has them."""
     if "log_probs" in roles:
         return {LOG_PROBS: roles["log_probs"].reshape(len(roles["log_probs"]))}
     if "probs" not in roles:
@@ -217,14 +219,14 @@ def _log_probs(roles: Mapping[str, np.ndarray], names: Mapping[str, str]) -> dic
         row = int(np.argmin(probs > 0))
         raise UserError(f"column {names['probs']} has {probs[row]} in row {row}, a positive probability is needed")
     large = np.log(probs) > SLACK
-    if roles["actions"].dtype.kind in "iub" and large.any():  # of other actions it may be a density
+    if roles["actions"].dtype.kind in "iub" and large.any():  # for continuous actions it may be a density
         row = int(np.argmax(large))
         raise UserError(f"column {names['probs']} has {probs[row]} in row {row}, a probability in (0, 1] is needed")
     return {LOG_PROBS: np.log(probs)}
 
 
 def _forget(columns: dict[str, np.ndarray], unknown: np.ndarray) -> None:
-    """Says of last rows that their next observations are not known; within episodes the next row has them."""
+    """Replaces next observations by final ones, with those marked that are not known; within episodes the next row has them."""
     following = columns.pop("next_observations")
     ended = columns.get("terminals", np.zeros(len(unknown), bool)) | columns.get("timeouts", np.zeros(len(unknown), bool))
     ended[-1] = True

@@ -1,4 +1,4 @@
-"""How the columns of any file become a `Dataset`, and a `Dataset` the columns of a file."""
+"""Conversion of the columns of a file to a `Dataset`, and of a `Dataset` to the columns of a file."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -34,12 +34,12 @@ def build(
 
     Args:
         path: named in errors and kept in the provenance.
-        columns: by `from_arrays` names; other names are extras, `infos_name` for one that is called `name` or such.
-        header: of the file, if it is one of ours.
-        source: kind of file, for the provenance of files that are not ours.
+        columns: by `from_arrays` names; others are extras, called `infos_...` if `from_arrays` has an argument of that name.
+        header: of the file, if this package wrote it.
+        source: kind of file, for the provenance of other files.
         name: of the log; the header's, else the file's, if absent.
         action_space: the header's, else the range of the data, if absent.
-        extra: what else the file says, for the provenance of files that are not ours.
+        extra: further information in the file, for the provenance of other files.
         strict: refuse actions out of bounds.
         horizon: steps after which an episode is cut by a timeout, for files that do not mark their time limits.
         warnings: of the reader, one line each.
@@ -54,7 +54,7 @@ def build(
         given["timeouts"] = _cut(path, given, horizon)
         provenance = replace(provenance, extra={**provenance.extra, "horizon": horizon})
     space = action_space or about.action_space
-    # Called as the file while its columns are checked, so that errors name that.
+    # The log has the file's name while its columns are checked, so that errors name the file.
     log = Dataset.from_arrays(**given, action_space=space, name=str(path), provenance=provenance, strict=strict)
     found = [*warnings, *log.warnings]
     if header is None:
@@ -63,7 +63,7 @@ def build(
 
 
 def _cut(path: Path | str, columns: Mapping[str, Any], horizon: int) -> np.ndarray:
-    """Timeouts, with more of them after every `horizon` steps of an episode."""
+    """(rows,) timeouts, with further ones after every `horizon` steps of an episode."""
     if horizon < 1:
         raise UserError(f"{path}: horizon must be >= 1, got {horizon}")
     told = "final_observations" if "final_observations" in columns else "next_observations"
@@ -75,7 +75,7 @@ def _cut(path: Path | str, columns: Mapping[str, Any], horizon: int) -> np.ndarr
         if flag.size != rows:
             raise UserError(f"{path}: column {key} has {flag.size} values, actions have {rows} rows")
     if flags["timeouts"].dtype.kind not in "fiub":
-        return flags["timeouts"]  # refused by those who check all columns
+        return flags["timeouts"]  # refused when all columns are checked
     ends = (flags["terminals"].reshape(rows) != 0) | (flags["timeouts"].reshape(rows) != 0)
     row = np.arange(rows)
     start = np.zeros(rows, np.int64)
@@ -86,7 +86,7 @@ def _cut(path: Path | str, columns: Mapping[str, Any], horizon: int) -> np.ndarr
 
 
 def stem(path: Path | str) -> str:
-    """A log's name made of its file's: without folders and without the endings of formats."""
+    """The name of a log by that of its file: without folders and without the endings of formats."""
     name = Path(path).name
     for ending in (".gz", ".hdf5", ".h5", ".npz", ".pickle", ".pkl", ".json", ".vw", *TABLE_ENDINGS):
         name = name.removesuffix(ending)
@@ -94,7 +94,7 @@ def stem(path: Path | str) -> str:
 
 
 def refuse_mmap(path: Path | str, why: str) -> UserError:
-    """The error for a file that cannot be memory-mapped, with the way out."""
+    """The error for a file that cannot be memory-mapped, with the command that converts it."""
     return UserError(f"{path}: {why}, so it cannot be memory-mapped: `deadreckon data convert {path} OUT.hdf5` first")
 
 

@@ -1,4 +1,4 @@
-"""Columns of texts that stand for something else: yes and no, numbers with marks of thousands, dates."""
+"""Conversion of columns of texts: flags such as yes and no, numbers with thousands separators, dates."""
 
 import re
 from collections.abc import Sequence
@@ -21,21 +21,20 @@ PLAIN = Dialect(",", ".", "", "utf-8", '"')
 _PAIRS = (("yes", "no"), ("ja", "nein"), ("oui", "non"), ("si", "no"), ("sí", "no"), ("sì", "no"), ("true", "false"),
           ("y", "n"), ("j", "n"), ("t", "f"), ("on", "off"))  # fmt: skip
 TRUTHS = {word: truth for pair in _PAIRS for word, truth in zip(pair, ("true", "false"))}  # by words in lower case
-_LONE = ("yes", "no", "ja", "nein", "oui", "true", "false")  # enough even if the other of the pair never occurs
+_LONE = ("yes", "no", "ja", "nein", "oui", "true", "false")  # words of flags even if the other of the pair never occurs
 _SPACES = " \\x{a0}\\x{202f}\\x{2009}"
 _THOUSANDS = {" ": f"[{_SPACES}]", "'": "['’]", ".": "[.]", ",": ","}
-_SHOWN = 10  # lines on columns that stay texts
+_SHOWN = 10  # largest number of messages on columns that stay texts
 
 
 class Known(NamedTuple):
-    """What columns hold whatever their cells suggest, because a schema says it.
+    """The types of some columns, as in a schema, regardless of what their cells look like.
 
     Attributes:
         texts: names of columns that stay texts.
-        flags: of columns of truth values.
-        words: of columns of levels, which are not empty where they hold a word of `MISSING` alone; None: those that are named
-            like an action.
-        plain: columns of which reading puts the values here as they stand; None: of none.
+        flags: names of columns of truth values.
+        words: names of categorical columns, whose levels may all be words of `MISSING`; None: those named like an action.
+        plain: a dict with columns as keys, whose values reading sets to these columns before conversion; None: none.
         pairs: whether the words of a pair, such as yes and no, become truth values in columns that are not among `flags`.
     """
 
@@ -46,7 +45,7 @@ class Known(NamedTuple):
     pairs: bool = True
 
     def keep(self, name: str, values: Any) -> None:
-        """Puts the values of a column into `plain` if they belong there."""
+        """Stores the values of a column in `plain` if it is a key there."""
         if self.plain is not None and name in self.plain:
             self.plain[name] = values
 
@@ -57,24 +56,24 @@ NOTHING = Known()
 def converted(
     table: pa.Table, dialect: Dialect = PLAIN, spool: Spool | None = None, known: Known = NOTHING
 ) -> tuple[pa.Table, str | None, list[str]]:
-    """The table, where each column of texts that all stand for numbers, flags or dates holds those.
+    """The table with each column of texts converted if all of them are numbers, flags or dates.
 
-    A cell that is empty is missing. Among flags, numbers and dates so are the words of `MISSING`; in a column that stays text
-    they are texts, and told. A column is converted as a whole or not at all.
+    Empty cells are missing. Among flags, numbers and dates the words of `MISSING` are missing, too; in a column that stays text
+    they are texts, with a message. A column is converted as a whole or not at all.
 
     Args:
-        table: of any columns; those that hold no texts stay as they are.
-        dialect: marks of numbers, and the order of dates where it is told.
+        table: of any columns; only those of texts are converted.
+        dialect: separators of decimals and thousands, and the order of dates if it is given.
         spool: where columns are kept; None: in memory.
-        known: what some columns hold.
+        known: the types of some columns.
 
     Returns:
-        The table, the order of dates that was taken (None: there was none to take), and what to tell.
+        The table, the order of dates that was used (None: none, or not the same in all columns), and messages.
     """
     keep = spool.keep if spool is not None else lambda values: values
     told: list[str] = []
     done: dict[str, Any] = {}
-    texts: dict[str, Any] = {}  # of the columns that may hold dates, without what is missing
+    texts: dict[str, Any] = {}  # columns that may hold dates, without missing values
     flags: list[str] = []
     grouped: list[str] = []
     for name, values in zip(table.column_names, table.columns, strict=True):
@@ -125,18 +124,18 @@ def with_dates(dialect: Dialect, order: str | None) -> Dialect:
 
 
 def without(values: Any, words: tuple[str, ...]) -> Any:
-    """The texts, without those of `words`, which are missing."""
+    """The texts, with those in `words` replaced by missing values."""
     gone = _compute.is_in(values, value_set=pa.array(words, values.type))
     return _compute.if_else(gone, pa.scalar(None, values.type), values)
 
 
 def flags_of(texts: Any, known: bool) -> tuple[Any, str] | None:
-    """(rows,) truth values and the pair that stands for them, nothing for true and false, if the texts are all of one pair.
+    """(rows,) truth values and their pair of words, empty for true and false, if all texts are of one pair; else None.
 
-    One text alone is enough where it is a whole word, or where it is `known` that these are flags.
+    A single word is enough if it is one of `_LONE`, or if it is `known` that these are flags.
     """
     for some in (texts[:SAMPLE], texts):
-        words = {text.lower() for text in _compute.unique(some).to_pylist()[:9] if text is not None}
+        words = {text for text in _compute.unique(_compute.utf8_lower(some)).to_pylist()[:4] if text is not None}
         if len(words) > 2:
             return None
     for yes, no in _PAIRS:
@@ -147,19 +146,19 @@ def flags_of(texts: Any, known: bool) -> tuple[Any, str] | None:
 
 
 def truths(levels: Sequence[Any], numbers: bool) -> list[Any]:
-    """Levels of a flag as its values are read, true and false, or 1 and 0 where they are `numbers`; others as they are."""
+    """Levels of a flag converted to true and false, or to 1 and 0 if `numbers`; other levels are unchanged."""
     words: dict[Any, bool] = {word: yes for pair in _PAIRS for word, yes in zip(pair, (True, False))} | {1: True, 0: False}
     found = [words.get(level.lower() if isinstance(level, str) else level) for level in levels]
     return [level if yes is None else int(yes) if numbers else yes for level, yes in zip(levels, found)]
 
 
 def _numbers(texts: Any, dialect: Dialect) -> tuple[Any, list[str], bool] | None:
-    """(rows,) numbers, what to tell of them and whether thousands were marked, if all texts are numbers of one form."""
+    """(rows,) numbers, messages, and whether thousands were separated, if all texts are numbers of one form; else None."""
     decimal = re.escape(dialect.decimal or ".")
     bodies = [rf"(?:(?:0|[1-9]\d*)(?:{decimal}\d*)?|{decimal}\d+)"]
     if dialect.thousands:
         bodies.append(rf"(?:\d{{1,3}}|[1-9]\d{{0,2}}(?:{_THOUSANDS[dialect.thousands]}\d{{3}})+)(?:{decimal}\d+)?")
-    # A sign stands before a number or, in exports of accounting, behind it, and not at both ends.
+    # A sign is before a number or, in exports of accounting software, after it, and not on both sides.
     forms = [rf"^(?:[+\-−]?{body}(?:[eE][+-]?\d+)?|{body}-)$" for body in bodies]
     for marked, form in enumerate(forms):
         if all_match(texts, form):
@@ -191,7 +190,7 @@ def _rows(count: int) -> str:
 
 
 def _of_texts(called: str, values: Any) -> list[str]:
-    """What to tell of a column that stays text."""
+    """Messages on a column that stays text."""
     gone = _compute.is_in(values, value_set=pa.array((*MISSING[1:], DASH), values.type))
     told = []
     if count := _compute.sum(gone).as_py():

@@ -1,7 +1,7 @@
-"""CSV as we write it: texts that a spreadsheet would take for formulas are neutralised, numbers stay numbers.
+"""Writing of CSV: texts that a spreadsheet would take for formulas are neutralised, numbers stay numbers.
 
-A spreadsheet computes cells that begin with certain signs, and a formula can start programs or send the table elsewhere
-(`=cmd|...`, `@SUM(...)`). Names of columns and levels come from whoever made the log.
+A spreadsheet evaluates cells that begin with certain characters, and a formula can start programs or send the table elsewhere
+(`=cmd|...`, `@SUM(...)`). Names of columns and levels are from the author of the log, who need not be trusted.
 """
 
 import csv
@@ -13,14 +13,14 @@ from typing import Any, TextIO
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-# The signs, also full-width, which spreadsheets take for the same; and what they skip in front of them or split cells at.
+# The characters, also full-width, which spreadsheets treat alike; and those that they skip before them or split cells at.
 _FORMULA = re.compile(r"\s*[=+\-@＝＋－＠]|[\t\r\n]")
-# Numbers, shares and lone signs compute to what they are.
+# Numbers, percentages and lone signs evaluate to themselves.
 _HARMLESS = re.compile(r"\s*[+-]?((\d+([.,]\d+)*[.,]?|[.,]\d+)(e[+-]?\d+)?|inf|nan)?\s?%?\s*", re.IGNORECASE)
 
 
 def cell(value: Any) -> Any:
-    """`value` as a cell: a text that a spreadsheet would compute gets an apostrophe in front, all else stays as it is."""
+    """`value` as a cell: a text that a spreadsheet would evaluate gets an apostrophe in front, others are unchanged."""
     if isinstance(value, str) and _FORMULA.match(value) and not _HARMLESS.fullmatch(value):
         return f"'{value}"
     return value
@@ -32,14 +32,14 @@ def write_rows(file: TextIO, rows: Iterable[Iterable[Any]], end: str = "\r\n") -
 
 
 def write_table(table: pa.Table | Mapping[str, Any], path: Path | str) -> None:
-    """Writes a table, or its columns by name, to `path`; see `files.replacing`."""
+    """Writes a table, or columns by name, to `path`; not atomic by itself, see `files.replacing`."""
     whole = pa.table(dict(table)) if isinstance(table, Mapping) else table
     columns = [_neutral(column) for column in whole.columns]
     arrow_csv.write_csv(pa.Table.from_arrays(columns, [cell(name) for name in whole.column_names]), path)
 
 
 def _neutral(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """The column with its texts as cells, of a type that Arrow writes."""
+    """The column with neutralised texts, of a type that Arrow can write as CSV."""
     if pa.types.is_dictionary(column.type):
         column = column.cast(column.type.value_type)
     if pa.types.is_string_view(column.type):

@@ -1,6 +1,6 @@
-"""Tables of SQLite and DuckDB files, whole or by a query, as pyarrow tables.
+"""Reading of tables of SQLite and DuckDB files, whole or by a query, as pyarrow tables.
 
-Files are opened for reading alone, and neither a query nor a view can write or read another file.
+Files are opened read-only, and neither a query nor a view can write, or read another file.
 """
 
 import contextlib
@@ -22,36 +22,36 @@ from deadreckon.foreign.door import file_size
 from deadreckon.foreign.limits import RATE, SECONDS, UNPACKED, beyond, max_unpacked
 
 _BATCH = 10_000  # rows that are fetched at once
-_STEPS = 100_000  # of SQLite's machine between two looks at the clock
-# What a query may do; VACUUM INTO and ATTACH would write files although the database is opened for reading alone.
+_STEPS = 100_000  # instructions of SQLite's virtual machine between two checks of the time
+# What a query may do; VACUUM INTO and ATTACH would write files even though the database is opened read-only.
 _MAY = (sqlite3.SQLITE_SELECT, sqlite3.SQLITE_READ, sqlite3.SQLITE_FUNCTION, sqlite3.SQLITE_RECURSIVE)
-# A query, which may be somebody else's, and the views of a file read no other file, and no variables of Python; and nothing is
-# written beside the file where memory ends.
+# A query, which may be from somebody else, and the views of a file cannot read other files or variables of Python; and no
+# temporary file is written beside the database when memory runs out.
 _CLOSED: dict[str, Any] = {"enable_external_access": False, "python_enable_replacements": False,
                            "temp_directory": ""}  # fmt: skip
-_DUCKDB = 2e8  # bytes that DuckDB has at least, for its own work
+_DUCKDB = 2e8  # least limit of DuckDB's memory in bytes, for its internal structures
 
 
 def read_database(
     path: Path | str, kind: str, query: str | None = None, table: str | None = None
 ) -> tuple[pa.Table, list[str]]:
-    """The rows of a query, of a table or view, or of the only one that there is.
+    """Reads the rows of a query, of a table or view, or of the only one in the file.
 
     Args:
         path: of the file.
         kind: `sqlite` or `duckdb`.
         query: one SELECT in SQL.
-        table: its name.
+        table: name of a table or view.
 
     Returns:
-        The table, and what to tell.
+        The table, and messages.
 
     Raises:
-        UserError: one line: the query is wrong or is no SELECT, or the tables where one must be named.
+        UserError: one line: the query fails or is no SELECT, or a table must be named, with those of the file.
     """
     if query is not None and table is not None:
         raise UserError(f"{path}: --query and --table exclude each other; name the table in the query")
-    size = file_size(path)  # which also says why a file cannot be opened, as SQLite does not
+    size = file_size(path)  # it also reports why a file cannot be opened, unlike SQLite
     seconds, most = SECONDS.value + size / RATE, max_unpacked(size)
     with reading(path, f"a database of {'SQLite' if kind == 'sqlite' else 'DuckDB'}"):
         found, told = (_sqlite if kind == "sqlite" else _duckdb)(path, query, table, seconds, most)
@@ -77,7 +77,7 @@ def _sqlite(path: Path | str, query: str | None, table: str | None, seconds: flo
     taken = 0
 
     def measured(rows: sqlite3.Cursor) -> Iterator[tuple[Any, ...]]:
-        """Rows one by one, for a batch of them could take more than there is."""
+        """Rows one by one, because a batch of them could exceed the memory."""
         nonlocal taken
         for row in rows:
             if (taken := taken + sum(map(sys.getsizeof, row))) > most:
@@ -90,7 +90,7 @@ def _sqlite(path: Path | str, query: str | None, table: str | None, seconds: flo
             base.set_authorizer(allowed)
             base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, int(min(most, 2**31 - 1)))  # of one value, which a view may compute
             until = time.monotonic() + seconds
-            base.set_progress_handler(lambda: time.monotonic() > until, _STEPS)  # a view may have rows without end
+            base.set_progress_handler(lambda: time.monotonic() > until, _STEPS)  # a view may have infinitely many rows
             if query is None:
                 listed = base.execute(
                     "SELECT name FROM sqlite_master WHERE type IN ('table', 'view') AND name NOT LIKE 'sqlite_%' ORDER BY name"
@@ -104,7 +104,7 @@ def _sqlite(path: Path | str, query: str | None, table: str | None, seconds: flo
             while batch := list(itertools.islice(measured(rows), _BATCH)):
                 for values, more in zip(columns, zip(*batch, strict=True), strict=True):
                     values.extend(more)
-    except (sqlite3.Error, sqlite3.Warning) as error:  # a Warning: of several statements
+    except (sqlite3.Error, sqlite3.Warning) as error:  # a Warning is for several statements
         if denied:
             raise UserError(f"{path}: --query takes a SELECT that only reads tables of the file, not {query!r:.80}") from error
         raise _wrong(path, "SQLite", error, query, seconds) from error
@@ -149,7 +149,7 @@ def _duckdb(path: Path | str, query: str | None, table: str | None, seconds: flo
                 found = pa.Table.from_batches(batches, rows.schema)
             finally:
                 ends.cancel()
-    except (duckdb.Error, OSError, pa.ArrowException) as error:  # Arrow's of what DuckDB raises while batches are made
+    except (duckdb.Error, OSError, pa.ArrowException) as error:  # Arrow raises DuckDB's errors within batches
         raise _wrong(path, "DuckDB", error, query, seconds) from error
     for name, values in zip(found.column_names, found.columns, strict=True):
         if pa.types.is_binary(values.type) or pa.types.is_large_binary(values.type):
@@ -158,7 +158,7 @@ def _duckdb(path: Path | str, query: str | None, table: str | None, seconds: flo
 
 
 def _all_of(path: Path | str, known: dict[str, str], table: str | None) -> str:
-    """The query for all of a table, of those known: {name: as it stands in SQL}."""
+    """The query for all rows of a table; `known` is {name: quoted name in SQL} of all tables."""
     if table is None and len(known) != 1:
         if not known:
             raise UserError(f"{path}: the database has no tables")

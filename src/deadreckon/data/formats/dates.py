@@ -1,4 +1,4 @@
-"""Texts of dates as timestamps: 03.04.2024, 03/04/2024 14:30, 4/13/2024 2:30:00 PM, 2024/04/03 and ISO 8601."""
+"""Conversion of texts to timestamps: 03.04.2024, 03/04/2024 14:30, 4/13/2024 2:30:00 PM, 2024/04/03 and ISO 8601."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,20 +21,21 @@ _ORDERS = {"day-first": "day{0}month{0}year", "month-first": "month{0}day{0}year
 
 @dataclass
 class _Dates:
-    """A column of dates whose order is to be found: its parts, {part: (rows,) texts}."""
+    """A column of dates whose order is to be determined; `parts` is {part: (rows,) texts}."""
 
     parts: dict[str, Any]
     example: str
     mark: str
-    order: str | None  # None where no part is above 12
-    broken: bool  # both parts are above 12
+    order: str | None  # None if no part is above 12 in any row, or both are
+    broken: bool  # both parts are above 12, each in some row
 
 
 def dates_of(columns: Mapping[str, Any], asked: str | None, european: bool) -> tuple[dict[str, Any], str | None, list[str]]:
-    """Those of the columns that hold dates alone, as timestamps.
+    """Converts the columns whose texts are all dates to timestamps.
 
-    Which part of 03/04/2024 is the day: what was asked for; else the part that is above 12 in some row of the column; else as
-    in the other columns; else the first where points stand between them; else, told as open, the first in European files.
+    The day in 03/04/2024 is the part that `asked` names; else the part that is above 12 in some row of the column; else that of
+    the other columns; else the first if the parts are separated by points; else, with a message that this is not certain, the
+    first in European files and the second in others.
 
     Args:
         columns: {name: (rows,) texts}.
@@ -42,7 +43,7 @@ def dates_of(columns: Mapping[str, Any], asked: str | None, european: bool) -> t
         european: columns are separated by semicolons, or decimals by commas.
 
     Returns:
-        {name: (rows,) timestamps}, the order that was taken (None: none was, or columns differ), and what to tell.
+        {name: (rows,) timestamps}, the order that was used (None: none was, or columns differ), and messages.
     """
     done: dict[str, Any] = {}
     found: dict[str, _Dates] = {}
@@ -84,7 +85,7 @@ def dates_of(columns: Mapping[str, Any], asked: str | None, european: bool) -> t
         text += f", and no cell shows whether that is right (--dates {other})" if unsure else f" (--dates {other})"
         told += [f"{text}: {_listed(names)}"] if asked is None else []
     orders = {order for order, *_ in taken}
-    # Further rows are read in one order, which columns of two orders do not have: their own cells tell again.
+    # Further rows are read in one order; if columns differ there is none, and it is determined from their cells again.
     return done, asked or (orders.pop() if len(orders) == 1 else None), told
 
 
@@ -132,9 +133,9 @@ def _moments(parts: dict[str, Any], month: str, day: str) -> Any:
 
 
 def _first_wrong(parts: dict[str, Any], month: str, day: str) -> int:
-    """The first row for which there is no moment."""
+    """The first row that is not a date."""
     low, high = 0, len(parts["year"])
-    while high - low > 1:  # the first half in which one is missing, again and again
+    while high - low > 1:  # bisection
         middle = (low + high) // 2
         some = {key: values[low:middle] for key, values in parts.items()}
         low, high = (low, middle) if _moments(some, month, day) is None else (middle, high)
@@ -142,7 +143,7 @@ def _first_wrong(parts: dict[str, Any], month: str, day: str) -> int:
 
 
 def _or(values: Any, text: str) -> Any:
-    """A part that is not there is an empty text."""
+    """The values, with empty texts, which are missing parts, replaced by `text`."""
     return _compute.if_else(_compute.equal(values, ""), text, values)
 
 

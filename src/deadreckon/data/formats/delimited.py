@@ -1,4 +1,4 @@
-"""Text files of tables (CSV and its dialects, plain or gzipped) as pyarrow tables."""
+"""Reading of delimited text files (CSV and its dialects, plain or gzipped) as pyarrow tables."""
 
 import codecs
 import csv
@@ -24,25 +24,26 @@ from deadreckon.foreign.door import opened, unpacked
 from deadreckon.names import repeated
 
 _BLOCK = 1 << 22  # bytes that are parsed at once; no row may be longer
-_SEEN = 2_000  # rows of the head, whose cells are looked at as they stand
+_SEEN = 2_000  # rows at the beginning, whose cells `sniff` has examined as texts
 _NULLS = (*MISSING, "-nan", "-NaN", "#N/A N/A", "1.#QNAN", "-1.#IND")
 
 
 def read_delimited(
     path: Path | str, asked: Dialect, spool: Spool | None = None, known: Known = NOTHING
 ) -> tuple[pa.Table, Dialect, list[str]]:
-    """A text file as a table.
+    """Reads a delimited text file.
 
     Types are those that fit all cells of a column: integers, numbers, truth values, dates, else texts.
 
     Args:
         path: of the file, plain or gzipped.
-        asked: what is known of its dialect.
+        asked: the known part of its dialect.
         spool: where columns are kept; None: in memory.
-        known: what some columns hold.
+        known: the types of some columns.
 
     Returns:
-        The table, the dialect in which it was read, and one line for each thing that is not plain or is open.
+        The table, the dialect in which it was read, and messages, one line for each difference from plain CSV and for each
+        assumption that may be wrong.
 
     Raises:
         UserError: one line with the file and the line or the column.
@@ -50,7 +51,7 @@ def read_delimited(
     with reading(path, "CSV"), opened(path) as file:
         source = unpacked(path, file)
         table, dialect, told = _read(path, source, asked, spool, known)
-        if known.plain:  # the same file again, as which columns are read must not depend on which are kept
+        if known.plain:  # read again, because the types must not depend on which columns are kept
             source.seek(0)
             texts = _read(path, source, asked, None, Known(known.texts | set(known.plain)))[0]
             for name in known.plain:
@@ -63,7 +64,7 @@ def read_delimited(
 def _read(
     path: Path | str, source: BinaryIO, asked: Dialect, spool: Spool | None, known: Known
 ) -> tuple[pa.Table, Dialect, list[str]]:
-    """The table as pyarrow reads it, its dialect, and what to tell."""
+    """The table as pyarrow reads it, its dialect, and messages."""
     head, whole = _head(source)
     dialect, told = sniff(path, head, whole, asked)
     source.seek(0)
@@ -73,7 +74,7 @@ def _read(
     table = _named(path, table)
     table, lines = _decoded(path, table, dialect, known=asked.encoding is not None or not head.isascii())
     told += lines
-    dialect = replace(dialect, encoding=None) if lines else dialect  # it has two
+    dialect = replace(dialect, encoding=None) if lines else dialect  # it has two encodings
     table, lines = _without_empty(path, table)
     told += lines
     told += _of_quotes(path, table, dialect)
@@ -83,7 +84,7 @@ def _read(
 
 
 def _head(source: BinaryIO) -> tuple[bytes, bool]:
-    """The first bytes, with at least three line ends where there are as many, and whether that is all."""
+    """The first bytes of the file, with at least three line ends if it has so many, and whether they are the whole file."""
     head = source.read(HEAD)
     while head.count(b"\n") + head.count(b"\r") < 3:
         more = source.read(HEAD)
@@ -94,9 +95,9 @@ def _head(source: BinaryIO) -> tuple[bytes, bool]:
 
 
 def _options(dialect: Dialect) -> tuple[arrow.ReadOptions, arrow.ParseOptions]:
-    """How pyarrow reads and splits a file."""
+    """pyarrow's options for reading and parsing a file."""
     read = arrow.ReadOptions(encoding=dialect.encoding, skip_rows=dialect.skip or 0, block_size=_BLOCK)
-    # Line ends in quotes may occur behind the head too; to allow them costs nothing that can be measured.
+    # Line ends within quotes may occur anywhere; allowing them has no measurable cost.
     return read, arrow.ParseOptions(delimiter=dialect.separator, quote_char=dialect.quote, newlines_in_values=True)
 
 
@@ -117,9 +118,9 @@ def _parsed(path: Path | str, source: BinaryIO, dialect: Dialect, spool: Spool |
 
 
 def _of_large(source: BinaryIO, table: pa.Table, dialect: Dialect) -> list[str]:
-    """What to tell of columns of whole numbers of which the first one beyond all integers stands behind the head.
+    """Messages on columns of whole numbers that exceed 64-bit integers only in rows that `sniff` has not examined.
 
-    They became columns of floats; only those are read again, as they stand.
+    They became columns of floats; only such columns are read again, as texts.
     """
     names, twice = [], set(repeated(table.column_names))
     for name, values in () if table.num_rows <= _SEEN else zip(table.column_names, table.columns, strict=True):
@@ -142,8 +143,8 @@ def _of_large(source: BinaryIO, table: pa.Table, dialect: Dialect) -> list[str]:
 
 
 def _diagnose(path: Path | str, dialect: Dialect) -> None:
-    """Refuses the first row that cannot be read, by its line; does nothing if there is none."""
-    with opened(path) as file:  # anew: threads of pyarrow may still be reading from the other
+    """Refuses the first row that cannot be read, with its line number; does nothing if there is none."""
+    with opened(path) as file:  # opened again, because threads of pyarrow may still be reading from the other file object
         _refuse_rows(path, io.TextIOWrapper(unpacked(path, file), dialect.encoding or "utf-8", newline=""), dialect)
 
 
@@ -178,9 +179,9 @@ def _refuse_rows(path: Path | str, lines: io.TextIOWrapper, dialect: Dialect) ->
 
 
 def _of_zeros(source: BinaryIO, table: pa.Table, dialect: Dialect, spool: Spool | None) -> list[str]:
-    """What to tell of columns of whole numbers of which some are written with zeros in front, as codes are.
+    """Messages on columns of whole numbers of which some are written with leading zeros, like codes.
 
-    Numbers no longer show it, so the columns are read once more, as they stand.
+    The parsed numbers do not show them, so the columns are read again, as bytes.
     """
     twice = set(repeated(table.column_names))
     names = [name for name in table.column_names if name not in twice]
@@ -209,7 +210,7 @@ def _of_zeros(source: BinaryIO, table: pa.Table, dialect: Dialect, spool: Spool 
 
 
 def _may_have_zeros(source: BinaryIO, dialect: Dialect) -> bool:
-    """Whether a cell may begin with a zero and another digit, by a look at the bytes that takes a fraction of the parsing."""
+    """Whether a cell may begin with a zero and another digit, by the bytes of the file, which is faster than parsing."""
     if codecs.lookup(dialect.encoding or "utf-8").name not in ("utf-8", "cp1252", "iso8859-1", "ascii"):
         return True
     before = np.zeros(256, bool)
@@ -237,7 +238,7 @@ def _clean(name: str) -> str:
 
 
 def _named(path: Path | str, table: pa.Table) -> pa.Table:
-    """The table under clean names, each once; a column without a name is one of row numbers or empty."""
+    """The table with clean and different names; a column without a name must be the first, with row numbers, or empty."""
     names = [_clean(name) for name in table.column_names]
     kept = [index for index, name in enumerate(names) if name or table.column(index).null_count < table.num_rows]
     table = table.select(kept).rename_columns([names[index] for index in kept])
@@ -253,12 +254,12 @@ def _named(path: Path | str, table: pa.Table) -> pa.Table:
 
 
 def _counts(values: Any) -> bool:
-    """Whether a column numbers its rows: integers, each once."""
+    """Whether a column may hold row numbers: integers, each once."""
     return pa.types.is_integer(values.type) and not values.null_count and len(_compute.unique(values)) == len(values)
 
 
 def _decoded(path: Path | str, table: pa.Table, dialect: Dialect, known: bool) -> tuple[pa.Table, list[str]]:
-    """The table with columns that turned out not to be UTF-8 behind the head: Windows-1252 if nothing spoke for UTF-8."""
+    """The table with columns decoded that are not UTF-8 after the head: from Windows-1252; refused if UTF-8 is `known`."""
     told = []
     for index, name in enumerate(table.column_names):
         if not pa.types.is_binary(table.schema.field(index).type):
@@ -295,7 +296,7 @@ def _without_empty(path: Path | str, table: pa.Table) -> tuple[pa.Table, list[st
 
 
 def _of_quotes(path: Path | str, table: pa.Table, dialect: Dialect) -> list[str]:
-    """Refuses a quote that nothing closes, and tells of texts that look as if they had swallowed rows."""
+    """Refuses a quote that is never closed; returns messages on quoted texts that contain lines like rows."""
     told: list[str] = []
     last = False
     for name, values in zip(table.column_names, table.columns, strict=True):
@@ -311,6 +312,6 @@ def _of_quotes(path: Path | str, table: pa.Table, dialect: Dialect) -> list[str]
                     "missing, or one too many?"
                 )
                 break
-    if last:  # whatever follows a quote that nothing closes is in the last row
+    if last:  # all that follows a quote that is never closed is in the last row
         _diagnose(path, dialect)
     return told

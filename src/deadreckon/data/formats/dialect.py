@@ -1,7 +1,7 @@
-"""How a text file of a table is written: what separates columns, decimals and thousands, and in which encoding.
+"""The dialect of a delimited text file: separators of columns, decimals and thousands, and the encoding.
 
-What is not given is found in the head of the file, and everything that differs from a plain file (commas, decimal points,
-UTF-8) or that the file does not settle is told in one line that names the option.
+What is not given is detected from the beginning of the file. There is a message, which names the option, for each difference
+from a plain file (commas, decimal points, UTF-8) and for each choice that the file leaves open.
 """
 
 import codecs
@@ -16,14 +16,14 @@ from typing import NamedTuple
 from deadreckon.data.formats.marks import Marks, of_digits
 from deadreckon.errors import UserError
 
-HEAD = 1 << 18  # bytes that are looked at, and the rest of the line of names where that is longer
+HEAD = 1 << 18  # bytes that are examined at the beginning of a file, more if they have fewer than three line ends
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "vertical bars"}
 DATES = ("iso", "day-first", "month-first")
 _SEPARATORS = {"comma": ",", "semicolon": ";", "tab": "\t", "\\t": "\t", "pipe": "|", "bar": "|", "space": " "}
 _DECIMALS = {"point": ".", "dot": ".", "comma": ","}
 _THOUSANDS = {**_DECIMALS, "none": "", "space": " ", "apostrophe": "'", "\u00a0": " ", "\u202f": " ", "’": "'"}
-_ROWS = 2_000  # rows of the head whose cells are looked at
-_PREAMBLE = 20  # lines above the names at most
+_ROWS = 2_000  # rows of the head whose cells are examined
+_PREAMBLE = 20  # largest number of lines above the names
 _BOMS = ((codecs.BOM_UTF8, "utf-8"), (codecs.BOM_UTF32_LE, "utf-32"), (codecs.BOM_UTF32_BE, "utf-32"),
          (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))  # fmt: skip
 _SEP_LINE = re.compile(r'\ufeff?"?sep=(.)"?[ \t]*(?:\r\n|\n|\r|$)', re.IGNORECASE)
@@ -32,15 +32,15 @@ _NUMBER = re.compile(r"\s*[+-]?(\d+([.,]\d*)?|[.,]\d+)([eE][+-]?\d+)?\s*")
 
 @dataclass(frozen=True)
 class Dialect:
-    """How a text file of a table is written; None is to be found.
+    """The dialect of a delimited text file; None: to be detected.
 
     Attributes:
         separator: of columns, one character.
-        decimal: mark of decimals, a point or a comma.
-        thousands: mark of thousands: "" for none, a point, a comma, a space or an apostrophe.
+        decimal: decimal separator, a point or a comma.
+        thousands: thousands separator: "" for none, a point, a comma, a space or an apostrophe.
         encoding: a name that Python knows.
         quote: character around texts.
-        dates: `iso` (only year-month-day is a date), `day-first` or `month-first`; None: the dates themselves tell.
+        dates: `iso` (only year-month-day is a date), `day-first` or `month-first`; None: determined from the dates.
         skip: lines above the line of names.
     """
 
@@ -61,10 +61,10 @@ class Dialect:
         encoding: str | None = None,
         dates: str | None = None,
     ) -> "Dialect":
-        """What a user gave, with words such as `tab`, `comma` and `none` for what is hard to type.
+        """The dialect by a user's options, with words such as `tab`, `comma` and `none` for what is hard to type.
 
         Raises:
-            UserError: an option takes other values.
+            UserError: an option has a value that is not valid.
         """
         if separator is not None:
             separator = _SEPARATORS.get(separator, separator)
@@ -80,7 +80,7 @@ class Dialect:
             try:
                 codecs.lookup(encoding)
                 "".encode(encoding)  # refuses codecs that are no encodings of text
-            except (LookupError, ValueError) as error:  # a null character, or an encoding that there is not on purpose
+            except (LookupError, ValueError) as error:  # a null character, or Python's `undefined`
                 raise UserError(
                     f"--encoding {encoding}: unknown; known are utf-8, utf-16, latin-1, cp1252 and others"
                 ) from error
@@ -90,13 +90,13 @@ class Dialect:
 
 
 class _Layout(NamedTuple):
-    """A head that is split by one separator.
+    """The head of a file, split by one separator.
 
     Attributes:
         rows: (first line, cells) of each row from the names on, without empty lines.
-        skip: lines above the names.
+        skip: number of lines above the names.
         share: of the rows that have as many cells as there are names.
-        named: whether the first row can be names: they are no numbers, other than those of columns that are counted.
+        named: whether the first row can be names: no numbers, except for those of numbered columns.
     """
 
     rows: list[tuple[int, list[str]]]
@@ -110,29 +110,29 @@ class _Layout(NamedTuple):
 
     @property
     def rank(self) -> tuple[bool, bool, int, float, int]:
-        """The larger, the more likely."""
+        """The larger, the more likely is the separator."""
         return self.named, self.share > 0.5, -self.skip, self.share, self.columns
 
 
 def sniff(path: Path | str, head: bytes, whole: bool, asked: Dialect) -> tuple[Dialect, list[str]]:
-    """The dialect of a file, whose `dates` alone may stay None.
+    """Detects the dialect of a file; only `dates` may stay None.
 
     Rules: the encoding is that of the byte order mark, UTF-16 where every second byte is zero, UTF-8 where the bytes are valid,
-    else Windows-1252. The separator is that of a first line `sep=;`, else of commas, semicolons, tabs and bars the one which
-    splits most rows into as many cells as there are names. Lines above the names are skipped where they begin with `#` or
-    have one cell. Decimals and thousands: see `Marks.resolve`.
+    else Windows-1252. The separator is that of a first line `sep=;`, else the one of commas, semicolons, tabs and bars which
+    splits most rows into as many cells as there are names. Lines above the names are skipped if they begin with `#` or have
+    one cell. Decimals and thousands: see `Marks.resolve`.
 
     Args:
         path: named in errors.
         head: the first bytes; the last line may be cut.
         whole: `head` is all of the file.
-        asked: what is given is taken as it is.
+        asked: the given options, which are not detected.
 
     Returns:
-        The dialect, and one line for each thing that is not plain.
+        The dialect, and messages, one line for each difference from plain CSV and for each assumption that may be wrong.
 
     Raises:
-        UserError: the head is no table, or not of the dialect asked for.
+        UserError: the head is not a table, or does not have the given dialect.
     """
     told: list[str] = []
     encoding = asked.encoding or encoding_of(head, whole)
@@ -171,7 +171,7 @@ def sniff(path: Path | str, head: bytes, whole: bool, asked: Dialect) -> tuple[D
 
 
 def encoding_of(head: bytes, whole: bool = False) -> str:
-    """The encoding of a text by its first bytes; "" if it is none that is known."""
+    """The encoding of a text by its first bytes; "" if it is not recognised."""
     for mark, name in _BOMS:
         if head.startswith(mark):
             return name
@@ -236,7 +236,7 @@ def _layout(text: str, whole: bool, separator: str, quote: str, start: int) -> _
         else:
             if not whole and len(rows) > 1:
                 rows.pop()  # it may be cut
-    except csv.Error:  # a cell without end, which is told where the file is read
+    except csv.Error:  # a quote that is never closed, which is refused when the file is read
         pass
     if not rows:
         return _Layout([], start, 0.0, False)
@@ -252,13 +252,13 @@ def _layout(text: str, whole: bool, separator: str, quote: str, start: int) -> _
 
 
 def _counted(names: list[str]) -> bool:
-    """Whether names are the numbers of columns, as table libraries write them, perhaps behind one of the row numbers."""
+    """Whether names are the numbers of columns, as table libraries write them, perhaps after a column of row numbers."""
     numbers = names[1:] if names[0] == "" else names
     return any(numbers == [str(index + base) for index in range(len(numbers))] for base in (0, 1))
 
 
 def _refuse_names(path: Path | str, layout: _Layout) -> None:
-    """What cannot be a line of names, with what is probably wrong."""
+    """Refuses a first row that cannot be names, with the probable mistake."""
     (line, names), *others = layout.rows
     if not others:
         return

@@ -1,6 +1,7 @@
-"""Sheets of spreadsheets (.xlsx, and .xls and .ods, which the same library reads) as pyarrow tables.
+"""Reading of spreadsheets (.xlsx, and .xls and .ods, which the same library reads) as pyarrow tables.
 
-The library makes room for all cells up to the farthest one, and the process ends where there is none: so another one reads.
+The library allocates memory for all cells up to the last one, and without enough of it the process is killed: so files are read
+in a separate process.
 """
 
 import zipfile
@@ -20,17 +21,17 @@ from deadreckon.foreign.reader import alive, bound_memory
 
 
 def read_excel(path: Path | str, sheet: str | int | None = None) -> tuple[pa.Table, list[str]]:
-    """A sheet as a table: its first row that is not empty holds the names of the columns; empty rows are left out.
+    """Reads a sheet: its first row that is not empty holds the names of the columns; empty rows are left out.
 
     Args:
         path: of the file.
-        sheet: name, or number counted from 1; may be left out where one sheet alone can be seen.
+        sheet: name, or number counted from 1; may be left out if only one sheet is visible.
 
     Returns:
-        The table, and what to tell.
+        The table, and messages.
 
     Raises:
-        UserError: one line with the cell, or with the sheets where one must be named.
+        UserError: one line with the cell, or with the sheets if one must be named.
     """
     try:
         import python_calamine  # noqa: F401 - whether it is there
@@ -41,15 +42,15 @@ def read_excel(path: Path | str, sheet: str | int | None = None) -> tuple[pa.Tab
 
 
 def contents(file: str, sheet: str | int | None, shared: Any) -> dict[str, Any]:
-    """What `read_excel` gives, for the process that reads: `table`, the bytes of a stream of Arrow, and `told`.
+    """The result of `read_excel` in the process that reads: `table`, the bytes of an Arrow stream, and `told`, the messages.
 
     Args:
         file: its path.
-        sheet: see there.
-        shared: not used, for the table is put together in memory.
+        sheet: see `read_excel`.
+        shared: not used, because the table is assembled in memory.
 
     Raises:
-        UserError: see there.
+        UserError: see `read_excel`.
     """
     bound_memory(int(max_unpacked(file_size(file))))
     table, told = _read(file, sheet)
@@ -79,7 +80,7 @@ def _read(path: str, sheet: str | int | None) -> tuple[pa.Table, list[str]]:
                 if each.typ == calamine.SheetTypeEnum.WorkSheet and each.visible == calamine.SheetVisibleEnum.Visible
             ]
             found = book.get_sheet_by_name(_chosen(path, sheet, book.sheet_names, shown))
-            cells = found.to_python(skip_empty_area=False)  # from A1 on, so that cells can be named
+            cells = found.to_python(skip_empty_area=False)  # from A1 on, so that errors can name cells
             rows = [(line, row) for line, row in enumerate(cells, 1) if any(cell != "" for cell in row)]
             merged = sorted(getattr(found, "merged_cell_ranges", None) or ())
     if len(rows) < 2:
@@ -91,7 +92,7 @@ def _read(path: str, sheet: str | int | None) -> tuple[pa.Table, list[str]]:
 
 
 def _of_merged(ranges: list[tuple[tuple[int, int], tuple[int, int]]]) -> list[str]:
-    """What to tell of merged cells below the line of names: (row, column) of the first and the last cell of each range."""
+    """Messages on merged cells below the line of names; `ranges`: (row, column) of the first and the last cell of each."""
     if not ranges:
         return []
     shown = ":".join(f"{letters_of(column)}{row + 1}" for row, column in ranges[0])

@@ -1,6 +1,6 @@
-"""Logs whose pictures D4RL keeps as flat rows of numbers: those of CARLA, 48 x 48 x 3 as 6,912 numbers from 0 to 1.
+"""Logs whose images D4RL stores as flat rows of numbers: those of CARLA, 48 x 48 x 3 as 6,912 numbers from 0 to 1.
 
-They are known by name alone, that of the log or of D4RL's file: 6,912 columns of any other log stay columns.
+They are recognised only by name, that of the log or of D4RL's file: 6,912 columns of any other log are not converted.
 """
 
 import math
@@ -17,35 +17,35 @@ CARLA_FILES = {  # of D4RL's logs
     "carla-town-v0": "carla_town_subsamp_flat-v0",
     "carla-town-full-v0": "carla_town_flat-v0",
 }
-# Rows from the top, columns, and red, green, blue.
+# Shapes of images: rows from the top, columns, and red, green, blue.
 SHAPES = dict.fromkeys((*CARLA_FILES, *CARLA_FILES.values()), (48, 48, 3))
 PICTURES = ("observations", "next_observations")
 _BLOCK = 1 << 24  # bytes that are converted at a time
-_SLACK = 1e-3  # by which a number may miss its bounds
+_SLACK = 1e-3  # tolerance of the bounds
 
 
 def picture_shape(name: str, columns: dict[str, Any]) -> tuple[int, ...] | None:
-    """The shape of the flat pictures of the log `name`; None where it has none, or where they are not flat.
+    """The shape of the flat images of the log `name`; None if it has none, or if they are not flat.
 
     Args:
         name: of a log, such as `carla-lane-v0` or `carla-lane-v0@d4rl`, or of D4RL's file without its ending.
-        columns: that have shapes, by name.
+        columns: arrays by name.
     """
     shape, flat = SHAPES.get(name.partition("@")[0]), columns.get("observations")
     return None if shape is None or flat is None or flat.shape[1:] != (math.prod(shape),) else shape
 
 
 def pictures(path: Path | str, column: str, flat: Any, shape: tuple[int, ...], place: Path | None = None) -> np.ndarray:
-    """(rows, *shape) uint8 of (rows, n) numbers: bytes as they are, and others from 0 to 1 or from 0 to 255.
+    """(rows, *shape) uint8 images from (rows, n) numbers: bytes unchanged, and others converted from [0, 1] or [0, 255].
 
-    Which of the two all numbers together say: the brightest of a log of pictures is not as dark as 1 in 255.
+    The range is determined from all numbers, because the maximum of a log of images is above 1 in [0, 255].
 
     Args:
         path: of the file, for errors.
-        column: what it is called there.
-        flat: in memory or mapped.
-        shape: of a picture.
-        place: of a file that takes the bytes, and is mapped; None: memory.
+        column: its name there.
+        flat: (rows, n) array, in memory or memory-mapped.
+        shape: of an image.
+        place: of a file for the images, which is memory-mapped; None: in memory.
 
     Raises:
         UserError: a number is not finite or beyond both ranges, with its row.
@@ -55,7 +55,7 @@ def pictures(path: Path | str, column: str, flat: Any, shape: tuple[int, ...], p
         return flat.reshape(rows, *shape)
     step = max(_BLOCK // max(flat[:1].nbytes, 1), 1)
     blocks = [slice(first, first + step) for first in range(0, rows, step)]
-    brightest = max((float(np.max(flat[block])) for block in blocks), default=0.0)  # NaN is told below
+    brightest = max((float(np.max(flat[block])) for block in blocks), default=0.0)  # NaN is refused below
     most = 1.0 if brightest <= 1.0 + _SLACK else 255.0
     whole = rows, *shape
     out = np.empty(whole, np.uint8) if place is None or not rows else np.memmap(place, np.uint8, "w+", shape=whole)
@@ -73,14 +73,14 @@ def pictures(path: Path | str, column: str, flat: Any, shape: tuple[int, ...], p
 def as_pictures(
     path: Path | str, name: str, columns: dict[str, Any], refuse: Callable[[str], UserError] | None, scratch: Path | None = None
 ) -> tuple[dict[str, Any], str | None]:
-    """The columns with pictures where `name` is known to have them, and a line that says so; as they are elsewhere.
+    """The columns with flat images converted, and a message, if the log `name` has such; else the columns, and None.
 
     Args:
         path: of the file, for errors.
         name: see `picture_shape`.
         columns: by name.
-        refuse: makes the error of who wants columns as they lie in the file; None: nobody does.
-        scratch: folder that takes the bytes.
+        refuse: makes the error if columns must be memory-mapped from the file without a copy; None: they need not be.
+        scratch: folder for the images; None: in memory.
     """
     shape = picture_shape(name, columns)
     if shape is None:

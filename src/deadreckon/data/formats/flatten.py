@@ -1,4 +1,4 @@
-"""Observations and actions of Gymnasium's spaces as vectors, in the order of `gymnasium.spaces.utils.flatten`, with names."""
+"""Vectors from observations and actions of Gymnasium's spaces, in the order of `gymnasium.spaces.utils.flatten`, with names."""
 
 import itertools
 import math
@@ -10,22 +10,22 @@ import numpy as np
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 
-MOST_ACTIONS = 10_000  # combinations of joined actions
-MOST_NUMBERS = 100_000  # in one flattened observation
+MOST_ACTIONS = 10_000  # largest number of combinations of joined actions
+MOST_NUMBERS = 100_000  # largest number of dimensions of a flattened observation
 
 
 def flatten_space(space: Any, values: Any, name: str = "") -> tuple[np.ndarray, list[str]]:
-    """(rows, size) float32 numbers of observations, and what each dimension is.
+    """(rows, size) float32 vectors of observations, and the names of their dimensions.
 
-    Box and MultiBinary are written out, Discrete and MultiDiscrete are one-hot, Tuple and Dict are put one after the other.
+    Box and MultiBinary are flattened, Discrete and MultiDiscrete are one-hot, the parts of Tuple and Dict are concatenated.
 
     Args:
-        space: of one observation, Gymnasium's.
-        values: of all rows: an array, or a dict or tuple of such, as the space is.
+        space: Gymnasium's, of one observation.
+        values: of all rows: an array, or a dict or tuple of arrays, matching the space.
         name: of the space; "observation" if empty.
 
     Raises:
-        UserError: a kind of space that has no fixed number of dimensions, a picture, or a value outside of it.
+        UserError: a kind of space that has no fixed number of dimensions, an image, or a value outside of the space.
     """
     from gymnasium import spaces
 
@@ -51,11 +51,11 @@ def flatten_space(space: Any, values: Any, name: str = "") -> tuple[np.ndarray, 
 
 
 def join_arrays(parts: Mapping[str, np.ndarray]) -> tuple[np.ndarray, list[str]]:
-    """(rows, size) float32 of a dict of arrays (rows, ...) put one after the other in the order of their names, as a space of
-    Gymnasium made of that dict has them; and what each dimension is.
+    """(rows, size) float32 concatenation of a dict of arrays (rows, ...) in the order of their names, like Gymnasium's Dict
+    space; and the names of its dimensions.
 
     Raises:
-        UserError: the arrays have different numbers of rows, or one is a picture.
+        UserError: the arrays have different numbers of rows, or one is an image.
     """
     found = [_numbers(parts[key], key) for key in sorted(parts)]
     if len({len(column) for column, _ in found}) > 1:
@@ -64,7 +64,7 @@ def join_arrays(parts: Mapping[str, np.ndarray]) -> tuple[np.ndarray, list[str]]
 
 
 def one_hot(column: np.ndarray, count: int, start: int, name: str) -> tuple[np.ndarray, list[str]]:
-    """(rows, count) float32 of a column of integers from `start` on, and what each dimension is.
+    """(rows, count) float32 one-hot vectors of a column (rows,) of integers from `start` on, and the names of the dimensions.
 
     Raises:
         UserError: a value that is not one of `count`.
@@ -82,7 +82,7 @@ def one_hot(column: np.ndarray, count: int, start: int, name: str) -> tuple[np.n
 
 
 def join_actions(space: Any, values: np.ndarray) -> tuple[np.ndarray, Discrete, list[list[int]]]:
-    """Actions of several integers as one: (rows,) indices, their space, and the integers that each stands for.
+    """Joins actions of several integers into one: (rows,) indices, their space, and the integers of each index.
 
     Args:
         space: MultiDiscrete or MultiBinary of Gymnasium.
@@ -109,7 +109,7 @@ def join_actions(space: Any, values: np.ndarray) -> tuple[np.ndarray, Discrete, 
 
 
 def bounds(space: Any) -> Box | None:
-    """The bounds of a Box of Gymnasium, None where they are not finite."""
+    """The bounds of Gymnasium's Box; None if they are not finite."""
     if not (np.isfinite(space.low).all() and np.isfinite(space.high).all()):
         return None
     low, high = (bound.astype(np.float64).ravel().tolist() for bound in (space.low, space.high))

@@ -26,25 +26,25 @@ def write_folder(log: Dataset, path: Path | str, *, force: bool = False) -> None
     Args:
         log: to be written.
         path: of the new folder.
-        force: replace what is there; it goes only when the new log is complete.
+        force: replace an existing folder, which is removed only when the new log is complete.
 
     Raises:
-        UserError: `path` exists, a column's name can be no file's, or it cannot be written. Nothing is left behind, and
-            what was there stays.
+        UserError: `path` exists, a column's name is not a valid name of a file, or it cannot be written. Nothing is left
+            behind, and an existing folder is unchanged.
     """
     path = Path(path)
     recover(path)
     if path.exists() and not force:
         raise UserError(f"{path} exists already")
     columns = columns_of(log)
-    for key in columns:  # named by whoever made the log
+    for key in columns:  # names are from the author of the log
         safe_name(key, f"{path}: column")
     made = missing_folders(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with beside(path, folder=True) as temporary:
             for key, column in columns.items():
-                with open(temporary / f"{key}.npy", "xb") as file:  # where case does not count, two columns could be one file
+                with open(temporary / f"{key}.npy", "xb") as file:  # not "w": without case, two columns could be one file
                     np.save(file, column, allow_pickle=False)
                     _sync(file)
             with open(temporary / HEADER, "w") as file:

@@ -1,4 +1,4 @@
-"""D4RL's hdf5 layout: one dataset a column. Ours are contiguous, so that a column can be memory-mapped."""
+"""D4RL's hdf5 layout: one dataset per column. In files written here they are contiguous, and can be memory-mapped."""
 
 import contextlib
 import json
@@ -28,7 +28,7 @@ from deadreckon.foreign.child import read_apart
 from deadreckon.foreign.door import file_size
 from deadreckon.names import safe_name
 
-TOGETHER = 64  # pictures that are compressed as one
+TOGETHER = 64  # images per compressed chunk
 _OVERHEAD = 65_536  # bytes of a file beside its columns: names, header, alignment
 
 
@@ -41,21 +41,21 @@ def read_hdf5(
     horizon: int | None = None,
     scratch: Path | str | None = None,
 ) -> Dataset:
-    """Reads a D4RL-layout hdf5 file, ours or anybody's, or one in another library's layout (`layouts`).
+    """Reads an hdf5 file in D4RL's layout, written here or elsewhere, or in another library's layout (`layouts`).
 
-    `infos/*` and further columns with as many rows become extras (`infos/goal` is `goal`); `metadata/*` that is text
-    or a single number goes to the provenance,
-    arrays there (such as policy weights) are left. Columns of texts are left out, and named in the provenance. Pictures that
-    D4RL keeps as rows of numbers are pictures again (`flat_pictures`), which the provenance says.
+    `infos/*` and further columns with as many rows become extras (`infos/goal` is `goal`). `metadata/*` that is text or a
+    single number goes to the provenance; arrays there, such as policy weights, are not read. Columns of texts are left out, and
+    named in the provenance. Images that D4RL stores as rows of numbers are converted to images (`flat_pictures`), with a note
+    in the provenance.
 
     Args:
         path: of the file.
-        mmap: memory-map the columns; needs contiguous uncompressed float32, which is what `write_hdf5` writes.
+        mmap: memory-map the columns; they must be contiguous and uncompressed, as `write_hdf5` writes them.
         strict: refuse actions out of bounds.
-        name: of the log; what the file says, else the file's name, if absent.
+        name: of the log; that in the file, else the file's name, if absent.
         horizon: steps after which an episode is cut by a timeout, for files that do not mark their time limits.
-        scratch: a folder that takes copies of columns that cannot be memory-mapped, block by block, so that any file is
-            read without being in memory as a whole.
+        scratch: folder for copies of columns that cannot be memory-mapped; they are copied block by block, so that the file
+            need not fit into memory.
 
     Raises:
         UserError: one line: not an hdf5 file, cut short, columns missing or wrong, or not to be memory-mapped.
@@ -76,7 +76,7 @@ def read_hdf5(
         raise refuse_mmap(path, held["obstacle"])
     called = name or stem(path)
     flat = header is None and called.partition("@")[0] in SHAPES
-    # Pictures that are to be converted are mapped, so that they are not in memory twice.
+    # Images that are to be converted are memory-mapped, so that they are not in memory twice.
     columns = {key: _taken(value, mmap or (flat and key in PICTURES)) for key, value in held["columns"].items()}
     drawn = None
     if flat:
@@ -92,7 +92,7 @@ def read_hdf5(
 
 
 def _taken(value: Any, mmap: bool) -> Any:
-    """A column: an array, or one that lies in a file as it is, read from there or mapped."""
+    """A column as an array; one that is given by its place in a file is read from there, or memory-mapped."""
     if not isinstance(value, tuple):
         return value
     path, offset, shape, kind = value
@@ -109,7 +109,7 @@ def write_hdf5(log: Dataset, path: Path | str, compress: bool = False) -> None:
     Args:
         log: that is written.
         path: of the file.
-        compress: whether pictures are compressed, to a twentieth for drawn ones; they cannot be memory-mapped then.
+        compress: whether images are compressed, rendered ones to about a twentieth; they cannot be memory-mapped then.
 
     Raises:
         UserError: a column's name would be a path in the file, or the file cannot be written.
@@ -143,15 +143,20 @@ class Writer:
         return found
 
     def add(self, column: str, shape: tuple[int, ...], dtype: Any) -> h5py.Dataset:
-        """Makes a contiguous column of (*shape) and gives it; shape includes the rows."""
+        """Creates and returns a column of this shape, rows included; it is contiguous, except for images with compression."""
         if self._compress and np.dtype(dtype) == np.uint8 and len(shape) == 4 and shape[0]:
             parts = (min(shape[0], TOGETHER), *shape[1:])
             return self.file.create_dataset(_place(column), shape, dtype, chunks=parts, compression="gzip", compression_opts=1)
-        # Space is taken at once and never filled with zeros first: the caller writes every row.
+        # The space is not filled with zeros first, because the caller writes every row.
         return self.file.create_dataset(_place(column), shape, dtype, fill_time="never")
 
     def write_finals(self, observations: np.ndarray, known: np.ndarray | None = None) -> None:
-        """Stores what was seen after each episode's last action, (episodes, *shape); call it after the last row."""
+        """Stores the observation after each episode's last action, (episodes, *shape), and (episodes,) bool whether it is known
+        (None: all are). To be called after the last row.
+
+        Raises:
+            UserError: their number is not that of the episodes.
+        """
         known = np.ones(len(observations), bool) if known is None else np.asarray(known, bool)
         ends = np.zeros(len(self["actions"]), bool)
         for key in ("terminals", "timeouts"):
@@ -181,7 +186,7 @@ def create(
     episodes: int | None = None,
     compress: bool = False,
 ) -> Iterator[Writer]:
-    """An hdf5 log of known length to be filled in any order; it appears at `path` only if the block ends well.
+    """Context manager for an hdf5 log of known length, filled in any order; it appears at `path` only if there is no error.
 
     Args:
         path: of the file.
@@ -190,8 +195,8 @@ def create(
         name: of the log.
         action_space: bounds of the environment.
         provenance: where the log comes from; `writer.provenance` may replace it before the end.
-        header: as a whole, instead of the last three.
-        episodes: how many there will be, for the space that their final observations take; `rows` at most.
+        header: replaces the last three.
+        episodes: their number, for the space of their final observations; None: `rows`, the largest possible.
         compress: see `write_hdf5`.
 
     Raises:
@@ -204,9 +209,9 @@ def create(
     sizes = {key: math.prod(shape) * np.dtype(dtype).itemsize for key, (shape, dtype) in columns.items()}
     finals = (rows if episodes is None else episodes) * (sizes.get("observations", 0) + 1)
     with replacing(path) as temporary:
-        # The HDF5 library crashes where the disk fills up under it; so the space is found first.
+        # The HDF5 library crashes when the disk is full, so the space is reserved first.
         reserve(temporary, rows * sum(sizes.values()) + finals + _OVERHEAD)
-        # Aligned columns, so that a memory map of one is as fast as an array. The lock on the file is `replacing`'s already.
+        # Columns are aligned, so that a memory map of one is as fast as an array. `replacing` has locked the file already.
         with h5py.File(temporary, "w", locking=False, alignment_threshold=1, alignment_interval=64) as file:
             writer = Writer(file, header, compress)
             for key, (shape, dtype) in columns.items():

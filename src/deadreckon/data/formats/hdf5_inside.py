@@ -1,4 +1,4 @@
-"""What an hdf5 file holds, read in a process of its own: the library can hang and crash on a damaged file."""
+"""The contents of an hdf5 file, read in a separate process: the library can hang and crash on a damaged file."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,22 +20,22 @@ from deadreckon.foreign.reader import alive
 HEADER = "deadreckon"  # attribute that holds the header as JSON
 BLOCK = 262_144  # rows copied at a time
 _NUMBERS = "fiub"
-_WIDEST = 1 << 26  # bytes that are copied at a time at most
+_WIDEST = 1 << 26  # largest number of bytes copied at a time
 
 
 def contents(file: str, mmap: bool, scratch: str | None, shared: Shared) -> dict[str, Any]:
-    """The columns of a file, and what it says of them.
+    """The columns of a file, and its metadata.
 
     Args:
         file: its path.
-        mmap: columns are to be memory-mapped; those that cannot be are told under `obstacle`, unless there is a `scratch`.
-        scratch: folder that takes copies of columns that cannot be mapped.
-        shared: takes the other columns.
+        mmap: columns are to be memory-mapped; without a `scratch`, the first that cannot be is reported as `obstacle`.
+        scratch: folder for copies of columns that cannot be memory-mapped.
+        shared: memory for the other columns.
 
     Returns:
-        `header`: text or None; `layout`: the library whose layout it is, or None; `found`: everything, in a layout with names
-        of its own, else None; `names` of all columns; `columns`: {name: an array, or (path, offset, shape, type) of one that
-        lies in a file as it is}; `metadata`, `left_out` and `obstacle`.
+        `header`: text or None; `layout`: the library whose layout it is, or None; `found`: all columns and attributes if the
+        layout has names other than D4RL's, else None. Without these names also `names` of all columns; `columns`: {name: an
+        array, or (path, offset, shape, type) of one that is stored contiguously in a file}; `metadata`, `left_out`, `obstacle`.
 
     Raises:
         UserError: as `read_hdf5` does.
@@ -57,7 +57,7 @@ def contents(file: str, mmap: bool, scratch: str | None, shared: Shared) -> dict
 
 
 def _log(path: Path, leaves: dict[str, h5py.Dataset], ours: bool, into: "_Columns") -> dict[str, Any]:
-    """Of a file of D4RL's layout."""
+    """The columns and metadata of a file in D4RL's layout."""
     actions = leaves.get("actions")
     if actions is None or not actions.ndim:
         found = ", ".join(leaves) or "nothing"
@@ -79,19 +79,19 @@ def _log(path: Path, leaves: dict[str, h5py.Dataset], ours: bool, into: "_Column
 
 
 def _everything(file: h5py.File, leaves: dict[str, h5py.Dataset], into: "_Columns") -> dict[str, Any]:
-    """All attributes and columns, for a layout that says what they mean."""
+    """All attributes and columns, for the layout of another library."""
     said = {key: _known(value) for key, value in file.attrs.items() if not isinstance(value, h5py.Empty)}
     numbers = {key: value.dtype.kind in _NUMBERS for key, value in leaves.items()}
     return said | {key: into.array(value) if numbers[key] else _known(value[()]) for key, value in leaves.items()}
 
 
 def _known(value: Any) -> Any:
-    """Texts as a list, which are an array of objects to the library."""
+    """Texts, which are an array of objects in h5py, as a list; other values are unchanged."""
     return value.tolist() if isinstance(value, np.ndarray) and value.dtype.kind == "O" else value
 
 
 class _Columns:
-    """Takes columns over: as they lie in the file where they do, else unpacked, within the limit of all of them together."""
+    """Reads columns: by their places in the file if they are contiguous, else unpacked, within a limit for all together."""
 
     def __init__(self, path: Path, size: int, mmap: bool, scratch: str | None, shared: Shared):
         self.path, self.size, self.mmap, self.scratch, self.shared = path, size, mmap, scratch, shared
@@ -99,7 +99,7 @@ class _Columns:
         self.obstacle: str | None = None
 
     def column(self, key: str, dataset: h5py.Dataset) -> Any:
-        """A column: an array, or where one lies."""
+        """A column: an array, or its place in a file."""
         if dataset.dtype.kind not in _NUMBERS:
             return _known(dataset[()])
         place = self._place(dataset)
@@ -109,7 +109,7 @@ class _Columns:
         if dataset.chunks is not None or dataset.compression is not None:
             obstacle = "is stored in chunks or compressed"
         elif key in COLUMNS and dataset.dtype not in (np.float32, np.uint8, np.int32, np.bool_):
-            # Anything that would have to be converted would be loaded whole, which is not what was asked for.
+            # A column that must be converted would be in memory as a whole, which `mmap` is to avoid.
             obstacle = f"holds {dataset.dtype}"
         if obstacle and self.scratch is None:
             self.obstacle = self.obstacle or f"column {key} {obstacle}"
@@ -140,21 +140,21 @@ class _Columns:
             raise beyond(self.path, self.taken, self.most, UNPACKED, "unpacks to")
 
     def _place(self, dataset: h5py.Dataset) -> tuple[str, int, tuple[int, ...], str] | None:
-        """Where a column lies in the file as it is, in whole; None where it does not."""
+        """(path, offset, shape, type) of a column that is stored contiguously in the file; None for others."""
         if dataset.chunks is not None or dataset.compression is not None:
             return None
         offset = dataset.id.get_offset()
         if offset is None or offset + dataset.nbytes > self.size or dataset.id.get_storage_size() != dataset.nbytes:
-            return None  # never written, or kept within the description of the column
+            return None  # never written, or stored within the column's header
         return str(self.path), offset, dataset.shape, dataset.dtype.str
 
     def _copied(self, dataset: h5py.Dataset, place: Path, core: bool) -> tuple[str, int, tuple[int, ...], str]:
-        """Where a copy of a column lies; float64 becomes float32 in the columns that a log has anyway."""
+        """Copies a column to a file and returns its place; float64 becomes float32 in the main columns of a log (`core`)."""
         dtype = np.dtype(np.float32) if core and dataset.dtype == np.float64 else dataset.dtype
         try:
             with open(place, "wb") as file:  # written, not mapped: a full disk is then an error and not a killed process
                 for start, stop in _blocks(dataset):
-                    with np.errstate(over="ignore"):  # an infinity is told with its row by the checks that follow
+                    with np.errstate(over="ignore"):  # an infinity is refused, with its row, by later checks
                         file.write(np.ascontiguousarray(dataset[start:stop], dtype).data)
                     alive()
         except OSError as error:
@@ -164,7 +164,7 @@ class _Columns:
 
 
 def _blocks(dataset: h5py.Dataset) -> Iterator[tuple[int, int]]:
-    """Rows from and to, of parts that take little memory; a chunk is in one part where that can be."""
+    """(first row, row after the last) of parts that take little memory; if possible, each chunk is within one part."""
     row = max(dataset.nbytes // max(len(dataset), 1), 1)
     step = max(min(BLOCK, _WIDEST // row), 1)
     if dataset.chunks is not None and dataset.chunks[0] < step:
@@ -174,10 +174,10 @@ def _blocks(dataset: h5py.Dataset) -> Iterator[tuple[int, int]]:
 
 
 def columns_of(path: Path, file: h5py.File) -> Iterator[tuple[str, h5py.Dataset]]:
-    """(path, column) of all columns, each once, in the order of their names, when all links have been looked at.
+    """(path, column) of all columns, in the order of their names, after all links have been checked.
 
     Raises:
-        UserError: a link leads to another file, a column lies in one, or there are too many objects or groups within groups.
+        UserError: a link or a column refers to another file, or there are too many objects or nested groups.
     """
     _check_links(path, file)
     for name, place in sorted(_objects(path, file)):
@@ -190,7 +190,7 @@ def columns_of(path: Path, file: h5py.File) -> Iterator[tuple[str, h5py.Dataset]
 
 
 def _check_links(path: Path, file: h5py.File) -> None:
-    """Refuses a file that names another one by a link; raises as `columns_of`."""
+    """Refuses a file with a link to another one; raises as `columns_of`."""
     for name, group in _objects(path, file):
         if isinstance(group.get(name.rpartition("/")[2], getlink=True), h5py.ExternalLink):
             how = "give a file that holds its columns itself"
@@ -198,7 +198,7 @@ def _check_links(path: Path, file: h5py.File) -> None:
 
 
 def _objects(path: Path, file: h5py.File) -> list[tuple[str, h5py.Group]]:
-    """(path, group) of all links, of groups only those that are no links to one seen before."""
+    """(path, group that contains it) of all links; a group that was visited before is not entered again."""
     found: list[tuple[str, h5py.Group]] = []
     most, deepest = MEMBERS.value, DEPTH.value
     seen = {_address(file)}

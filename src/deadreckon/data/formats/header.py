@@ -1,4 +1,4 @@
-"""What our own files say of a log beside its columns: a header of JSON values."""
+"""The header, of JSON values, that files written by this package have beside the columns of a log."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,7 +11,7 @@ from deadreckon.errors import UserError
 from deadreckon.foreign.shapes import checked, wrong
 from deadreckon.foreign.text import parse_json
 
-FORMAT = 1  # raised when an older deadreckon could not read what we write
+FORMAT = 1  # raised when older versions cannot read new files
 
 
 class _Provenance(TypedDict):
@@ -48,9 +48,9 @@ class Header:
 
     Attributes:
         name: of the log.
-        action_space: None where the log does not say.
+        action_space: None if the log has none.
         provenance: where the log comes from.
-        columns: what a format notes of its columns: their names in a folder, their shapes in Parquet; else None.
+        columns: what a format stores about its columns: their names in a folder, their shapes in Parquet; else None.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Header:
 
     @classmethod
     def of(cls, log: Dataset, columns: Any = None) -> "Header":
-        """That of a log."""
+        """The header of a log."""
         return cls(log.name, log.action_space, log.provenance, columns)
 
     def to_json(self) -> dict[str, Any]:
@@ -74,7 +74,7 @@ class Header:
         """The header in `text`.
 
         Raises:
-            UserError: one line: it is damaged, or a newer deadreckon's.
+            UserError: one line: it is damaged, or was written by a newer version.
         """
         try:
             value = parse_json(path, text)
@@ -102,5 +102,5 @@ class Header:
 
 
 def damaged(path: Path | str, why: str) -> UserError:
-    """The error for a header that is none."""
+    """The error for a header that is not valid."""
     return UserError(f"{path}: its header is damaged ({why})")

@@ -1,4 +1,4 @@
-"""Reading and converting logs of any format; what a file is, its content says."""
+"""Reading and converting logs of any format, which is detected from the content."""
 
 import tempfile
 from collections.abc import Callable, Mapping
@@ -23,8 +23,8 @@ from deadreckon.temporaries import beside, recover
 
 _ENDINGS = (".hdf5", ".h5", ".parquet", ".csv", ".npz")  # of the files that are written
 _MAPPED = ("hdf5", "folder")  # columns that can be memory-mapped
-LARGE = 2**30  # bytes of a folder's columns beyond which they are memory-mapped where nobody says otherwise
-_TELLING = ("folder", "minari")  # say where episodes end
+LARGE = 2**30  # bytes of a folder's columns above which they are memory-mapped by default
+_TELLING = ("folder", "minari")  # formats that mark where episodes end
 
 
 def read(
@@ -36,19 +36,19 @@ def read(
     horizon: int | None = None,
     **mapping: Any,
 ) -> Dataset:
-    """Reads a log; the format is told by content, not by name.
+    """Reads a log; the format is detected from the content, not from the name.
 
     Args:
         path: a file (D4RL hdf5, Parquet, CSV in any dialect, spreadsheets, SQLite, DuckDB, npz, RLlib's JSON lines, VW's text,
-            pickled demonstrations; CSV and pickles may be gzipped), a folder (Minari's or ours), `minari:` and an id (of a
-            data set that is installed here, the id alone), or the TOML file of a schema that names a table beside it.
-        mmap: memory-map the columns, for logs larger than memory; our own hdf5 files and folders can. None: folders whose
-            columns take more than 1 GiB are, whatever the machine, because what is held out by default follows from it.
+            pickled demonstrations; CSV and pickles may be gzipped), a folder (Minari's or ours), `minari:` and an id (only the
+            id if the data set is installed here), or the TOML file of a schema that names a table beside it.
+        mmap: memory-map the columns, for logs larger than memory; only hdf5 files and folders written here. None: only folders
+            whose columns take more than 1 GiB, on any machine, because the default held-out part depends on it.
         strict: refuse actions out of bounds instead of warning.
         name: of the log.
         horizon: steps after which an episode is cut by a timeout, for files that do not mark their time limits.
-        **mapping: for tables, which column is what: see `Dataset.from_frame`; and how the file is to be read, where that is not
-            found by itself: `separator`, `decimal`, `thousands`, `encoding`, `dates` (CSV), `sheet` (spreadsheets), `query`,
+        **mapping: for tables, the roles of columns: see `Dataset.from_frame`; and options of the reader, if they are not
+            detected correctly: `separator`, `decimal`, `thousands`, `encoding`, `dates` (CSV), `sheet` (spreadsheets), `query`,
             `table` (databases): see `read_table`.
 
     Raises:
@@ -59,7 +59,7 @@ def read(
 
 
 def _looked_at(path: Path | str, mapping: Mapping[str, Any]) -> tuple[Path | str, str, dict[str, Any]]:
-    """The file that is meant, its format, and the mapping with what a schema says of the file."""
+    """The file to read, its format, and the mapping with the options of a schema."""
     mapping = {key: value for key, value in mapping.items() if value is not None}
     if is_schema(path):
         if "schema" in mapping:
@@ -71,14 +71,14 @@ def _looked_at(path: Path | str, mapping: Mapping[str, Any]) -> tuple[Path | str
         mapping["schema"] = schema = as_schema(mapping["schema"])
         ways = schema.options()
     kind = sniff(path, mapping.get("separator", ways.get("separator")))
-    # A schema that was drafted for a CSV file is that of the same table in another format too, which needs no dialect.
+    # A schema drafted for a CSV file also applies to the same table in another format, which needs no dialect.
     return path, kind, {key: value for key, value in ways.items() if key not in DIALECT or kind in READING[key]} | mapping
 
 
 def _read(
     path: Path | str, kind: str, mmap: bool | None, strict: bool, name: str | None, horizon: int | None, mapping: dict[str, Any]
 ) -> Dataset:
-    """See `read`, of a file whose format is known."""
+    """See `read`; for a file of known format."""
     mapping, told = open_bandit(path, kind, mapping)
     if mmap is None:
         mmap = kind == "folder" and folders.folder_bytes(path) > LARGE
@@ -88,7 +88,7 @@ def _read(
 
 
 def _options(path: Path | str, kind: str, mmap: bool, horizon: int | None, mapping: dict[str, Any]) -> dict[str, Any]:
-    """Those options that readers of a format take; what was asked for beyond them is refused."""
+    """The options for the reader of a format; others that were given are refused."""
     no_options(path, kind, mapping)
     if mmap and kind not in _MAPPED:
         raise refuse_mmap(path, f"{kind} is not stored column by column")
@@ -101,7 +101,7 @@ def _options(path: Path | str, kind: str, mmap: bool, horizon: int | None, mappi
 
 
 def _reader(kind: str) -> Callable[..., Dataset]:
-    """What reads a format. Its library is loaded only where there is such a file."""
+    """The reader of a format. Its library is imported only if there is such a file."""
     if kind == "folder":
         return folders.read_folder
     if kind == "minari":
@@ -133,9 +133,9 @@ def convert(
     progress: Progress = unwatched,
     **mapping: Any,
 ) -> Dataset:
-    """Reads `source` and writes it as `target`; gives the log.
+    """Reads `source`, writes it as `target`, and returns the log.
 
-    Logs in hdf5, and tables in Parquet, Arrow and CSV where the target is a folder, may be larger than memory.
+    Logs in hdf5 may be larger than memory, and so may tables in Parquet, Arrow and CSV if the target is a folder.
 
     Args:
         source: as for `read`.
@@ -144,7 +144,7 @@ def convert(
         force: replace `target` if it exists.
         strict: refuse actions out of bounds.
         horizon: as for `read`.
-        progress: called, while a table is converted part by part, with the rows that are read and the rows in all.
+        progress: called, while a table is converted part by part, with the number of rows read and the total.
         **mapping: as for `read`.
 
     Raises:
@@ -163,7 +163,7 @@ def convert(
 def _convert(
     source: Path | str, target: Path | str, force: bool, strict: bool, horizon: int | None, progress: Progress, **mapping: Any
 ) -> Dataset:
-    """See `convert`; for whoever has the target to itself."""
+    """See `convert`; called while the target is locked."""
     write = _writer(target)
     place = Path(target)
     recover(place)
@@ -193,8 +193,8 @@ def _convert(
     no_options(source, kind, mapping)
     from deadreckon.data.formats.hdf5 import read_hdf5
 
-    # A file larger than memory can be converted: its columns go through copies on disk, beside the target because the
-    # system's temporary folder may be in memory, and nobody sees them afterwards.
+    # A file larger than memory can be converted: its columns are copied to disk, beside the target because the system's
+    # temporary folder may be in memory, and the copies are deleted afterwards.
     try:
         if str(target).startswith(PREFIX):
             scratch = tempfile.TemporaryDirectory()
@@ -210,7 +210,7 @@ def _convert(
 
 
 def _writer(target: Path | str) -> Callable[[Dataset, Any, bool], Any]:
-    """What writes `target`, called with the log, the target and whether it may be replaced."""
+    """The function that writes `target`, called with the log, the target and whether it may be replaced."""
     if str(target).startswith(PREFIX):
         return lambda log, path, force: minaris.write_minari(log, str(path), force=force)
     ending = Path(target).suffix.lower()

@@ -1,4 +1,4 @@
-"""Of which format a file is: its content says, not its name. And which options that format takes."""
+"""The format of a file, detected from its content and not from its name, and the options of each format."""
 
 import pickle
 import re
@@ -18,14 +18,14 @@ FORMATS = (
     "hdf5, Parquet, CSV with commas, semicolons, tabs or bars, spreadsheets, SQLite, DuckDB, npz, pickle, "
     "RLlib's JSON lines, VW's text, a Minari data set or a folder of deadreckon's"
 )
-TABLES = ("csv", "parquet", "excel", "sqlite", "duckdb")  # columns have names of the user's own
-# How a file is read, and the formats that can be read so.
+TABLES = ("csv", "parquet", "excel", "sqlite", "duckdb")  # formats whose columns may have any names
+# Options of the readers, and the formats that have them.
 READING = {
     "separator": ("csv",), "decimal": ("csv",), "thousands": ("csv",), "encoding": ("csv",),
     "dates": ("csv", "parquet", "excel", "sqlite", "duckdb"), "sheet": ("excel",), "query": ("sqlite", "duckdb"),
     "table": ("sqlite", "duckdb"),
 }  # fmt: skip
-DIALECT = ("separator", "decimal", "thousands", "encoding", "dates")  # those which say how values are written
+DIALECT = ("separator", "decimal", "thousands", "encoding", "dates")  # those on how values are written
 _WORDS = {"csv": "CSV", "parquet": "Parquet", "excel": "a spreadsheet", "sqlite": "SQLite", "duckdb": "DuckDB"}
 _MAGIC = ((b"\x89HDF\r\n\x1a\n", "hdf5"), (b"PAR1", "parquet"), (b"PK\x03\x04", "npz"), (b"SQLite format 3\0", "sqlite"),
           (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "excel"))  # fmt: skip
@@ -37,10 +37,10 @@ def sniff(path: Path | str, separator: str | None = None) -> str:
 
     Args:
         path: of the file or folder.
-        separator: of the columns of a text file, where it is known; else a usual one must occur.
+        separator: of the columns of a text file, if it is known; else a common one must occur.
 
     Raises:
-        UserError: there is nothing, it is empty, or no format that we read.
+        UserError: the file does not exist, is empty, or has none of these formats.
     """
     if str(path).startswith(minaris.PREFIX) or (not Path(path).exists() and minaris.installed(str(path))):
         return "minari"
@@ -83,13 +83,15 @@ def sniff(path: Path | str, separator: str | None = None) -> str:
 
 
 def no_options(path: Path | str, kind: str, given: dict[str, Any]) -> None:
-    """Refuses ways of reading that are those of other formats, and names of columns for formats whose columns have names of
-    their own.
+    """Refuses options of other formats, and roles of columns for formats whose columns have fixed names.
 
     Args:
         path: named in errors.
         kind: its format.
         given: {option: its value, or None}.
+
+    Raises:
+        UserError: one line with the option and the format.
     """
     for key in sorted(key for key, value in given.items() if value is not None and key != "name"):
         if key in READING and kind not in READING[key]:
@@ -100,7 +102,7 @@ def no_options(path: Path | str, kind: str, given: dict[str, Any]) -> None:
 
 
 def _is_spreadsheet(path: Path, head: bytes) -> bool:
-    """Whether a zip archive is one of Excel's or of OpenDocument's; a damaged one is by what it begins with."""
+    """Whether a zip archive is a spreadsheet of Excel or OpenDocument; a damaged one is recognised by its first bytes."""
     names = _members(path)
     if names is None:
         return any(name in head for name in (_CONTENTS.encode(), b"opendocument.spreadsheet", b"xl/"))
@@ -108,13 +110,13 @@ def _is_spreadsheet(path: Path, head: bytes) -> bool:
 
 
 def _no_array(path: Path) -> str | None:
-    """The first file in a zip archive that holds files and none of them an array; None for others and for damaged ones."""
+    """The first file in a zip archive of files none of which is an array; None for other and for damaged archives."""
     names = [name for name in _members(path) or () if not name.endswith("/")]
     return None if not names or any(name.endswith(".npy") for name in names) else names[0]
 
 
 def _members(path: Path) -> list[str] | None:
-    """The names in a zip archive; None of a damaged one, which its reader will refuse."""
+    """The names in a zip archive; None for a damaged one, which its reader will refuse."""
     try:
         with reading(path, "a zip archive"), zipfile.ZipFile(path) as archive:
             return archive.namelist()
@@ -123,9 +125,9 @@ def _members(path: Path) -> list[str] | None:
 
 
 def _is_pickle(head: bytes) -> bool:
-    """Protocols 2 and up begin with their number; older ones with the text of a list or a dict."""
+    """Whether a file is a pickle: protocols 2 and up begin with their number, older ones with the text of a list or a dict."""
     if head[:1] == pickle.PROTO and len(head) > 1:
         return head[1] <= pickle.HIGHEST_PROTOCOL
     starts = (b"c__", b"ccopy_reg\n", b"cnumpy", b"cos\n", b"cposix\n", b"]q", b"}q")
-    # Lists and dicts are memorised at once; a name such as (dose) begins alike and is no pickle.
+    # A pickled list or dict is followed by its memo; a name of a column such as (dose) begins alike and is not.
     return head.startswith(starts) or re.match(rb"\((?:[ld]p\d+\n|i[\w.]+\n\w+\n)", head) is not None

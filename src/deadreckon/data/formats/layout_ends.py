@@ -1,4 +1,4 @@
-"""What end flags of any library say, as terminals and timeouts; contradictions are refused."""
+"""Conversion of the end flags of any library to terminals and timeouts; contradictions are refused."""
 
 from collections.abc import Mapping
 
@@ -7,20 +7,20 @@ import numpy as np
 from deadreckon.data.columns import done_alone
 from deadreckon.errors import UserError
 
-MEANINGS = ("terminals", "timeouts")  # what a column `done` alone may mean
+MEANINGS = ("terminals", "timeouts")  # possible meanings of a column `done` without other end flags
 
 
 def ends(
     roles: Mapping[str, np.ndarray], names: Mapping[str, str], rows: int, done: str | None, told: list[str]
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """(rows,) bool terminals, and (rows,) bool timeouts without those that identifiers of episodes give; None where not told.
+    """(rows,) bool terminals, and (rows,) bool timeouts without those from identifiers of episodes; None without such flags.
 
     Args:
         roles: columns (rows,) or (rows, 1) called terminated, truncated, done, alive, discount; see `Layout.names`.
         names: what each of them is called in the source.
         rows: of the log.
-        done: what a column done alone means, one of `MEANINGS`; None: it is refused.
-        told: takes a line for what is unusual.
+        done: meaning of a column `done` without other end flags, one of `MEANINGS`; None: it is refused.
+        told: list to which messages on unusual flags are added.
 
     Raises:
         UserError: one line that names the columns, the row, and what would be right.
@@ -100,10 +100,11 @@ def _discount(name: str, column: np.ndarray, rows: int) -> np.ndarray:
 
 
 def in_episodes(episode: np.ndarray | None, time: np.ndarray | None) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """The order in which rows of an episode are together, None if they are; and (rows,) bool, the last rows of episodes.
+    """(rows,) order in which the rows of each episode are together, None if they are; and (rows,) bool, the last rows of
+    episodes in that order, None without identifiers.
 
     Args:
-        episode: (rows,) identifiers, or None: nothing is known.
+        episode: (rows,) identifiers, or None.
         time: (rows,) numbers that grow within an episode, or None.
     """
     if episode is None:

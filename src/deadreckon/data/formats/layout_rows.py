@@ -1,4 +1,4 @@
-"""The rows of other libraries' buffers put into order: rings, parallel environments, rows that are only a next observation."""
+"""Ordering of the rows of other libraries' buffers: ring buffers, parallel environments, rows that are only observations."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -17,10 +17,10 @@ class Parts:
 
     Attributes:
         arrays: {name: (rows, ...)} numbers, and arrays of other lengths.
-        other: what else there is: single numbers, texts, dicts of fields.
-        told: one line each.
-        space: of the actions, where it is told.
-        names: of the observation's dimensions, where they are made here.
+        other: other values: single numbers, texts, dicts of fields.
+        told: messages, one line each.
+        space: of the actions, if the source has it.
+        names: of the observation's dimensions, if they are made here.
     """
 
     arrays: dict[str, np.ndarray]
@@ -34,7 +34,7 @@ class Parts:
         return [key for key in self.arrays if key == name or key.startswith(f"{name}/")]
 
     def number(self, *names: str) -> int | None:
-        """A single whole number under the first of `names` that is there; anything else there is refused."""
+        """The whole number under the first of `names` with a single value, or None; other single values are refused."""
         for name in names:
             value = self.other.get(name)
             if value is not None and np.ndim(value) == 0:
@@ -44,7 +44,7 @@ class Parts:
         return None
 
     def take(self, index: Any, rows: int) -> None:
-        """Only the rows `index`, in that order, of all columns that have `rows`; the others go."""
+        """Keeps only the rows `index`, in that order, of the columns with `rows` rows; other columns are removed."""
         self.arrays = {key: column[index] for key, column in self.arrays.items() if column.ndim and len(column) == rows}
 
 
@@ -60,7 +60,7 @@ def d3rlpy_episodes(parts: Parts) -> None:
     for episode in range(count):
         for key in ("observations", "actions", "rewards"):
             names = [name for name in (f"{key}_{episode}",) if name in parts.arrays]
-            while not names or names[-1] != f"{key}_{episode}":  # else arrays of parts, counted from 0
+            while not names or names[-1] != f"{key}_{episode}":  # or arrays of its parts, counted from 0
                 following = f"{key}_{episode}_{len(names)}"
                 if following not in parts.arrays:
                     break
@@ -106,7 +106,7 @@ def sb3(parts: Parts) -> None:
     if not len(order):
         raise UserError("the replay buffer is empty (pos is 0 and full is not set)")
     stacked = {key: column for key, column in parts.arrays.items() if column.shape[:2] == (steps, environments)}
-    for key in ("observations", "next_observations", "actions", "dones"):
+    for key in ("observations", "next_observations", "actions", "dones", "timeouts"):
         if key in parts.arrays and key not in stacked:
             raise UserError(
                 f"column {key} has shape {parts.arrays[key].shape}, rewards have {rewards.shape}; both are (steps, "
@@ -130,7 +130,7 @@ def sb3(parts: Parts) -> None:
 
 
 def tianshou(parts: Parts) -> None:
-    """Puts the rings of a buffer into the order of time, without the rows that are not filled."""
+    """Puts the ring buffers into the order of time, without the rows that are not filled."""
     masks(parts, "obs", "obs_next")
     rows = len(parts.arrays["rew"])
     size, index = parts.number("_size"), parts.number("_insertion_idx", "_index")
@@ -149,19 +149,19 @@ def tianshou(parts: Parts) -> None:
     if not len(order):
         raise UserError("the buffer is empty")
     for key in [key for key in parts.arrays if key.startswith("_") or key in ("last_index", "buffers")]:
-        del parts.arrays[key]  # of the buffer, and not of its rows
+        del parts.arrays[key]  # a property of the buffer, not of its rows
     parts.take(order, rows)
     parts.arrays["cut"] = np.zeros(len(order), bool)
     parts.arrays["cut"][np.cumsum([len(ring) for ring in rings if len(ring)]) - 1] = True
 
 
 def _ring(start: int, length: int, size: int, following: int) -> np.ndarray:
-    """The filled rows of a ring of `size` rows from row `start` on, oldest first; `following` is written next."""
+    """The filled rows of a ring buffer of `size` rows from row `start` on, oldest first; `following` is written next."""
     return start + (np.arange(length) + (following if length == size else 0)) % size
 
 
 def masks(parts: Parts, now: str, after: str) -> None:
-    """Takes the masks of legal actions out of observations and next observations."""
+    """Moves the masks of legal actions out of the observations `now` and the next observations `after`."""
     for where, role in ((now, "legal"), (after, "next_legal")):
         for key in (f"{where}/mask", f"{where}/action_mask"):
             if key in parts.arrays:
@@ -169,7 +169,7 @@ def masks(parts: Parts, now: str, after: str) -> None:
 
 
 def torchrl(parts: Parts) -> None:
-    """Flattens batches (batch, time, ...) without their padding; knows one-hot actions and zeros in place of observations."""
+    """Flattens batches (batch, time, ...) without their padding; recognises one-hot actions, and zeros for observations."""
     rewards = parts.arrays["next/reward"]
     batched = rewards.ndim > 2 or (rewards.ndim == 2 and rewards.shape[1] != 1)
     if batched:
@@ -250,7 +250,7 @@ def steps(parts: Parts) -> None:
         if (ended & ~last).any():
             raise UserError(f"is_terminal in row {int(np.argmax(ended & ~last))}, which is not a last step (is_last)")
         parts.arrays["terminated"] = np.append(ended[1:], False)
-        parts.arrays.pop("discount", None)  # says the same, or is 1 throughout
+        parts.arrays.pop("discount", None)  # redundant, or 1 throughout
     elif "discount" not in parts.arrays:
         raise UserError("neither is_terminal nor discount: it is not known whether the task ended")
     parts.arrays["cut"] = np.append(last[1:], False)
@@ -269,7 +269,7 @@ def _flags(parts: Parts, name: str) -> np.ndarray:
 
 
 def _follow(parts: Parts, name: str, following: str, rows: int) -> None:
-    """Makes columns of next observations of the rows below; that of the last row is its own."""
+    """Adds next observations, from the rows below; that of the last row is its own observation."""
     if parts.under(following):
         return
     below = np.minimum(np.arange(rows) + 1, rows - 1)

@@ -1,4 +1,4 @@
-"""Layouts of other libraries as a table: what their columns are called, what their end flags mean, how they are recognised."""
+"""A table of the layouts of other libraries: names of columns, meaning of end flags, and how the layouts are recognised."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ _GYMNASIUM = {"observations": "observations", "actions": "actions", "rewards": "
               "next_observations": "next_observations"}  # fmt: skip
 _STEP = {"observation": "observations", "action": "actions", "reward": "rewards", "next_observation": "next_observations",
          "episode_id": "episode"}  # fmt: skip
-_PREFIXES = ("_meta/",)  # groups that hold the columns and mean nothing
+_PREFIXES = ("_meta/",)  # groups around the columns, without meaning
 
 
 @dataclass(frozen=True)
@@ -20,18 +20,18 @@ class Layout:
     """How one library lays out logged steps.
 
     Attributes:
-        library: whose layout it is, as told.
-        ends: what its end flags mean, as told.
-        needs: columns that must be there for the layout to be recognised; one that is a dict of columns counts.
-        one_of: of these at least one must be there, if any are listed.
-        never: columns of which none may be there.
-        names: {its name of a column: ours, or one of the roles below}. The first that is there takes the role. Roles beside
+        library: name of the library, for messages.
+        ends: meaning of its end flags, for messages.
+        needs: columns, or dicts of columns, all of which the layout has.
+        one_of: columns of which the layout has at least one, if any are listed.
+        never: columns of which the layout has none.
+        names: {column of the library: our name, or one of the roles below}. The first that exists takes the role. Roles beside
             the names of `Dataset.from_arrays`: `terminated` (the task ended), `truncated` (only the recording ended), `done`
             (either), `alive` (1 while the task has not ended), `discount` (0 where it has), `episode` (an identifier), `time`
             (orders the rows of an episode), `cut` (the recording stops after this row), `unknown` (the next observation is
             not known), `log_probs` and `probs` (of the logged action), `legal` (rows, actions).
-        order: what puts the rows into order before, where names alone do not do.
-        ours: names are those of `Dataset.from_arrays`, so that nothing has to be changed.
+        order: function that puts the rows into order first, if new names are not enough.
+        ours: whether names are those of `Dataset.from_arrays`, so that nothing has to be changed.
     """
 
     library: str
@@ -44,13 +44,13 @@ class Layout:
     ours: bool = False
 
     def fits(self, names: Iterable[str]) -> bool:
-        """Whether columns called `names` are laid out so."""
+        """Whether columns called `names` have this layout."""
         names = set(names)
         there = all(has(names, name) for name in self.needs) and not any(has(names, name) for name in self.never)
         return there and (not self.one_of or any(has(names, name) for name in self.one_of))
 
 
-# The first that fits is taken, so those with more particular names stand first.
+# The first that fits is taken, so those with more specific names are first.
 LAYOUTS = (
     Layout(
         "d3rlpy 2", "`terminated` marks episodes that ended by termination; in others the last next observation is not known",
@@ -170,7 +170,7 @@ def layout_of(names: Iterable[str]) -> Layout | None:
 
 
 def told(layout: Layout) -> str:
-    """The line that says how columns are read."""
+    """The message on how columns are read."""
     return f"read as {layout.library}'s layout: {layout.ends}"
 
 

@@ -1,4 +1,4 @@
-"""Which marks the numbers of a text file have: for decimals and for thousands."""
+"""Detection of the separators of decimals and thousands in the numbers of a text file."""
 
 import re
 from collections import Counter
@@ -10,21 +10,21 @@ _GROUPED = re.compile(
     r"[+-]?[1-9]\d{0,2}(?P<mark>[.,'’ \u00a0\u202f])\d{3}(?P<more>(?:(?P=mark)\d{3})*)(?:(?P<decimal>[.,])\d+)?-?"
 )
 _DECIMAL = re.compile(r"[+-]?\d*(?P<decimal>[.,])\d+(?:[eE][+-]?\d+)?-?")
-LARGEST = 2**63  # from which on no integer of 64 bits is
-_MOST = 400_000  # cells that are looked at
+LARGEST = 2**63  # least number that is not a 64-bit integer
+_MOST = 400_000  # largest number of cells that are examined
 _SAME = {"’": "'", "\u00a0": " ", "\u202f": " "}
 WORDS = {".": "points", ",": "commas", " ": "spaces", "'": "apostrophes"}
 
 
 @dataclass
 class Marks:
-    """What the cells of a file say about its marks; each {mark: {column: a cell}}.
+    """The cells of a file that show its separators; each {separator: {column: a cell}}.
 
     Attributes:
-        decimals: cells whose mark is one of decimals (1,5 and 0,123 and 1234,567).
-        thousands: cells whose mark is one of thousands (1.234,56 and 1.234.567 and 1 234).
-        open: cells that may be either: 1,234 and 1.234.
-        rows: how many rows were looked at, where the file has more; else 0.
+        decimals: cells with a decimal separator (1,5 and 0,123 and 1234,567).
+        thousands: cells with a thousands separator (1.234,56 and 1.234.567 and 1 234).
+        open: ambiguous cells, whose separator may be either: 1,234 and 1.234.
+        rows: number of rows that were examined, if the file has more; else 0.
     """
 
     decimals: dict[str, dict[int, str]] = field(default_factory=lambda: {".": {}, ",": {}})
@@ -34,7 +34,7 @@ class Marks:
 
     @classmethod
     def of(cls, rows: Sequence[Sequence[str]], whole: bool = True) -> "Marks":
-        """Of the cells of the rows, each a sequence of texts; `whole` says that the file has no more."""
+        """Those of some rows, each a sequence of texts; `whole`: the file has no more."""
         marks, seen = cls(rows=0 if whole else len(rows)), 0
         for index, row in enumerate(rows):
             seen += len(row)
@@ -61,16 +61,16 @@ class Marks:
             self.decimals[match["decimal"]].setdefault(column, cell)
 
     def resolve(self, decimal: str | None, thousands: str | None, separator: str) -> tuple[str, str, list[str]]:
-        """The marks of decimals and thousands, and what to tell of them.
+        """The separators of decimals and thousands, and messages.
 
-        Rules: decimals have the mark that more columns show (1,5 and 1.234,56 show a comma; 1.234.567 excludes a point). If
-        none does, and cells such as 1,234 are all there is, the comma is one of decimals where semicolons separate columns,
-        and one of thousands elsewhere, which is told as open. A mark of thousands is one that cells show or, beside decimals
-        of the other mark, one that stands before groups of three alone.
+        Rules: the decimal separator is the one that more columns show (1,5 and 1.234,56 show a comma; 1.234.567 excludes a
+        point). If none shows any, and there are only ambiguous cells such as 1,234, the comma is the decimal separator if
+        semicolons separate columns, and else the thousands separator, with a message that this is open. The thousands
+        separator is one that cells show or else, if it is not the decimal separator, that of ambiguous cells.
 
         Args:
-            decimal: as asked for, or None.
-            thousands: as asked for, or None.
+            decimal: the given one, or None.
+            thousands: the given one, or None.
             separator: of columns.
         """
         told: list[str] = []
@@ -128,7 +128,7 @@ class Marks:
 
 
 def of_digits(names: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """What to tell of columns of digits that lose something as numbers, because no integer has so many places.
+    """Messages on columns of digits that are rounded as numbers, because they exceed 64-bit integers.
 
     Args:
         names: of the columns.
@@ -145,7 +145,7 @@ def of_digits(names: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def of_large(name: str, cell: str) -> str:
-    """What to tell of a column that has a cell of digits beyond all integers, for which all its cells became floats."""
+    """The message on a column with a cell of digits that exceeds 64-bit integers, because of which all its cells are floats."""
     return f"column {name}: {cell!r} is rounded, as no integer is so large; put a letter before codes"
 
 
@@ -154,7 +154,7 @@ def _any(cells: dict[int, str]) -> str:
 
 
 def _value(cell: str, decimal: str) -> str:
-    """What a cell says, with a point for decimals."""
+    """The number in a cell, written with a decimal point."""
     whole, _, fraction = cell.rstrip("-").partition(decimal)
     whole = re.sub(r"[^\d+-]", "", whole)
     sign = "-" if cell.endswith("-") else ""

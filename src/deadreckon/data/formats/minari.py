@@ -26,16 +26,15 @@ _KEPT = ("dataset_id", "algorithm_name", "code_permalink", "ref_min_score", "ref
 def read_minari(source: Path | str, *, strict: bool = False, name: str | None = None) -> Dataset:
     """Reads a Minari data set.
 
-    Of observations that are dicts with an array called `observation`, that is the observation, and the rest (such as
-    `desired_goal`) and the infos become extras. Other dicts, tuples, and discrete observations are flattened as Gymnasium does
-    it, discrete ones one-hot; what each dimension is goes to `provenance.extra["observation_names"]`. Actions of several
-    integers are joined into one, whose integers are in `provenance.extra["action_levels"]`. Terminations are terminals,
-    truncations timeouts.
+    If observations are dicts with an array called `observation`, that is the observation, and the rest (such as `desired_goal`)
+    and the infos become extras. Other dicts, tuples, and discrete observations are flattened as in Gymnasium, discrete ones
+    one-hot; the names of the dimensions are in `provenance.extra["observation_names"]`. Actions of several integers are joined
+    into one, whose integers are in `provenance.extra["action_levels"]`. Terminations are terminals, truncations timeouts.
 
     Args:
-        source: its folder, or its id, such as `minari:D4RL/pointmaze/umaze-v2`; `minari:` may be left out if it is here.
+        source: its folder, or its id, such as `minari:D4RL/pointmaze/umaze-v2`; `minari:` may be left out if it is installed.
         strict: refuse actions out of bounds.
-        name: of the log; what the data set says, else the id without its namespace, if absent.
+        name: of the log; that in the data set, else the id without its namespace, if absent.
 
     Raises:
         UserError: one line with the folder, the episode and what is wrong.
@@ -45,7 +44,7 @@ def read_minari(source: Path | str, *, strict: bool = False, name: str | None = 
     if "data_format" not in metadata:
         raise UserError(f"{folder / METADATA}: no data_format; is this a Minari data set?")
     for key in ("observation_space", "action_space"):
-        # Without one of them Minari makes the environment that the file names, of whatever code that is.
+        # Without one of them Minari would create the environment that the file names, which can execute any code.
         if not isinstance(metadata.get(key), str):
             raise UserError(f"{folder / METADATA}: no {key}, which is needed as JSON; no environment is made to ask for it")
     said = {key: metadata[key] for key in _KEPT if key in metadata}
@@ -64,22 +63,22 @@ def read_minari(source: Path | str, *, strict: bool = False, name: str | None = 
 
 
 def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
-    """Writes `log` as a local Minari data set and gives its folder. Extras become infos.
+    """Writes `log` as a local Minari data set and returns its folder. Extras become infos.
 
-    Where the log's environment is known (`data.environments`), the data set names it, so that Minari's `recover_environment`
-    opens it, and has its bounds of observations, widened where a row is beyond them. Actions that were joined or counted from 0
-    for the log are written as the environment takes them.
+    If the log's environment is known (`data.environments`), the data set names it, so that Minari's `recover_environment`
+    opens it, and has its bounds of observations, widened to contain all rows. Actions that were joined or counted from 0 for
+    the log are written as the environment takes them.
 
-    Minari has no way to say that an episode's final observation is unknown: the last row of such an episode is left
-    out, and its observation becomes the final one.
+    Minari cannot mark the final observation of an episode as unknown: the last row of such an episode is left out, and its
+    observation becomes the final one.
 
     Args:
-        log: whose next observations are the following rows'.
+        log: a log whose next observations are those of the following rows.
         dataset_id: such as `mine/pointmaze-v0`; a namespace needs two letters or more.
         force: replace a data set of this id.
 
     Raises:
-        UserError: the id is not one, or exists; a column's name would be a path; or the log has next observations of its own.
+        UserError: the id is not valid, or exists; a column's name would be a path; or the log has other next observations.
     """
     from minari import create_dataset_from_buffers
 
@@ -101,7 +100,7 @@ def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
         with alone(target, what=str(target)), beside(root() / target.name, folder=True) as scratch:
             # So that a data set appears in Minari's real root only when complete.
             with environment_variable(ROOT, str(scratch)), warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # that there is no author, code link, ...
+                warnings.simplefilter("ignore")  # on the missing author, code link, ...
                 made = create_dataset_from_buffers(
                     dataset_id,
                     buffer=list(buffers(log)),
@@ -112,7 +111,7 @@ def write_minari(log: Dataset, dataset_id: str, *, force: bool = False) -> Path:
                 )
                 known = {} if environment is None else {"env_spec": environment.spec}
                 made.storage.update_metadata({"deadreckon": Header.of(log).to_json(), **known})
-            # Namespaces on the way have a description each, which Minari wants to see.
+            # Minari needs a file with a description of each namespace in the id.
             for parent in Path(dataset_id).parents:
                 note = Path(scratch, parent, "namespace_metadata.json")
                 (root() / parent).mkdir(parents=True, exist_ok=True)
@@ -130,7 +129,7 @@ def _size(folder: Path) -> int:
     """Bytes of the files that are read, all of which lie in the folder.
 
     Raises:
-        UserError: one is no file, or is a link.
+        UserError: one is not a regular file, or is a link.
     """
     refuse_links(folder, "a Minari data set")
     return sum(file_size(Path(place, name)) for place, _, names in os.walk(folder) for name in names)

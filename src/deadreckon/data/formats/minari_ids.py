@@ -1,4 +1,4 @@
-"""Ids of Minari data sets: what looks like one, and where the data set lies, without loading Minari."""
+"""Ids of Minari data sets: their form, and the folders of the data sets, without importing Minari."""
 
 import os
 import re
@@ -16,7 +16,7 @@ def find(source: Path | str) -> Path:
     """The folder with `metadata.json` of a data set given by folder, or by `minari:` and an id.
 
     Raises:
-        UserError: there is none, with the nearest ids that are there; or the id is not one.
+        UserError: there is none (the line names similar ids), or the id is not valid.
     """
     text = str(source)
     by_id = text.startswith(PREFIX)
@@ -35,7 +35,7 @@ def find(source: Path | str) -> Path:
 
 
 def installed(text: str) -> bool:
-    """Whether `text` is the id of a data set that is installed here; says so without loading Minari."""
+    """Whether `text` is the id of a data set that is installed here; Minari is not imported."""
     return _inside(text) and (root() / text / "data" / METADATA).is_file()
 
 
@@ -45,19 +45,23 @@ def is_id(text: str) -> bool:
 
 
 def missing(dataset_id: str) -> str:
-    """What is told of a data set that is not here."""
+    """The message on a data set that is not installed here."""
     told = f"no file {dataset_id}, and no Minari data set of this id in {root()} ({ROOT})"
     return f"{told}; `minari download {dataset_id}` fetches it"
 
 
 def checked_id(dataset_id: str) -> str:
-    """`dataset_id`, refused if it is none or would lead out of Minari's folder."""
+    """`dataset_id`, if it is a valid id within Minari's folder.
+
+    Raises:
+        UserError: it is not.
+    """
     from minari.dataset.minari_dataset import parse_dataset_id
 
     try:
         parse_dataset_id(dataset_id)
         good = _inside(dataset_id)
-    except (ValueError, TypeError):  # TypeError is what an id without a version makes of it
+    except (ValueError, TypeError):  # a TypeError is raised for an id without a version
         good = False
     if not good:
         raise UserError(f"{dataset_id!r} is no Minari id; it should look like mine/pointmaze-v0")

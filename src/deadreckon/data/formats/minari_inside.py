@@ -1,4 +1,4 @@
-"""The episodes of a Minari data set as columns, read in a process of its own: its HDF5 files can hang the library."""
+"""The episodes of a Minari data set as columns, read in a separate process: damaged HDF5 files can hang the library."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -21,11 +21,11 @@ def contents(folder: str, said: dict[str, Any], shared: Any) -> dict[str, Any]:
 
     Args:
         folder: of its files, which holds metadata.json.
-        said: what is known of it.
-        shared: not used, for columns are put together in memory.
+        said: known metadata, for the provenance.
+        shared: not used, because columns are assembled in memory.
 
     Returns:
-        `columns`; `extra`: `said` with what was found beside; `space` of the actions as JSON values, or None; `told`.
+        `columns`; `extra`: `said` with further metadata; `space` of the actions as JSON values, or None; `told`: messages.
 
     Raises:
         UserError: one line with the episode and what is wrong.
@@ -56,7 +56,7 @@ def contents(folder: str, said: dict[str, Any], shared: Any) -> dict[str, Any]:
 
 
 def _actions(space: Any, columns: dict[str, np.ndarray], extra: dict[str, Any]) -> tuple[Box | Discrete | None, list[str]]:
-    """Our action space, None where the bounds are not finite, and what to say; `columns["actions"]` become actions of it."""
+    """The action space of the log, None if bounds are not finite, and messages; `columns["actions"]` are converted to it."""
     from gymnasium import spaces
 
     if isinstance(space, spaces.Discrete):
@@ -71,7 +71,7 @@ def _actions(space: Any, columns: dict[str, np.ndarray], extra: dict[str, Any]) 
 
 
 def _observations(space: Any, values: Any, extra: dict[str, Any]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """(T + 1, *shape) observations of an episode, and what else came with them."""
+    """(T + 1, *shape) observations of an episode, and further arrays in their dict."""
     from gymnasium import spaces
 
     if isinstance(space, spaces.Box):
@@ -99,7 +99,7 @@ def _episode(episode: Mapping[str, Any], space: Any, extra: dict[str, Any]) -> d
     timeouts[-1] |= not columns["terminals"][-1]
     columns["timeouts"] = timeouts
     for key, value in (*observed.items(), *_leaves(episode["infos"] or {}, "infos/")):
-        # Infos and goals come with every observation, the first of reset included: those at action time are kept.
+        # Infos and goals are given for every observation, including that of the reset: those at the action are kept.
         if value.dtype.kind in "fiub" and value.ndim and len(value) in (steps, steps + 1):
             columns[key if key.startswith("infos/") else f"observation/{key}"] = value[:steps]
     return columns

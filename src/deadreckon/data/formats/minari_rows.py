@@ -1,4 +1,4 @@
-"""What of a log stands in a Minari data set: spaces and episodes."""
+"""The spaces and episodes of a log for a Minari data set."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -11,7 +11,7 @@ from deadreckon.data.spec import Discrete
 
 
 def spaces_of(log: Dataset, environment: Environment | None) -> tuple[Any, Any]:
-    """Of observations and actions: the environment's as far as they are known, wide enough for all rows."""
+    """The spaces of observations and actions: those of the environment if it is known, widened to contain all rows."""
     from gymnasium import spaces
 
     space, shape = log.action_space, log.observations.shape[1:]
@@ -35,8 +35,8 @@ def spaces_of(log: Dataset, environment: Environment | None) -> tuple[Any, Any]:
 
 
 def _levels(log: Dataset) -> np.ndarray | None:
-    """(actions, integers) what the environment takes for each discrete action, where it is not the action's number; None for
-    actions that are texts in their table, of which Minari gets the numbers."""
+    """(actions, integers) the environment's integers for each discrete action; None if they are the action's number, and for
+    actions that are texts in their table, which are written as numbers."""
     levels = np.asarray(log.provenance.extra.get("action_levels", ()))
     if not isinstance(log.action_space, Discrete) or levels.shape[:1] != (log.action_space.n,):
         return None
@@ -44,7 +44,7 @@ def _levels(log: Dataset) -> np.ndarray | None:
 
 
 def buffers(log: Dataset) -> Iterator[Any]:
-    """The episodes of a log as Minari takes them."""
+    """The episodes of a log as Minari's `EpisodeBuffer`s."""
     from minari.data_collector import EpisodeBuffer
 
     known = log.final_known | log.terminals[log.ends]

@@ -1,4 +1,4 @@
-"""Logs as npz files: one array a column, by `Dataset.from_arrays` names."""
+"""Logs as npz files: one array per column, by `Dataset.from_arrays` names."""
 
 import json
 import zipfile
@@ -35,11 +35,11 @@ def read_npz(path: Path | str, *, strict: bool = False, name: str | None = None,
 
 
 def write_npz(log: Dataset, path: Path | str) -> None:
-    """Writes `log` as a compressed npz that `read_npz` gives back exactly. Atomic.
+    """Writes `log` as a compressed npz that `read_npz` reads back exactly. Atomic.
 
     Raises:
-        UserError: a column's name can be no file's, as which whatever unpacks the archive takes it; or the file cannot be
-            written.
+        UserError: a column's name is not a valid name of a file, as which it is unpacked, or is that of the header; or the
+            file cannot be written.
     """
     columns = columns_of(log)
     for key in columns:
@@ -47,7 +47,7 @@ def write_npz(log: Dataset, path: Path | str) -> None:
     if _HEADER in columns:
         raise UserError(f"{path}: column {_HEADER} has the name of the header in an npz file; rename it")
     with replacing(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED) as archive:
-        # Not by `savez_compressed`, to which columns called file or allow_pickle would be arguments.
+        # Not by `savez_compressed`, of which columns called file or allow_pickle would be arguments.
         for key, column in {**columns, _HEADER: np.array(json.dumps(Header.of(log).to_json()))}.items():
             with archive.open(f"{key}.npy", "w", force_zip64=True) as file:
                 np.lib.format.write_array(file, np.asanyarray(column), allow_pickle=False)

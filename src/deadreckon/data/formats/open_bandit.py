@@ -1,4 +1,4 @@
-"""The Open Bandit Dataset's tables: which column is what, told by their names."""
+"""Tables of the Open Bandit Dataset: the roles of their columns, by name."""
 
 import csv
 import io
@@ -13,15 +13,15 @@ _CONTEXT = re.compile(r"user_feature_\d+|user-item_affinity_\d+")
 
 
 def open_bandit(path: Path | str, kind: str, mapping: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """What columns of a CSV file mean if it is a table of the Open Bandit Dataset (`all.csv`, `men.csv`, `women.csv`).
+    """The roles of columns in a CSV file if it is a table of the Open Bandit Dataset (`all.csv`, `men.csv`, `women.csv`).
 
     Args:
         path: of the file, which may be gzipped.
-        kind: of the file; all but "csv" are left as they are.
-        mapping: what was given; it is left as it is if anything was.
+        kind: format of the file; only "csv" is examined.
+        mapping: the given options; returned unchanged if there are any.
 
     Returns:
-        The mapping, as `Dataset.from_frame` takes it, and a line that says so.
+        The mapping for `Dataset.from_frame`, and a message if it is that of these tables.
     """
     if kind != "csv" or any(value is not None for value in mapping.values()):
         return mapping, []

@@ -1,4 +1,4 @@
-"""Logs as pickles: a dict of D4RL's columns, or a list of such dicts, one an episode, as Adroit's demonstrations are."""
+"""Logs as pickles: a dict of D4RL's columns, or a list of such dicts, one per episode, as in Adroit's demonstrations."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,12 +14,12 @@ from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.unpickle import ObjectDouble, PlainUnpickler, unpickle
 
-_COUNT = {*COLUMNS, *MASKS, *ENDS, LOG_PROBS}  # names of columns of which none may be lost
+_COUNT = {*COLUMNS, *MASKS, *ENDS, LOG_PROBS}  # names of columns that must not be dropped
 _BUFFERS = ("ReplayBuffer", "DictReplayBuffer")  # of Stable-Baselines3
 
 
 class _Ignored(ObjectDouble):
-    """Stands for an object that no log needs, such as a generator of random numbers."""
+    """A placeholder for an object that no log needs, such as a random number generator."""
 
     def __init__(self, *given: Any):
         super().__init__()
@@ -29,10 +29,10 @@ class _Ignored(ObjectDouble):
 
 
 class BufferUnpickler(PlainUnpickler):
-    """Knows Stable-Baselines3's replay buffers and Gymnasium's spaces, too, as doubles that hold their fields."""
+    """Also reads Stable-Baselines3's replay buffers and Gymnasium's spaces, as placeholders that hold their fields."""
 
     def find_class(self, module_name: str, global_name: str) -> Any:
-        """The double of what the pickle asks for; all else is refused."""
+        """The placeholder for a class that the pickle names; other classes are refused."""
         if module_name == "stable_baselines3.common.buffers" and global_name in _BUFFERS:
             return ObjectDouble
         if module_name.startswith(("gymnasium.spaces.", "gym.spaces.")):
@@ -43,8 +43,8 @@ class BufferUnpickler(PlainUnpickler):
 
 
 def read_pickle(path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None) -> Dataset:
-    """Reads a pickled log: a dict of D4RL's columns or in another library's layout, a list of such dicts of D4RL's columns, one
-    an episode, or a replay buffer of Stable-Baselines3.
+    """Reads a pickled log: a dict of D4RL's columns or in another library's layout, a list of dicts of D4RL's columns, one per
+    episode, or a replay buffer of Stable-Baselines3.
 
     The human demonstrations of Adroit (dicts with `init_state_dict`, which is not kept) have T observations for T
     actions, so the last row of each episode has no known successor; their actions are bounded by -1 and 1, and
@@ -78,7 +78,7 @@ def read_pickle(path: Path | str, *, strict: bool = False, name: str | None = No
 
 
 def _columns(path: Path | str, given: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """The columns of a dict: its arrays, and of its lists those that count or have a number for each action."""
+    """The columns of a dict: its arrays, and those of its lists that are main columns or have a number for each action."""
     found = {key: as_array(value) if isinstance(value, list) else value for key, value in given.items() if value is not None}
     for key in sorted(_COUNT & found.keys()):
         if not isinstance(found[key], np.ndarray):

@@ -16,7 +16,7 @@ from deadreckon.foreign.door import opened
 
 _BATCHES = "output-*.json"  # the files in a folder that RLlib has written
 _NO_ARRAYS = ("type", "infos", "count")
-_EPISODE = "eps_id"  # texts, or integers that no array may hold
+_EPISODE = "eps_id"  # texts, or integers that may exceed 64 bits
 
 
 def read_rllib(path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None) -> Dataset:

@@ -1,6 +1,6 @@
-"""Text files larger than memory as tables: cells go to files as they stand, and column by column become what they hold.
+"""Tables from text files larger than memory: cells are written to files as bytes, and then converted column by column.
 
-Types are those of `pyarrow.csv.read_csv` on the whole file: the first in `_KINDS` that all cells of a column have.
+Types are those of `pyarrow.csv.read_csv` on the whole file: the first in `_KINDS` that fits all cells of a column.
 """
 
 from collections.abc import Iterable, Iterator
@@ -24,11 +24,11 @@ class Spool:
     """Keeps columns in files, which are mapped into memory.
 
     Args:
-        folder: that takes the files.
-        progress: called with the rows that are read, after some more of them.
+        folder: of the files.
+        progress: called repeatedly with the number of rows read.
 
     Attributes:
-        cells: of the file that was read, as they stand in it.
+        cells: of the file that was read, as bytes.
     """
 
     cells: pa.Table
@@ -37,18 +37,18 @@ class Spool:
         self.folder, self.progress, self.count = folder, progress, 0
 
     def keep(self, values: Any) -> pa.ChunkedArray:
-        """A column, mapped from a file."""
+        """Writes a column to a file and returns it memory-mapped."""
         values = values if isinstance(values, pa.ChunkedArray) else pa.chunked_array([values])
         chunks = (chunk.slice(start, BLOCK) for chunk in values.chunks for start in range(0, len(chunk), BLOCK))
         return self._column(chunks, values.type)
 
     def read(self, source: Any, read: csv.ReadOptions, parse: csv.ParseOptions, convert: dict[str, Any]) -> pa.Table:
-        """What `pyarrow.csv.read_csv` gives.
+        """Reads a file, with the result of `pyarrow.csv.read_csv`.
 
         Args:
             source: the file, open for reading.
-            read: as of `read_csv`.
-            parse: as of `read_csv`.
+            read: as for `read_csv`.
+            parse: as for `read_csv`.
             convert: the arguments of `ConvertOptions`.
         """
         names = csv.open_csv(source, read, parse).schema.names

@@ -1,5 +1,5 @@
-"""A log as one table, and a table as the columns of a log. Under our names a vector is spread over columns `observation_0,
-observation_1, ...`, and `final_observation_*` is filled in the last row of an episode alone."""
+"""Conversion of a log to one table, and of a table to the columns of a log. Under our names a vector is spread over columns
+`observation_0, observation_1, ...`, and `final_observation_*` is filled only in the last row of an episode."""
 
 import math
 from pathlib import Path
@@ -26,7 +26,7 @@ _SINGULAR = {"observations": "observation", "actions": "action", "rewards": "rew
 _PLURAL = {value: key for key, value in _SINGULAR.items()}
 _OURS = ("observation", "action", "reward")  # a table with all of these names is read by them
 _DONE = ("done", "dones")  # alone they are refused, as they do not say how an episode ended
-# Any of these tells that rows follow each other, or that somebody meant to say so; so does a time.
+# Any of these columns, or a time, indicates that rows follow each other.
 _ORDERED = {"terminals", "timeouts", "next_observations", "final_observations", *_DONE}
 _MAPPING = ("schema", *Asked._fields)
 Groups = dict[str, list[str]]  # {column of the log: its columns in the table}
@@ -34,7 +34,11 @@ Shapes = dict[str, tuple[tuple[int, ...], np.dtype]]  # {column: (shape of a row
 
 
 def to_table(log: Dataset) -> pa.Table:
-    """`log` as a pyarrow table: `episode`, then every column, vectors spread over name_0, name_1, ..."""
+    """`log` as a pyarrow table: `episode`, then every column, vectors spread over name_0, name_1, ...
+
+    Raises:
+        UserError: two columns would have the same name.
+    """
     table: dict[str, Any] = {"episode": log.episode_of.astype(np.int64)}
     columns = columns_of(log)
     known = columns.pop("final_known")
@@ -66,12 +70,12 @@ def _spread(table: dict[str, Any], name: str, column: np.ndarray, log: str, empt
 
 
 def shapes_of(log: Dataset) -> dict[str, Any]:
-    """What a table does not say of the columns of `log`, as JSON values for its header."""
+    """Shapes and types of the columns of `log`, which a table does not have, as JSON values for its header."""
     return {key: (list(column.shape[1:]), str(column.dtype)) for key, column in columns_of(log).items()}
 
 
 def told_shapes(path: Path | str, header: Header) -> Shapes:
-    """What `shapes_of` put into a header."""
+    """The shapes that `shapes_of` has put into a header."""
     try:
         shapes = {key: (tuple(shape), np.dtype(dtype)) for key, (shape, dtype) in (header.columns or {}).items()}
     except (AttributeError, TypeError, ValueError) as error:
@@ -86,16 +90,16 @@ def from_anybody(
     path: Path | str, table: pa.Table, mapping: dict[str, Any], horizon: int | None, scratch: Scratch | None = None,
     order: str | None = None,
 ) -> FrameColumns:  # fmt: skip
-    """The columns of a table that is not ours, what to note of them and what to warn of.
+    """The columns of a log from a table that this package did not write, with notes for the provenance and warnings.
 
     Args:
         path: named in errors.
         table: (rows,) of each column.
-        mapping: a schema, or which column is what, as for `frame_columns`, or None; where nothing is given, columns have our
-            names, or others that tell, or both.
+        mapping: a schema, or the roles of columns, as for `frame_columns`, or None; without any of these, columns have our
+            names, or others with roles, or both.
         horizon: steps after which episodes of columns with our names are cut off, or None.
         scratch: where columns are kept; None: in memory.
-        order: of the texts of dates that were read; None: there were none, or of one form only.
+        order: of day and month in the texts of dates that were read; None: there were none, or they do not have one order.
 
     Raises:
         UserError: one line with file, column and row.
@@ -123,19 +127,19 @@ def from_anybody(
 
 
 def _written(groups: Groups) -> bool:
-    """Whether columns stand as `to_table` writes them, so that what follows ours is an extra, however it is called."""
+    """Whether columns are in the order of `to_table`, so that all others are extras whatever their names are."""
     return list(groups)[:6] == ["episode", "observation", "action", "reward", "terminal", "timeout"]
 
 
 def _with_roles(groups: Groups) -> list[str]:
-    """Columns beside ours whose names give them a role; a time has one where there are episodes, whose rows it orders."""
+    """Other columns than ours whose names give them a role; a time has one if there are episodes, whose rows it orders."""
     found = [key for key in groups if not_observed(key) and key not in _PLURAL and key not in ("episode", "propensity")]
     likely, episodes = {"propensity", LOG_PROBS} & groups.keys(), any(like("episode", key) for key in groups)
     return [key for key in found if not (likely and like("propensity", key)) and (episodes or not like("time", key))]
 
 
 def _beside(groups: Groups) -> dict[str, Any]:
-    """What is asked of a table that has our names and others with roles, which these get by themselves: the rest is kept."""
+    """The mapping for a table with our names and others with roles, which are assigned by their names; the rest is kept."""
     rest = groups.keys() - _PLURAL.keys() - {"episode"} - set(_with_roles(groups)) - set(row_numbers([*groups]))
     asked = {"propensity": "propensity"} if "propensity" in groups and LOG_PROBS not in groups else {}
     kept = [column for key, parts in groups.items() if key in rest and key not in asked for column in parts]
@@ -143,11 +147,11 @@ def _beside(groups: Groups) -> dict[str, Any]:
 
 
 def _named_ours(path: Path | str, table: pa.Table, horizon: int | None, scratch: Scratch | None) -> FrameColumns:
-    """The columns of a table that somebody gave our names, by `from_arrays` names."""
+    """The columns of a user's table with our names, by `from_arrays` names."""
     columns, warnings = from_table(path, table, scratch=scratch), []
     ordered = _ORDERED & columns.keys() or any(like(role, key) for role in ("episode", "time") for key in table.column_names)
     if horizon is None and not ordered:
-        columns["terminals"] = np.ones(table.num_rows, bool)  # nothing tells of episodes: decisions that stand alone
+        columns["terminals"] = np.ones(table.num_rows, bool)  # no sign of episodes: independent decisions
         warnings.append(ALONE)
     clock = [key for key in table.column_names if like("time", key) and "episode" not in table.column_names and key in columns]
     if clock and (falls := int((columns[clock[0]][1:] < columns[clock[0]][:-1]).sum())):
@@ -167,7 +171,7 @@ def from_table(
     Args:
         path: named in errors.
         table: (rows,) of each column.
-        shapes: of columns that were more than vectors, by `told_shapes`.
+        shapes: of rows of columns, by `told_shapes`; None: numbers and vectors.
         scratch: where columns are kept; None: in memory.
 
     Raises:
@@ -186,7 +190,7 @@ def from_table(
         values = [_values(path, table, part) for part in parts]
         column = values[0] if parts == [name] else scratch.stacked(values)
         if key == "actions" and parts != [name]:
-            column = column.astype(np.float32)  # action_0 alone is a vector of one, even where CSV shows 1, 0, 1
+            column = column.astype(np.float32)  # a lone action_0 is a vector of one number, even with cells 1, 0, 1
         if key in shapes:
             shape, dtype = shapes[key]
             if column[:1].size != math.prod(shape):
@@ -207,12 +211,12 @@ def from_table(
             )
         terminals = np.asarray(columns.get("terminals", np.zeros(rows, bool)))
         given = np.asarray(columns.get("timeouts", np.zeros(rows, bool)))
-        if given.dtype.kind in "biuf" and given.shape == (rows,):  # others are refused with all columns
+        if given.dtype.kind in "biuf" and given.shape == (rows,):  # others are refused later
             columns["timeouts"] = np.where(change & (terminals == 0) & (given == 0), given.dtype.type(1), given)
     if unknown.any():
         inside = unknown.copy()
         inside[last := _last_rows(columns, rows)] = False
-        if inside.any() or "timeouts" not in columns:  # without flags the next observations themselves tell of ends
+        if inside.any() or "timeouts" not in columns:  # without flags, next observations show the ends
             row = int(np.argmax(inside if inside.any() else unknown))
             raise UserError(f"{path}: column {groups['next_observation'][0]} is empty in row {row}")
         columns["final_known"] = ~unknown[last]
@@ -223,7 +227,7 @@ def from_table(
 
 
 def _filled(table: pa.Table, groups: Groups) -> tuple[pa.Table, np.ndarray]:
-    """The table with each row's own observation for next observations that are not known, and (rows,) bool where that is."""
+    """The table with unknown next observations replaced by the row's observation, and (rows,) bool: which are unknown."""
     following, own = groups.get("next_observation", []), groups.get("observation", [])
     unknown = np.full(table.num_rows, bool(following) and len(following) == len(own))
     for column in following:
@@ -263,7 +267,7 @@ def _groups(path: Path | str, names: list[str], shapes: Shapes) -> Groups:
     for column in names:
         prefix, _, number = column.rpartition("_")
         together = number.isdecimal() and prefix and column not in scalars
-        if together and prefix in names:  # a column of its own, unless it might be a part of what a log needs
+        if together and prefix in names:  # a separate column; ambiguous if the prefix is a main column
             if prefix in _PLURAL:
                 raise UserError(
                     f"{path}: there are columns {prefix} and {column}; rename one, or name all columns (--action, --reward)"
@@ -290,7 +294,7 @@ def _values(path: Path | str, table: pa.Table, column: str) -> np.ndarray:
 
 
 def _returns(episode: np.ndarray, change: np.ndarray) -> int:
-    """The first row of an episode that was left before."""
+    """The first row where an episode continues after rows of another one."""
     starts = np.append(0, np.flatnonzero(change)[:-1] + 1)
     _, first = np.unique(episode[starts], return_index=True)
     again = np.setdiff1d(np.arange(len(starts)), first)

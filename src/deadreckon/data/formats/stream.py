@@ -1,8 +1,8 @@
-"""Tables larger than memory as logs: Parquet, also as a folder of files, Arrow and CSV become a folder of .npy columns.
+"""Logs from tables larger than memory: Parquet, also as a folder of files, Arrow and CSV become a folder of .npy columns.
 
-The table is first copied, some row groups at a time, to parts that Arrow maps into memory as they lie on disk; a conversion
-that was killed goes on after the last finished part. The mapped table is then read by the code that reads tables in memory, so
-that both give one log; what has as many rows as the table goes to files, but for the column at work.
+Parquet and Arrow are first copied, some row groups at a time, to parts that are memory-mapped; a conversion that was killed
+resumes after the last finished part. The memory-mapped table is then read by the same code as tables in memory, so that the log
+is the same. Arrays with as many rows as the table are kept in files, except for the column that is being processed.
 """
 
 import functools
@@ -40,16 +40,16 @@ from deadreckon.memory import memory
 from deadreckon.names import natural
 from deadreckon.progress import Progress, unwatched
 
-_PART = 1_000_000  # rows of a part, at least
-_LARGE = 2**28  # bytes of a text file beyond which it is not read whole
-_PARTS = 256  # at most, because each is an open file
-SHARE = 0.1  # of the machine's memory beyond which a table should be a folder: reading and encoding take several copies
-_OURS = b"deadreckon"  # metadata of a Parquet file that holds a log with all that belongs to it
+_PART = 1_000_000  # least number of rows of a part
+_LARGE = 2**28  # bytes of a text file above which it is not read as a whole
+_PARTS = 256  # largest number of parts, because each is an open file
+SHARE = 0.1  # of the machine's memory above which a table should be converted first, as reading it takes several copies
+_OURS = b"deadreckon"  # metadata of a Parquet file that `write_parquet` has written
 _FORMATS = {b"PAR1": "parquet", b"ARROW1": "ipc"}
 
 
 def streamed_format(source: Path | str, separator: str | None = None) -> str | None:
-    """`parquet`, `ipc` or `csv` (large files) where a table can be converted part by part; None of what is read whole."""
+    """`parquet`, `ipc` or `csv` (large files) if a table can be converted part by part; None for what is read as a whole."""
     source = Path(source)
     if source.is_dir():
         if (source / HEADER).is_file():
@@ -57,7 +57,7 @@ def streamed_format(source: Path | str, separator: str | None = None) -> str | N
         files = [each for each in source.rglob("*") if not each.is_dir()]
         if not any(each.suffix == ".parquet" for each in files):
             return None
-        for each in files:  # before Arrow opens one that waits
+        for each in files:  # refuses pipes, for which Arrow would wait
             file_size(each)
         return "parquet"
     if not source.is_file():
@@ -76,9 +76,9 @@ def streamed_format(source: Path | str, separator: str | None = None) -> str | N
 
 
 def advice(source: Path | str, separator: str | None = None) -> str | None:
-    """A line that says to convert a table first, where it takes more than `SHARE` of this machine's memory; else None.
+    """A message to convert a table first, if it takes more than `SHARE` of this machine's memory; else None.
 
-    The size is that of a file on disk, of Parquet unpacked.
+    The size is that of the file on disk, for Parquet that of the unpacked columns.
     """
     if (kind := streamed_format(source, separator)) is None:
         return None
@@ -109,9 +109,9 @@ def convert_table(
     progress: Progress = unwatched,
     **mapping: Any,
 ) -> Dataset:
-    """Writes a table as a folder, in memory that does not grow with its width.
+    """Converts a table to a folder, with memory that does not grow with the number of columns.
 
-    A call that is killed leaves a hidden folder beside `target`, and the next call with the same source goes on from there.
+    A call that is killed leaves a hidden folder beside `target`, from which the next call with the same source resumes.
 
     Args:
         source: Parquet file, folder of Parquet files (`name=value` folders are columns), Arrow (Feather) file or text file.
@@ -121,12 +121,12 @@ def convert_table(
         strict: refuse actions out of bounds.
         name: of the log; the source's if absent.
         horizon: as for `read_tabular`.
-        progress: called after each of several parts with the rows that are read, and the rows in all where they are known.
-        **mapping: which column is what, as for `from_frame`, and how a text file is read, as for `read_table`.
+        progress: called after each of several parts with the number of rows read, and the total if it is known.
+        **mapping: the roles of columns, as for `from_frame`, and options of the reader, as for `read_table`.
 
     Returns:
-        The log, as `target` holds it. Its columns are memory-mapped from files that are no longer in any folder, and take
-        room on the disk as long as it lives.
+        The log, as in `target`. Its columns are memory-mapped from deleted files, which take disk space as long as the log
+        exists.
 
     Raises:
         UserError: one line with file, column and row. Nothing is left behind.
@@ -167,7 +167,7 @@ def convert_table(
 def _of_text(
     source: Path | str, work: Path, mapping: dict[str, Any], progress: Progress
 ) -> tuple[dict[str, Any], pa.Table, str | None, list[str]]:
-    """Which column is what, a text file's table, memory-mapped below `work`, the order of its dates, and what to tell."""
+    """The roles of columns, a text file's table, memory-mapped below `work`, the order of its dates, and messages."""
     if "schema" in mapping:
         mapping["schema"] = as_schema(mapping["schema"])
         mapping = mapping["schema"].options() | mapping
@@ -181,7 +181,7 @@ def _of_text(
 
 
 def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> tuple[pa.Table, list[str]]:
-    """The table, memory-mapped from parts below `work`, of which those that are there already are kept, and what to tell."""
+    """The table, memory-mapped from parts below `work`, of which existing ones are kept, and messages."""
     hive = dataset.HivePartitioning.discover(infer_dictionary=True)  # as pyarrow.parquet.read_table has it
     with reading(source, "a table"):
         opened: Any = functools.partial(
@@ -195,7 +195,7 @@ def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> t
             raise UserError(f"{source}: two of its columns have one name, and only one can be meant; rename one") from error
         schema, told = _all_columns(source, found)
         found = found if schema is None else opened(schema=schema)
-        _ = found.schema.names  # raises where one is no UTF-8, which nobody has looked at yet
+        _ = found.schema.names  # raises if one is not UTF-8, which has not been checked yet
     for file in found.files:
         check_parquet(file, whole=False) if kind == "parquet" else check_arrow(file)
     with reading(source, "a table"):
@@ -225,15 +225,16 @@ def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> t
         with pa.memory_map(str(part)) as mapped:
             parts.append(pa.ipc.open_stream(mapped).read_all())
         done += count
-        if count < rows:  # of one part there is nothing to wait for
+        if count < rows:  # not needed for a single part
             progress(done, rows)
     return pa.concat_tables(parts), told
 
 
 def _all_columns(source: Path | str, found: Any) -> tuple[pa.Schema | None, list[str]]:
-    """The columns of all files where these differ, of types that hold the values of all, and what to tell of those they lack.
+    """A schema with the columns of all files, of types that fit all values, and messages on missing columns; None if all files
+    have the same columns.
 
-    Without this the first file would say which columns there are.
+    By default Arrow takes only the columns of the first file.
     """
     files = {fragment.path: fragment.physical_schema.remove_metadata() for fragment in found.get_fragments()}
     first = next(iter(files.values()), None)
@@ -253,7 +254,7 @@ def _all_columns(source: Path | str, found: Any) -> tuple[pa.Schema | None, list
 
 
 def _groups(found: Any, kind: str) -> list[tuple[Any, int]]:
-    """What is read at once, in the order of the table, with its rows: row groups of Parquet, files of Arrow."""
+    """The units that are read at once, row groups of Parquet or files of Arrow, in the order of the table; with their rows."""
     fragments = sorted(found.get_fragments(), key=lambda fragment: natural(fragment.path))  # part.2 before part.10
     if kind != "parquet":
         return [(fragment, fragment.count_rows()) for fragment in fragments]
@@ -263,7 +264,7 @@ def _groups(found: Any, kind: str) -> list[tuple[Any, int]]:
 
 
 def _parts(groups: Sequence[tuple[Any, int]], rows: int) -> Iterator[tuple[list[Any], int]]:
-    """Neighbouring groups together, so that parts are not many, with their rows."""
+    """Consecutive groups joined into parts, to limit the number of parts; with their rows."""
     least, part, count = max(_PART, -(-rows // _PARTS)), [], 0
     for group, size in groups:
         part.append(group)
@@ -279,5 +280,5 @@ def _batches(source: Path | str, fragments: Sequence[Any], schema: pa.Schema) ->
     for fragment in fragments:
         with reading(source, "a table"):
             for batch in fragment.to_batches(schema=schema, batch_size=ROWS, batch_readahead=2, fragment_readahead=1):
-                batch.validate(full=True)  # texts that are no UTF-8 would fail wherever they are first looked at
+                batch.validate(full=True)  # texts that are not UTF-8 would else fail later
                 yield batch

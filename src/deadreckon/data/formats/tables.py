@@ -1,4 +1,4 @@
-"""Logs from files of tables, and as CSV and Parquet. CSV keeps neither action bounds nor name; Parquet keeps all."""
+"""Reading of logs from tables, and writing as CSV and Parquet. CSV keeps neither action bounds nor name; Parquet keeps all."""
 
 import json
 from pathlib import Path
@@ -37,11 +37,11 @@ def read_tabular(
 
     Args:
         path: of the file.
-        kind: its format, as `kind.sniff` tells it; None: it is found.
+        kind: its format, as returned by `kind.sniff`; None: it is detected.
         strict: refuse actions out of bounds.
         name: of the log; the file's if absent.
-        horizon: steps after which an episode is cut by a timeout, for files of our names that mark no time limits.
-        **mapping: which column is what, as for `from_frame`, and how to read the file, as for `read_table`.
+        horizon: steps after which an episode is cut by a timeout, for files with our names that mark no time limits.
+        **mapping: the roles of columns, as for `from_frame`, and options of the reader, as for `read_table`.
 
     Raises:
         UserError: one line with file, column and row or line.
@@ -64,10 +64,10 @@ def read_tabular(
 
 
 def is_written(path: Path | str) -> bool:
-    """Whether a Parquet file is a log that `write_parquet` wrote, and not somebody's table.
+    """Whether a Parquet file is a log that `write_parquet` wrote, and not a user's table.
 
     Raises:
-        UserError: it is no Parquet file, or damaged.
+        UserError: it is not a Parquet file, or is damaged.
     """
     check_parquet(path, "Parquet", whole=False)
     with reading(path, "Parquet"), parquet.ParquetFile(path) as file:
@@ -75,7 +75,7 @@ def is_written(path: Path | str) -> bool:
 
 
 def write_parquet(log: Dataset, path: Path | str) -> None:
-    """Writes `log` as Parquet that `read_tabular` gives back exactly. Atomic."""
+    """Writes `log` as Parquet that `read_tabular` reads back exactly. Atomic."""
     header = Header.of(log, columns=shapes_of(log))
     with replacing(path) as temporary:
         table = to_table(log)
@@ -88,7 +88,7 @@ def write_csv(log: Dataset, path: Path | str) -> None:
     Names that a spreadsheet would take for formulas get an apostrophe in front (`csv_out`).
 
     Raises:
-        UserError: a column has more than one dimension a row, or the file cannot be written.
+        UserError: a column has more than one dimension per row, actions have a mask, or the file cannot be written.
     """
     for key, column in columns_of(log).items():
         if isinstance(log.action_space, Discrete) and log.action_space.masked:

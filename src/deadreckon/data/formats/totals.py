@@ -1,4 +1,4 @@
-"""A last row that sums the rows above up, as spreadsheets and reports have it: it is no step, and is told."""
+"""Detection of a last row of totals, as in spreadsheets and reports, which is not a row of data."""
 
 import re
 from typing import Any
@@ -14,16 +14,16 @@ _WORDS = re.compile(
     r"moyenne|totale?)\s*:?",
     re.IGNORECASE,
 )
-_ROWS = 10  # above; fewer rows have such a sum by chance
-_COLUMNS = 2  # that are sums or means
+_ROWS = 10  # least number of rows above; with fewer, such a sum may occur by chance
+_COLUMNS = 2  # least number of columns with sums or means
 
 
 def of_totals(table: pa.Table) -> list[str]:
-    """The line that says that the last row looks like a total, or nothing.
+    """A message, in a list, if the last row looks like a total; else an empty list.
 
-    It does where a text such as total or average stands in it and in no other row of its column, or where two columns of
-    numbers or more, and half of all, are the sums of the rows above or their means. A sum must be larger than all that it sums,
-    and a mean must be none of the values above, because flags and counts have such a last value by chance.
+    It does if it has a text such as total or average that is in no other row of the column, or if at least two columns of
+    numbers, and half of all, have the sums or the means of the rows above. A sum must be larger than all its terms, and a mean
+    must be none of the values above, because flags and counts have such a last value by chance.
 
     Args:
         table: as it was read.
@@ -52,7 +52,7 @@ def _line(row: int, why: str) -> str:
 
 
 def _summed(values: Any, last: float) -> bool:
-    """Whether a number is the sum or the mean of others, and none that could stand there by chance."""
+    """Whether `last` is the sum or the mean of `values`, and not likely to be so by chance."""
     values = _compute.cast(values, pa.float64(), safe=False)  # large integers are rounded
     ends = _compute.min_max(values).as_py()
     if ends["min"] is None or ends["min"] == ends["max"]:

@@ -1,4 +1,4 @@
-"""Columns of Python's values, as spreadsheets and SQLite give them, as pyarrow arrays."""
+"""Conversion of columns of Python values, from spreadsheets and SQLite, to pyarrow arrays."""
 
 import datetime
 from collections import Counter
@@ -17,17 +17,17 @@ _LARGEST = 2**53  # up to which a float holds every integer
 def column_of(
     path: Any, called: str, values: Sequence[Any], where: Callable[[int], str], decimal: bool = False
 ) -> tuple[Any, list[str]]:
-    """A column as a pyarrow array: numbers, truth values, moments, durations, times of day, or texts.
+    """A column as a pyarrow array of numbers, truth values, timestamps, durations, times of day or texts; and messages.
 
-    Cells that are empty or None are missing, and so are words such as NA among cells that are no texts. A column of several
-    kinds becomes text, which is told, unless nearly all cells are of one kind.
+    Cells that are empty or None are missing, and so are words such as NA among cells that are not texts. A column of several
+    kinds becomes text, with a message, unless nearly all cells are of one kind.
 
     Args:
         path: named in errors.
         called: what the column is called, in errors.
-        values: (rows,) of it.
+        values: (rows,) its cells.
         where: what the cell of a row is called, in errors.
-        decimal: whether floats stay floats where all are whole; spreadsheets, which have no integers, do not tell them apart.
+        decimal: whether whole floats stay floats; those of spreadsheets, which have no integers, become integers.
 
     Raises:
         UserError: nearly all cells are of one kind, and one is not; or a cell holds bytes.
@@ -87,7 +87,7 @@ def _numbers(values: list[Any], decimal: bool) -> Any:
 
 
 def _inexact(called: str, values: list[Any], where: Callable[[int], str]) -> list[str]:
-    """What to tell of integers that a float does not hold, beside numbers with decimals."""
+    """Messages on integers that are not exact as floats, in a column that also has decimals."""
     if all(value is None or isinstance(value, int) for value in values):
         return []
     rows = [row for row, value in enumerate(values) if isinstance(value, int) and abs(value) > _LARGEST]

@@ -17,15 +17,15 @@ from deadreckon.foreign.door import opened, unpacked
 
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _LABEL = re.compile(rf"(\d+):({_NUMBER}):({_NUMBER})")
-# No time of day such as 12:30:00, which stands in tables with bars between columns.
+# Not a time of day such as 12:30:00, which may be in tables with bars between columns.
 _NO_CLOCK = re.compile(rf"\d+:{_NUMBER}:(?![-+]?\d\d){_NUMBER}")
 _FIRST = re.compile(rf"\s*(?:shared\s[^|]*|(?:\d+\s+)*\d+:{_NUMBER}:{_NUMBER}(?:\s[^|]*)?|'?\S*\s*)\|".encode())
-_MOST = 10_000  # dimensions of an observation, and actions
+_MOST = 10_000  # largest number of dimensions of an observation, and of actions
 
 
 @dataclass
 class _Example:
-    """One decision: what was known, which action was taken at what cost, and which could have been taken."""
+    """One decision: features, the action with its cost and probability, and the legal actions."""
 
     line: int
     features: dict[str, float]
@@ -38,16 +38,16 @@ class _Example:
 def read_vw(path: Path | str, *, strict: bool = False, name: str | None = None, horizon: int | None = None) -> Dataset:
     """Reads a text of contextual bandits; each example is an episode of one terminal step, whose reward is minus the cost.
 
-    Features become dimensions of the observation, 0 where they are absent, called `namespace^feature` as in VW's audit. Actions
-    are counted from 0. Where actions have features of their own (a decision of several lines), the observation holds those of
-    the shared line and then those of each action, `0:namespace^feature` for the first. Which actions could be taken is the
-    mask of legal actions at their end, if it differs between examples.
+    Features become dimensions of the observation, 0 if they are absent, called `namespace^feature` as in VW's audit. Actions
+    are counted from 0. If each action has features (a decision of several lines), the observation holds those of the shared
+    line and then those of each action, `0:namespace^feature` for the first. If the legal actions differ between examples, their
+    mask is at the end of the observations.
 
     Args:
         path: of the file, which may be gzipped.
         strict: accepted and without effect, because actions are discrete.
         name: of the log; the file's if absent.
-        horizon: refused, because decisions stand alone.
+        horizon: must be None, because decisions are independent.
 
     Raises:
         UserError: one line that names the file, the line and what would be right.
@@ -160,7 +160,7 @@ def _label(number: int, labels: list[str]) -> tuple[int, float, float]:
 
 
 def _split(number: int, line: str) -> tuple[list[str], dict[str, float]]:
-    """The words before the first bar, and the features: `namespace^feature` and its value, which those of a name add up to."""
+    """The words before the first bar, and {`namespace^feature`: value}; the values of a repeated feature are added."""
     head, *spaces = line.rstrip("\r\n").split("|")
     if not spaces:
         raise UserError(f"line {number} has no |; action:cost:probability | features is needed")

@@ -1,7 +1,7 @@
-"""Words that stand for a missing value among numbers, such as none, where they are all that a column of levels has.
+"""Categorical columns that contain only words for missing values, such as none.
 
-The types of a text file's columns are found by pyarrow, which takes a column of nothing but such words for an empty one. An
-action `none` must not be lost like that, so columns of levels are read once more, as they stand.
+pyarrow, which determines the types of a text file's columns, takes a column of nothing but such words for an empty one. An
+action `none` must not be lost, so such categorical columns are read again, as texts.
 """
 
 from collections.abc import Mapping
@@ -16,12 +16,12 @@ from deadreckon.data.formats.spool import Spool
 
 
 def levels_in(mapping: Mapping[str, Any]) -> Known:
-    """Which columns of a table hold levels that may be such words, by what is said of its columns.
+    """The columns of a table whose levels may be such words, by the roles of columns.
 
-    Of a schema also those whose cells are its levels, or flags, whatever they look like in this table.
+    With a schema also the columns of texts whose levels it lists, and those of flags, regardless of their cells in this table.
 
     Args:
-        mapping: which column is what, as for `from_frame`; a schema is a `Schema`.
+        mapping: the roles of columns, as for `from_frame`; a schema is a `Schema`.
     """
     if (schema := mapping.get("schema")) is not None:
         categories = [column for column in schema.columns if column.kind == "category"]
@@ -33,21 +33,21 @@ def levels_in(mapping: Mapping[str, Any]) -> Known:
 
 
 def is_word(level: Any) -> bool:
-    """Whether a level is a text that stays one: true and false are what columns of yes and no become."""
+    """Whether a level is a text, other than true and false, to which columns of yes and no are converted."""
     return isinstance(level, str) and level not in ("true", "false")
 
 
 def with_words(
     table: pa.Table, source: BinaryIO, options: tuple[csv.ReadOptions, csv.ParseOptions], spool: Spool | None, known: Known
 ) -> pa.Table:
-    """The table, in which columns of levels that seem to be empty hold their words.
+    """The table with the words of categorical columns that pyarrow took for empty.
 
     Args:
         table: as pyarrow has read it.
         source: the text file.
         options: with which it was read.
         spool: where columns are kept; None: in memory.
-        known: its `words` are the names of such columns; None: those that are named like an action.
+        known: its `words` are the names of categorical columns; None: those that are named like an action.
     """
     empty = [name for name in table.column_names if pa.types.is_null(table.column(name).type)] if _distinct(table) else []
     held = {name: roles.like("action", name.strip()) if known.words is None else name.strip() in known.words for name in empty}

@@ -1,4 +1,4 @@
-"""Spreadsheets as we write them: texts are cells of text, and those that would be computed get an apostrophe as in CSV."""
+"""Writing of spreadsheets: texts are cells of text, and those that would be evaluated get an apostrophe as in CSV."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,16 +10,16 @@ from deadreckon.data.formats.csv_out import cell
 from deadreckon.errors import UserError, extra
 from deadreckon.names import shown
 
-LONGEST = 32_767  # letters of a cell
-LARGEST = 1_048_576, 16_384  # rows and columns of a sheet
-MADE = datetime(2000, 1, 1)  # in every file, so that the same table is the same file
+LONGEST = 32_767  # largest number of characters of a cell
+LARGEST = 1_048_576, 16_384  # largest numbers of rows and columns of a sheet
+MADE = datetime(2000, 1, 1)  # creation date of every file, so that the same table gives the same file
 
 
 def check_writer() -> None:
-    """Refuses to go on where what writes spreadsheets is missing.
+    """Checks that XlsxWriter, which writes spreadsheets, is installed.
 
     Raises:
-        UserError: it is.
+        UserError: it is not.
     """
     try:
         import xlsxwriter  # noqa: F401
@@ -28,7 +28,7 @@ def check_writer() -> None:
 
 
 def write_sheets(sheets: Mapping[str, Mapping[str, Sequence[Any]]], path: Path | str) -> None:
-    """Writes tables to a spreadsheet (.xlsx), a sheet each, with a first row of names that stays in view.
+    """Writes tables to a spreadsheet (.xlsx), one sheet each, with a first row of names that stays visible.
 
     Numbers that are not finite, and None, are empty cells.
 
@@ -70,7 +70,7 @@ def _write(sheet: Any, i: int, j: int, value: Any) -> None:
 
 
 def _text(value: Any) -> str:
-    """A text as a cell: control characters and half characters are shown as escapes, formulas neutralised."""
+    """A text as a cell: control characters and lone surrogates are shown as escapes, formulas are neutralised."""
     return cell(shown(str(value), keep="\n\t"))
 
 
