@@ -23,12 +23,13 @@ def test_nemo_sine_measures_and_draws(tmp_path, monkeypatch, capsys):
     example.main(options)
     assert "| NML |" in capsys.readouterr().out
     assert (tmp_path / "sine.svg").read_text().startswith("<svg")
-    # The point of the figure: outside of the data NML is less sure than inside, and less surprised than the ensemble.
+    # The point of the figure: outside of the data NML becomes less sure than the ensemble does, and is less surprised.
     _, _, queries, nml, boot = example.beliefs(options, 0)
     inside = np.any([(queries >= low) & (queries <= high) for low, high in example.SEEN], 0)
     truth = np.minimum((np.sin(queries) + 1) / 2 * 8, 7).astype(int)
     surprise = lambda probs: -np.log(probs[np.arange(16), truth])[~inside].mean()  # noqa: E731
-    assert example.entropy(nml)[~inside].mean() > example.entropy(nml)[inside].mean()
+    less_sure = lambda probs: example.entropy(probs)[~inside].mean() - example.entropy(probs)[inside].mean()  # noqa: E731
+    assert less_sure(nml) > less_sure(boot) + 0.1  # seeds 0 to 4: 0.2 to 0.35 more
     assert surprise(nml) < surprise(boot)
 
 

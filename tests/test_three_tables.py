@@ -110,7 +110,7 @@ VISITS = Table(
     logged_with = {role = "propensity", kind = "number"}
     recovered = {role = "reward", kind = "number"}
     """,
-    "--greedy --discount 0.9", {"dose": None},
+    "--greedy --horizon 3", {"dose": None},
     ("ward", "north", "North"), True,
     lambda rows, actions: (actions["dose"] == np.where(rows["ward"] == "north", "high", "low")) | rows["ward"].isna(), "",
 )  # fmt: skip

@@ -53,11 +53,12 @@ def agents(discrete: bool, discount: float) -> dict[str, Any]:
     """Candidates that are learned."""
     discount = min(discount, 0.99)
     more = {"discount": discount, **SMALL, **QUICK}
-    iql, clone = IQL(**more), BC(lr=3e-3, **SMALL)
+    drawing = {} if discrete else {"likelihood": "tanh_normal"}  # as when the study was made, and as `plain` writes out
+    iql, clone = IQL(**more, **drawing), BC(lr=3e-3, **SMALL)
     if discrete:
         cql = CQL(cql_weight=1.0, temperature=0.1, temperature_lr=3e-3, **more)
         return {"bc": clone, "iql": iql, "cql": cql}
-    return {"bc": clone, "iql": iql, "awac": AWAC(**more), "td3_bc": TD3BC(**more)}
+    return {"bc": clone, "iql": iql, "awac": AWAC(**more, **drawing), "td3_bc": TD3BC(**more)}
 
 
 def learned(log: Dataset, discount: float, seed: int) -> dict[str, Any]:

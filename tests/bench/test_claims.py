@@ -9,6 +9,7 @@ import scipy.stats
 
 from deadreckon.bench.claims import verdict
 from deadreckon.bench.claims_file import claims
+from deadreckon.bench.jobs import updates
 from deadreckon.bench.ledger import store_of
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import JobResult, Store
@@ -250,6 +251,28 @@ def test_runs_that_diverged_are_counted_and_keep_their_last_score(folder):
     assert found.gain.value == pytest.approx(20.0 - (0.2 * 1.0 + 0.8 * 11.0))
     assert len(found.diverged) == 4
     assert "the last good policies of 4 runs that diverged" in _effect(found)
+
+
+def test_an_online_run_that_diverged_keeps_its_last_score_for_all_of_its_updates(folder):
+    """Curves are by updates, of which an online run has another number than steps in the environment."""
+    (folder / "suite.toml").write_text(
+        'kind = "online"\nledger = "ledger"\nseeds = 2\nsteps = 500\nepisodes = 2\nevaluations = 2\ntasks = ["hopper"]\n'
+        "[methods]\nSAC = { agent = 'sac', acting = { copies = 5, explore = 100, block = 25, updates_per_step = 2 } }\n"
+    )
+    (folder / "claims.toml").write_text(
+        '[[claims]]\nid = "A"\nsays = "SAC scores low."\nplace = "1"\n'
+        'tests = [{ suite = "suite.toml", method = "SAC", metric = "average score", than = 20.0, less = true }]\n'
+    )
+    [job] = plan(read("suite.toml"))
+    assert updates(job) == 800
+    store = Store(folder / "ledger")
+    points = [
+        {"cell": cell, "step": step, "score": score, "raw": 0.0, "spread": 0.0}
+        for cell in job.cells for step, score in ((0, 0.0), (400, 2.0), (600, 10.0))
+    ]  # fmt: skip
+    keep(store, job, [99.0] * 2, curves=points, failure="q was not finite at update 650")
+    [found] = verdict(claims("claims.toml")[0], store).comparisons
+    assert found.gain.value == pytest.approx(20.0 - (400 * 2.0 + 400 * 10.0) / 800)
 
 
 def test_the_full_size_of_a_claim_is_that_of_the_suites_that_have_one(folder):

@@ -297,7 +297,7 @@ def test_a_suite_of_estimators_has_a_table_a_metric(tmp_path, capsys):
     shown = capsys.readouterr().out
     for words in ("Absolute error, in ranges of the true values, less is better", "Rank correlation, more is better"):
         assert words in shown
-    assert re.search(r"  thesis +0\.23\b", shown)  # rank correlation of IS in thesis E.2
+    assert not re.search(r"^ *thesis ", shown, re.M)  # whose appendix E.2 is of whole logs
     assert str(tmp_path / "out" / "reports" / "o.html") in shown
     found = store.of(jobs).to_pylist()
     assert [row["method"] for row in found].count("IS") == 2

@@ -198,7 +198,9 @@ def test_a_policy_that_memorised_noise_is_praised_on_its_own_rows_alone():
     policy = memory(part)
     case = OPEInput(part, policy, discount=0.0, logged=True, noise=None)
     own = decide(case, [DR], model=QUICK)
-    assert own.choice.low > 0.2  # which is why it must be told
+    assert own.choice.gain > 0.2  # which is why it must be told; here weights that do not average to 1 give it away, too
+    assert "propensities are wrong" in own.choice.reason
+    assert not own.choice.deploy
     known = ["it was trained on these episodes"]
     told = decide(case, [DR], seen=known, model=QUICK)
     assert not told.choice.deploy

@@ -223,13 +223,16 @@ def test_groups_and_tails_know_among_how_many_the_policy_was_chosen():
 
 @pytest.mark.slow  # simultaneous intervals are looked at in test_decide.py, on which these rest
 def test_intervals_of_groups_hold_at_once():
-    rng, missed = np.random.default_rng(0), []
+    rng, missed, refused = np.random.default_rng(0), [], 0
     for _ in range(60):
         log = trials(240, rng, 0.2)
         codes = np.arange(240) % 4
         table = by_group(case_of(log, [SECOND]), 0, Groups("g", tuple("abcd"), codes), MODEL)
-        missed.append(any(not each["low"] <= 0.1 <= each["high"] for each in table))
+        shown = [each for each in table if each["why"] is None]
+        refused += 4 - len(shown)
+        missed.append(any(not each["low"] <= 0.1 <= each["high"] for each in shown))
     assert np.mean(missed) <= 0.13, np.mean(missed)
+    assert refused <= 4
 
 
 def test_the_tail_beside_that_of_the_log():

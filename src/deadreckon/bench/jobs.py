@@ -152,6 +152,13 @@ def turns(job: Job) -> Any:
     return turns_of(type(agent_of(job)), job.on, started, **job.options.get("acting", {}))
 
 
+def updates(job: Job) -> int:
+    """In the whole of a job that learns, those on a log before it acts included."""
+    if job.kind == "learn":
+        return job.options["steps"]
+    return turns(job).updates(job.options["steps"]) + job.options.get("log", {}).get("offline", 0)
+
+
 def log_name(job: Job) -> str:
     """The log of a job: what it is run on, or that of its task."""
     return job.options["log"]["name"] if "log" in job.options else job.on

@@ -5,7 +5,7 @@ import statistics
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from deadreckon.bench.jobs import Job, Program, turns
+from deadreckon.bench.jobs import Job, Program, updates
 from deadreckon.bench.rates import has_work, work
 from deadreckon.bench.store import Store
 
@@ -65,7 +65,7 @@ def _expected(program: Program, times: Mapping[tuple[Any, ...], float]) -> Forec
     for name in _lineage(job):
         if (key := ("learn", name, program.lanes)) in times:
             each = own if has_work(job.agent) else work(name, job.settings)
-            return Forecast(times[key] * each * _updates(job), close=False, whole=False)
+            return Forecast(times[key] * each * updates(job), close=False, whole=False)
     return None
 
 
@@ -105,10 +105,3 @@ def _lineage(job: Job) -> list[str]:
         return []
     names = {kind: name for name, (_, kind, _) in AGENTS.items()}
     return [names[kind.__name__] for kind in agent_class(job.agent).__mro__ if kind.__name__ in names]
-
-
-def _updates(job: Job) -> int:
-    """In the whole of a job that learns, those on a log before it acts included."""
-    if job.kind == "learn":
-        return job.options["steps"]
-    return turns(job).updates(job.options["steps"]) + job.options.get("log", {}).get("offline", 0)

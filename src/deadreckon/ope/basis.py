@@ -1,7 +1,7 @@
 """The data that an estimate of one policy is based on, and whether it is enough for a valid interval.
 
-Weights of few episodes say little about episodes that are not in the log. The requirements for an estimate on all evaluated
-episodes also apply to an estimate on a part of them, such as a group.
+If few episodes have most of the weight, an estimate says little about episodes that are not in the log. The requirements for an
+estimate on all evaluated episodes also apply to an estimate on a part of them, such as a group.
 """
 
 from typing import NamedTuple
@@ -15,12 +15,12 @@ from deadreckon.ope.pareto import diagnosed
 from deadreckon.ope.support import SHORT
 from deadreckon.ope.weights import FEW, effective
 
-UNITS = 20  # episodes or clusters below which no interval is believed
+UNITS = 20  # least number of episodes or clusters for a valid interval
 HEAVY = 0.7  # Pareto k of the weights above which their mean is not reliable (Vehtari et al. 2024)
-# Weights that are multiplied along an episode must amount to this share of the episodes, or to so many. With less, so much of
-# their mass lies in episodes that the log happens not to show that no interval by those it shows covers.
+# Weights that are multiplied along an episode need an effective sample size of this share of the episodes, or of this number.
+# With less, the episodes with the largest weights are probably not in the log, and no interval from the others is valid.
 SHARE, MANY = 0.2, 50.0
-ROUNDING = 1e-6  # of weights that average one, by which propensities may be off that are kept in 32 bits
+ROUNDING = 1e-6  # rounding error of mean weights near one, if propensities are stored as float32
 MORE = "; record more episodes, or evaluate a policy closer to the behaviour policy"
 
 
@@ -29,7 +29,7 @@ class Basis(NamedTuple):
 
     Attributes:
         units: number of episodes or clusters; None: not known.
-        ess: effective number of episodes of its weights; infinite if there are no weights.
+        ess: effective sample size of its weights, in episodes; infinite if there are no weights.
         diagnostics: of the policy, by name; see `Estimates.diagnostics`.
     """
 
@@ -52,7 +52,7 @@ class Basis(NamedTuple):
             case: log and policies.
             log_ratios: (rows,) log of pi(a|s) / beta(a|s) of each logged action.
             some: (episodes,) bool, the part.
-            whole: each episode has one weight, the product of all its ratios; otherwise each step has that of the steps so far.
+            whole: each episode has one weight, the product of all its ratios; otherwise each step has the product so far.
         """
         cluster = np.unique(case.cluster[some], return_inverse=True)[1]
         episodes = case.episodes_of(some)
@@ -118,7 +118,8 @@ class Basis(NamedTuple):
                 "if the log has that many"
             )
         own += self.lost
-        # Of weights that take few values, which are bounded, k may be anything: it counts where few episodes decide.
+        # Weights that take few values are bounded, so their Pareto k means nothing: it counts only where the effective sample
+        # size is small.
         if told.get("pareto k low", -np.inf) > HEAVY and self.rest[0] < MANY:
             own.append(
                 f"its weights have too heavy a tail (Pareto k {told['pareto k']:.2f}, above {told['pareto k low']:.2f} with "

@@ -4,8 +4,8 @@ A model that was trained on a row overestimates the probability of its action, w
 has its own models, a network and a linear one. They are trained on the other folds and on all episodes that are not evaluated,
 except for a tenth of these, on which training stops where the loss is smallest. The model with the smaller loss is used,
 because a network needs more rows than a log often has. Its temperature is then fitted on that tenth as well (Guo et al. 2017),
-shifts give each action its logged frequency, and a few rows' worth of the actions' shares is mixed in. All folds are lanes of
-one program.
+shifts give each action its logged frequency, and the probabilities are smoothed towards the actions' overall frequencies, which
+count as a few rows. The models of all folds are trained at once, in one vectorised program.
 """
 
 import dataclasses
@@ -29,14 +29,14 @@ from deadreckon.policies import behavior as models
 from deadreckon.policies.kinds import Categorical, create_actor
 from deadreckon.randomness import generator
 
-PRIOR = 10.0  # rows that say that the temperature is one
-SHARES = 20.0  # rows that say that an action is as likely everywhere as it is overall
-LOOKED_AT = 4096  # rows by which propensities are calibrated, at most
-CHECKED = 0.1  # share of the episodes outside a fold that says when to stop
+PRIOR = 10.0  # weight, in rows, of the prior that the temperature is one
+SHARES = 20.0  # weight, in rows, of the prior that an action is as likely everywhere as it is overall
+LOOKED_AT = 4096  # most rows on which propensities are calibrated
+CHECKED = 0.1  # share of the episodes outside a fold that early stopping uses
 
 
 class State(NamedTuple):
-    """Networks and linear models (folds, ...), their optimiser, and the best copies of either so far."""
+    """Networks and linear models (folds, ...), their optimiser, and the best parameters of each so far."""
 
     nets: tuple[Any, ...]
     opt: Any
@@ -50,14 +50,14 @@ class Folds(eqx.Module):
     folds: int = eqx.field(static=True)
 
     def needs(self, spec):
-        """Observations and actions, with the columns `weight` and `check` (folds,) beside them."""
+        """Observations and actions; each row also has the columns `weight` and `check` (folds,)."""
         return BatchSpec(columns=("observation", "action"), batch_size=self.model.batch_size, standardise=True)
 
     def init(self, spec, key):
         """Initial models."""
         make = models.Clipped.create if self.model.clipped else create_actor
         shapes = dict.fromkeys((self.model.hidden, ()))
-        # Networks and linear models share a key: they are of other shapes, and only their losses are ever compared.
+        # Networks and linear models may share a key: their shapes differ, and only their losses are compared.
         nets = tuple(ensemble(lambda k, hidden=hidden: make(spec, hidden, k), self.folds, key) for hidden in shapes)
         return State(nets, init_opt(nets), tuple(Best.begin(each, (self.folds,)) for each in nets))
 
@@ -128,7 +128,7 @@ def _fit(case: OPEInput, model: BehaviorModel, folds: int) -> Behavior:
     rows = TransitionSource(data, learner.needs(data.spec), extra)
     state = case.train(learner, rows, model.steps, "behaviour by folds")
     nets, view, own = tuple(best.params for best in state.best), rows.view, case.data
-    which = jnp.stack([best.loss for best in state.best]).argmin(0)  # (folds,) of the models, the better
+    which = jnp.stack([best.loss for best in state.best]).argmin(0)  # (folds,) index of the better model
     of_row = fold[own.episode_of]
     observe = lambda seen: view.observe(np.asarray(seen))  # noqa: E731
     if not data.spec.discrete:
@@ -144,19 +144,20 @@ def _fit(case: OPEInput, model: BehaviorModel, folds: int) -> Behavior:
     rng = generator(case.seed, "calibration")
     taken = np.asarray(data.actions)
     for k in range(check.shape[1]):
-        # The temperature by rows that said when to stop, the shifts by all that are not of the fold; a few thousand are enough.
+        # The temperature is fitted on the rows of early stopping, the shifts on all rows outside the fold; a few thousand are
+        # enough.
         told = [_some(columns[data.episode_of, k] > 0, rng) for columns in (check, weight + check)]
         logits_of = [in_blocks(of_all, np.asarray(data.observations[some]))[k].T.astype(np.float64) for some in told]
         sure = temperature(logits_of[0], taken[told[0]], PRIOR)
         logits[of_row == k] = logits[of_row == k] / sure + shifts(logits_of[1] / sure, taken[told[1]])
-        # Rows tell shares before they tell probabilities, and none that an action is rarer than one more of them would be: few
-        # rows make no action impossible that was taken elsewhere, and their number bounds the weights.
+        # Smoothing towards the overall frequencies, and towards equal ones with the weight of one row: no action has
+        # probability zero, even if rows are few, and the number of rows bounds the weights.
         n = weight[data.episode_of, k].sum()
         shares = np.bincount(taken[told[1]], minlength=actions) / len(told[1])
         mixed[of_row == k] = (SHARES * shares + 1.0 / actions) / (n + SHARES + 1.0)
         kept[of_row == k] = n / (n + SHARES + 1.0)
     chances = kept[:, None] * softmax(logits, axis=1) + mixed
-    if (mask := legal_at(own.observations, data.action_space)) is not None:  # shares are of all rows, whatever was legal there
+    if (mask := legal_at(own.observations, data.action_space)) is not None:  # overall frequencies ignore what was legal
         chances = chances * mask
         chances /= chances.sum(1, keepdims=True)
     return Behavior(np.log(chances[np.arange(len(own)), np.asarray(own.actions)]), chances)
@@ -179,5 +180,5 @@ def _logits(nets: tuple[Categorical, ...], which: Any, observation: Any) -> Any:
 
 
 def _taken(found: list[Any], which: Any) -> Any:
-    """(folds, *) what the better model of each fold says."""
+    """(folds, *) outputs of the better model of each fold."""
     return jnp.take_along_axis(jnp.stack(found), which.reshape(1, -1, *[1] * (found[0].ndim - 1)), 0)[0]

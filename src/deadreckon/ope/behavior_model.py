@@ -13,9 +13,9 @@ from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, host,
 
 
 class BehaviorModel(eqx.Module):
-    """The behaviour policy, a tanh-Gaussian or categorical network by maximum likelihood (thesis 8.5).
+    """A model of the behaviour policy: a tanh-Gaussian or categorical network fitted by maximum likelihood (thesis 8.5).
 
-    If the policies are clipped Gaussians, so is the model: these have probabilities at the bounds, which cannot be divided by a
+    If the policies are clipped Gaussians, so is the model: they have probabilities at the bounds, which cannot be divided by a
     density.
     """
 
@@ -23,7 +23,7 @@ class BehaviorModel(eqx.Module):
 
     hidden: Sizes = static((256, 256))  # width of each hidden layer
     lr: NonNegative = 3e-4  # learning rate of the model
-    steps: Count = host(10_000)  # updates; out of fold those with the lowest validation loss are kept
+    steps: Count = host(10_000)  # number of updates; cross-fitted models keep the parameters with the lowest validation loss
     batch_size: Count = static(256)  # batch size (transitions per update)
     clipped: bool = static(False)  # whether the Gaussian is clipped to the bounds; set by the case
 
@@ -46,5 +46,5 @@ class BehaviorModel(eqx.Module):
         return (model, opt), metrics
 
 
-# What learns propensities where a decision has to be made soon; early stopping makes up for the number of updates.
+# The default model of propensities in decisions: small, so that its fit is quick; early stopping prevents overfitting.
 PROPENSITIES = BehaviorModel(hidden=(64, 64), lr=1e-3, steps=3_000)

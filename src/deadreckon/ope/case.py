@@ -174,7 +174,7 @@ class OPEInput(Fits):
         return Episodes(self.data, self.discount, self.seed, self.units)
 
     def episodes_of(self, part: np.ndarray) -> Episodes:
-        """The same for a part (episodes,) of them, bool: the probability of a cut-off is estimated from its episodes alone."""
+        """`episodes` for a part of them, a mask (episodes,): the probability of a cut-off is estimated from the part alone."""
         units = np.unique(self.units[part], return_inverse=True)[1]
         return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)
 
@@ -190,8 +190,8 @@ class OPEInput(Fits):
 
     @cached_property
     def followed(self) -> np.ndarray:
-        """(rows,) whether what follows the row is known, including rows at which the horizon or the task ends the episode; or
-        nothing that follows a row counts."""
+        """(rows,) whether the row's successor is known, or the horizon or the task ends the episode there; all true if only the
+        first reward counts."""
         return np.ones(len(self.data), bool) if self._alone else self._uncut[1]
 
     @property
@@ -206,7 +206,7 @@ class OPEInput(Fits):
 
     @cached_property
     def _apart(self) -> np.ndarray:
-        """(rows,) `Dataset.apart` of the log as it was given: features of one picture differ by how they are computed."""
+        """(rows,) `Dataset.apart` of the original log: features of one image may differ by rounding between computations."""
         if self.data.successors is None:
             return np.zeros(len(self.data), bool)
         given = self.given  # no horizon cuts such a log
@@ -236,7 +236,7 @@ class OPEInput(Fits):
 
         Args:
             log_rho: (rows,) logarithms of the products of its ratios along each episode; see `Episodes.cumulate`.
-            part: of the judged episodes, that the rows are of; None: all of them.
+            part: the evaluated episodes that the rows belong to; None: all of them.
         """
         part = self.episodes if part is None else part
         if self._endless(part).sum() <= (least := self._beyond(part.lengths, part.ended)):  # no policy has more
@@ -244,7 +244,7 @@ class OPEInput(Fits):
         return self._at_least(part, part.going_on(log_rho))
 
     def beyond_if(self, going_on: np.ndarray) -> float:
-        """The same for a policy whose episodes continue after each step with the share `going_on` (steps,)."""
+        """The same for a policy of whose episodes the share `going_on` (steps,) continues after each step."""
         return self._at_least(self.episodes, going_on)
 
     def _at_least(self, part: Episodes, going_on: np.ndarray) -> float:
@@ -255,12 +255,12 @@ class OPEInput(Fits):
         return float((self._ahead[lengths - 1] * ~ended).mean())
 
     def _endless(self, part: Episodes) -> np.ndarray:
-        """(steps,) the share beyond the recording of episodes that do not end, by the step after which they are cut off."""
+        """(steps,) `beyond` of episodes that no terminal ends, by the step after which they are cut off."""
         return -np.diff(part.kept) * self._ahead[: part.steps]
 
     @cached_property
     def _ahead(self) -> np.ndarray:
-        """(steps,) share of the discounted time that is asked for and lies after each step of the longest episode."""
+        """(steps,) share of the estimand's discounted time that lies after each step of the longest episode."""
         steps, horizon = np.arange(1, int(self.data.lengths.max()) + 1), self.estimand.horizon
         if horizon is None:
             return self.discount**steps
@@ -269,8 +269,8 @@ class OPEInput(Fits):
 
     @cached_property
     def _habits(self) -> Callable[[np.ndarray], np.ndarray] | None:
-        """Of (n, d) observations the (n, actions) probabilities of the behaviour policy, where observations are few and have
-        actions elsewhere in the log; None where they are many, or where nothing is cut off and each row follows the last."""
+        """A function from (n, d) observations to (n, actions) action frequencies in the log, for next actions that the log does
+        not show. None if it shows them all, or if there are too many different observations."""
         whole = self.data.terminals[self.data.ends].all() and not self._apart.any()
         if whole or (table := Table.of(self.log)) is None:
             return None
@@ -286,7 +286,11 @@ class OPEInput(Fits):
         return np.asarray(whole.terminals)[kept], whole.usable[kept]
 
     def folds(self, count: int) -> np.ndarray:
-        """(episodes of `data`,) fold of each, 0 .. count - 1, or as many as there are clusters; clusters stay whole."""
+        """(episodes of `data`,) fold of each, 0 .. count - 1, or as many as there are clusters; clusters stay whole.
+
+        Raises:
+            UserError: fewer than two clusters.
+        """
         clusters = int(self.cluster.max()) + 1
         if clusters < 2:
             raise UserError(f"{self.data.name}: one episode or cluster cannot be cross-fitted; two or more are needed")
@@ -308,7 +312,7 @@ class OPEInput(Fits):
 
     def _teaching(self, others: np.ndarray) -> "OPEInput":
         found = self._beside(others)
-        # Its rows have the numbers of judged ones, and must not have their draws too.
+        # Draws depend on the number of a row: a seed of its own keeps its draws independent of those of evaluated rows.
         own = int(sequence(self.seed, "teaching draws").generate_state(1)[0])
         found.actor = dataclasses.replace(found.actor, seed=own)
         return found
@@ -320,7 +324,7 @@ class OPEInput(Fits):
         return self.once("whole", lambda: self._beside(None))
 
     def _beside(self, held: np.ndarray | None) -> "OPEInput":
-        # What is not judged only teaches nuisances; an episode of no fold has the policy of any.
+        # Episodes that are not evaluated only train nuisance models; one that belongs to no fold gets the policy of any fold.
         policies = [
             CrossFitted(p.policies, np.where(np.asarray(p.which) < 0, np.arange(len(p.which)) % len(p.policies), p.which))
             if isinstance(p, CrossFitted) else p
@@ -356,21 +360,21 @@ class OPEInput(Fits):
         """`data` as critics use it: with a horizon, observations include the elapsed share of it (0 to 1)."""
         return _timed(self.data, self.estimand.horizon)
 
-    # ---- what policies do -------------------------------------------------------------------------------------------
+    # ---- actions of policies ----------------------------------------------------------------------------------------
 
     def next_actions(self, samples: int) -> np.ndarray:
         """(rows, policies, ...) table of the policies' actions after each row; see `Actor.table`."""
-        # Where nobody knows what the log's policy would have done after an episode's last row, its last action stands in.
+        # The behaviour policy's next action after an episode's last row is not known; its last action is used instead.
         rows = np.arange(len(self.data))
         after = np.where(self.data._is_end, rows, rows + 1)
         return self._table("next", _Following(self.data), samples, after)
 
     def known_next(self, terminals: np.ndarray) -> dict[str, np.ndarray]:
-        """The column `known` (rows, policies) for a fit of critics: whether it is known what each policy does after a row, 1 or
-        0. What the behaviour policy did next can be missing, what others would do cannot; {} where all is known.
+        """The column `known` (rows, policies) for a fit of critics: 1 if a policy's next action after a row is known, else 0.
+        Only the behaviour policy's can be unknown; {} if none is.
 
         Args:
-            terminals: (rows,) of the rows that are fitted, also where the horizon ends an episode: nothing follows there.
+            terminals: (rows,) of the fitted rows; true also where the horizon ends an episode, as no action follows there.
         """
         shown = self.shown | np.asarray(terminals)
         if not self.logged or shown.all():
@@ -380,7 +384,7 @@ class OPEInput(Fits):
     def initial_actions(self, samples: int) -> np.ndarray:
         """(episodes, policies, ...) table of the policies' actions at the initial observations."""
         starts = self.data.starts
-        if self.data.spec.discrete and len(starts) == len(self.data):  # the same rows, whose probabilities are no draws
+        if self.data.spec.discrete and len(starts) == len(self.data):  # the same rows, and probabilities are exact
             return self.current_actions(samples)
         return self._table("initial", np.asarray(self.data.observations[starts]), samples, starts)
 
@@ -393,7 +397,7 @@ class OPEInput(Fits):
         return self._table("final", self.data.final_observations, samples, self.data.ends)
 
     def _table(self, name: str, observations: Any, samples: int, rows: np.ndarray) -> np.ndarray:
-        """The policies' table; the behaviour policy does what it did at `rows`."""
+        """The policies' table; the behaviour policy's actions are those logged at `rows`."""
 
         def make() -> np.ndarray:
             table = self.actor.table(observations, samples, name, more=int(self.logged))
@@ -412,7 +416,7 @@ class OPEInput(Fits):
                 table[:, -1] = own
             return table
 
-        # Probabilities are the same however many draws are asked for.
+        # Probabilities do not depend on the number of samples.
         return self.once((name, None if self.data.spec.discrete else samples), make)
 
     @cached_property
@@ -430,12 +434,12 @@ class OPEInput(Fits):
 
     @cached_property
     def inflation(self) -> np.ndarray:
-        """(policies, with the behaviour policy,) by which errors are multiplied: sqrt(2) of cross-fitted policies, else one.
+        """(policies, with the behaviour policy,) factors of the standard errors: sqrt(2) of cross-fitted policies, else one.
 
         Each fold evaluates the policies of the others. If an action looks good in one fold by chance, the other's policy takes
-        it, and vice versa, so their errors are equal and not independent: with t_k the chance of fold k, the estimate is sum_{k
-        != l} t_k t_l, whose variance is twice the sum of those of its folds. No estimate of that from one cross-fit is unbiased
-        (Bengio and Grandvalet 2004), so the upper limit is used.
+        it, and vice versa, so their errors are equal and not independent: with t_k the chance error of fold k, the estimate is
+        sum_{k != l} t_k t_l, whose variance is twice the sum of those of its folds. No estimate of that from one cross-fit is
+        unbiased (Bengio and Grandvalet 2004), so the upper limit is used.
         """
         crossed = np.bincount(self.owner, minlength=len(self.policies)) > 1
         return np.where(np.append(crossed, [False] * int(self.logged)), np.sqrt(2.0), 1.0)
@@ -446,7 +450,7 @@ class OPEInput(Fits):
         return np.bincount(self.owner, self.actor.degenerate, len(self.policies)) > 0
 
     def _acting(self, episodes: np.ndarray) -> list[np.ndarray]:
-        """For each policy, which of the actor's acts in these episodes."""
+        """For each policy, (episodes,) which of the actor's policies acts in each of these episodes."""
         first = np.searchsorted(self.owner, np.arange(len(self.policies)))
         return [np.full(len(episodes), first[i]) if part is None else part[episodes] for i, part in enumerate(self._parts)]
 
@@ -460,6 +464,9 @@ class OPEInput(Fits):
                 such column.
             model: settings of its fit.
             clipped: whether the model has probabilities at the bounds of continuous actions; see `clips`.
+
+        Raises:
+            UserError: `logged`, without that column.
         """
         column = self.data.extras.get("behavior_log_probs")
         if kind == "logged" and column is None:
@@ -491,8 +498,8 @@ class OPEInput(Fits):
 
     @cached_property
     def manner(self) -> str:
-        """Tells sets of policies apart by what they do at observations from all over the log; policies that are judged with
-        another seed are no others, so their draws are the same for all seeds."""
+        """Hash of the policies' actions at observations from all parts of the log, which identifies this set of policies. It
+        does not depend on the seed of the case."""
         some = np.unique(np.linspace(0, len(self.data) - 1, 256).astype(int))
         done = dataclasses.replace(self.actor, seed=0).table(np.asarray(self.data.observations[some]), 1, "manner")
         return hashlib.blake2b(np.ascontiguousarray(done).tobytes(), digest_size=16).hexdigest()
@@ -506,7 +513,7 @@ class OPEInput(Fits):
 
 
 def check_order(log: Dataset) -> None:
-    """Refuses logs that do not show their behaviour policy's next actions, because its value is then not known.
+    """Refuses logs that do not show the behaviour policy's next actions, because its value is then not known.
 
     Raises:
         UserError: for most rows the next observation differs from that of the next row, and there are many observations.
@@ -520,7 +527,7 @@ def check_order(log: Dataset) -> None:
 
 
 def _different(held: Any, episodes: int) -> np.ndarray:
-    """Indices of episodes, checked: an episode under two names would teach critics and be judged by them."""
+    """Checked indices of episodes. With duplicates, critics could be trained on episodes that they evaluate."""
     found = np.asarray(held)
     if found.ndim != 1 or not len(found) or not np.issubdtype(found.dtype, np.integer):
         raise UserError(f"held must be whole numbers, indices of one or more episodes, got {found.dtype}, shape {found.shape}")

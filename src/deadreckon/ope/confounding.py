@@ -27,7 +27,7 @@ from deadreckon.stats.interval import ALPHA
 
 
 class Confounding:
-    """The gains of a case's policies under unmeasured odds.
+    """Bounds of the gains of a case's policies under unmeasured confounding.
 
     Args:
         case: log and policies.
@@ -36,11 +36,11 @@ class Confounding:
         wider: added at both ends; see `select.Choice`.
 
     Attributes:
-        lost: for each policy the reasons why its weights of whole episodes are based on too little for any bound, one phrase
-            each.
+        lost: for each policy the reasons why its weights of whole episodes are based on too few episodes for any bound, one
+            phrase each.
 
     Raises:
-        UserError: weights that mean nothing, or episodes that are cut off at different steps.
+        UserError: degenerate weights, or episodes that are cut off at different steps.
     """
 
     def __init__(self, case: OPEInput, model: BehaviorModel, alpha: float = ALPHA, wider: float = 0.0):
@@ -56,13 +56,13 @@ class Confounding:
             self.outcomes, self.baseline = (np.broadcast_to(x, (case.count, len(returns))) for x in (returns, -returns))
         every, whole = range(len(case.policies)), np.ones(case.data.episodes, bool)
         self.lost = [Basis.of_weights(case, row, whole, whole=True).lost for row in self.ratios]
-        # As sure as the gains: a factor for all policies at once, of their lower bounds without confounding.
+        # Simultaneous, like the intervals of the gains: one factor for all policies, from their bounds without confounding.
         influence = np.stack([self._one(i, 1.0)[1][0] for i in every], 1)
         known = influence.std(0) > 0
         self.factor = inference.simultaneous(influence[:, known], alpha, case.seed)
 
     def gain(self, which: int, gamma: float) -> tuple[float, float]:
-        """The ends of one policy's gain, if odds are off by up to `gamma`: those of its bounds, with their intervals."""
+        """Ends of an interval of one policy's gain if odds are off by up to `gamma`: its bounds, widened by their error."""
         if self.lost[which]:
             return -np.inf, np.inf
         ends, influence = self._one(which, gamma)
@@ -95,7 +95,7 @@ def possible(case: OPEInput) -> None:
     """Refuses cases without bounds.
 
     Raises:
-        UserError: weights that mean nothing, or episodes that are cut off at different steps.
+        UserError: degenerate weights, or episodes that are cut off at different steps.
     """
     if case.degenerate.any():
         raise UserError(f"bounds for confounding {WEIGHTLESS}")
@@ -104,5 +104,5 @@ def possible(case: OPEInput) -> None:
 
 
 def one_step(case: OPEInput) -> bool:
-    """Whether every episode is one step, and over."""
+    """Whether every episode has one step, which ends the task."""
     return bool(case.data.lengths.max() == 1 and case.episodes.ended.all())

@@ -1,12 +1,12 @@
-"""What policies cost: totals of columns that are no reward, estimated and bounded beside the value, and limits of these.
+"""Costs of policies: totals of columns other than the reward, with intervals, and limits of these totals.
 
-The total of a cost is a value like any other, with the cost in place of the reward: sum_t discount^t c_t by the same estimand
-and estimator, on the same episodes. What does not depend on rewards, such as propensities, is fitted once for both.
+The total of a cost is a value with the cost in place of the reward: sum_t discount^t c_t by the same estimand and estimator, on
+the same episodes. Models that do not depend on rewards, such as propensities, are fitted once for both.
 
 Intervals hold for all policies and all costs at once (Bonferroni over costs), at the level of the decision. A policy whose
-upper end is above a limit is not deployed. So the chance to deploy one that costs more than its limit is at most alpha / 2,
-beside the chance alpha / 2 of deploying one that is no gain. A total that is the same in every episode has no upper end: of a
-cost that never occurred the log does not tell how rare it is, nor how large.
+upper end is above a limit is not deployed. So the probability of deploying one that costs more than its limit is at most
+alpha / 2, beside the probability alpha / 2 of deploying one that is no gain. A total that is the same in every episode has no
+upper end: if a cost never occurred, the log shows neither how rare nor how large it is.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,8 +28,8 @@ from deadreckon.ope.select import gains, supported
 from deadreckon.ope.support import Support
 from deadreckon.stats.interval import level_in_words
 
-NAMES = ("cost", "costs")  # further columns of logs that are costs by their names alone, as DSRL has them
-ROUNDING = 1e-9  # of an influence function that is zero
+NAMES = ("cost", "costs")  # extra columns that are costs by their name alone, as in DSRL
+ROUNDING = 1e-9  # relative size of rounding errors in an influence function that is zero
 _SHARED = ("propensities", "behavior", "behavior policy", "coverage", "features", "next", "initial", "current", "final")
 
 
@@ -38,12 +38,11 @@ class Cost(NamedTuple):
 
     Attributes:
         column: of the log.
-        limit: that it must not exceed; None: there is none.
+        limit: that the total must not exceed; None: no limit.
         ends: (policies, 3) totals with lower and upper ends, of the behaviour policy last.
         warnings: of the estimate, one line each.
-        discount: of each further step, as of the value; 1 where episodes have one step.
-        unknown: for each policy why nothing is known of its total, in a phrase that is empty where there is no such reason;
-            may be left out.
+        discount: per step, the same as for the value; 1 where episodes have one step.
+        unknown: for each policy the reason why its total is not known, a phrase, or an empty text; may be left out.
     """
 
     column: str
@@ -55,7 +54,7 @@ class Cost(NamedTuple):
 
     @property
     def told(self) -> str:
-        """The column, and how it is summed up."""
+        """The column, and its discount if it has one."""
         return self.column if self.discount == 1 else f"{self.column}, discounted by {self.discount:g} per step,"
 
     def words(self, which: int, level: float) -> str:
@@ -135,11 +134,14 @@ def costs_of(
 
     Args:
         case: log and policies, with the behaviour policy.
-        estimator: that decides about the value, too.
+        estimator: the one that also decides about the value.
         support: of the policies in the log.
         limits: {column: limit, or None}.
         alpha: share of logs for which one of the intervals may miss.
-        model: how the behaviour policy is learned where propensities were not logged.
+        model: settings of the behaviour model, if propensities were not logged.
+
+    Raises:
+        UserError: a cost with several numbers per row.
     """
     found = []
     for column, limit in limits.items():
@@ -153,21 +155,21 @@ def costs_of(
 
 
 def _unknown(found: Estimates, case: OPEInput, model: BehaviorModel, alpha: float) -> tuple[str, ...]:
-    """For each policy why its total has no interval, a phrase; empty where nothing speaks against one."""
+    """For each policy the reason why its total has no interval, a phrase; empty if it has one."""
     same = np.full(len(found.names), np.ptp(case.data.returns(case.discount)) == 0.0)
-    if found.influence is not None:  # of weighted episodes some policies may have those without the cost alone
-        with np.errstate(over="ignore", invalid="ignore"):  # where products of weights are huge, and nothing is known either
+    if found.influence is not None:  # a policy's weighted episodes may all be without the cost
+        with np.errstate(over="ignore", invalid="ignore"):  # products of weights may overflow; then nothing is known
             spread = found.influence.std(0)
             same |= spread <= ROUNDING * np.maximum(spread.max(), np.abs(found.value).max())
     total = found.value.copy()
     if case.data.lengths.max() == 1 and found.ess is not None and not case.degenerate.any():
         rows = counting(log_ratios(case, "auto", model, None)[: len(same)])
-        for i in np.flatnonzero(rows.any(1)).tolist():  # whatever critics add to them
+        for i in np.flatnonzero(rows.any(1)).tolist():  # whatever the critics predict
             paid, basis = case.data.rewards[rows[i]], Basis.of(found, i).rest[0]
             share = float((case.data.rewards > paid.max()).mean())
             alone = np.ptp(paid) == 0.0 and (1.0 - share) ** basis > alpha / 2 / len(rows)
             same[i], total[i] = same[i] or alone, float(paid[0]) if alone else total[i]
-    if found.ess is not None:  # without any weight that is the reason
+    if found.ess is not None:  # a policy without any weight has that as its reason
         same &= found.ess > 0
     settled = found.diagnostics.get("settled", np.ones(len(found.names)))
     alike = "in every evaluated episode with a weight for it the total is {:.4g}; how rare other totals are is not known"
@@ -178,7 +180,7 @@ def _unknown(found: Estimates, case: OPEInput, model: BehaviorModel, alpha: floa
 
 
 def totals(found: Estimates, alpha: float, known: np.ndarray) -> np.ndarray:
-    """(policies, 3) values with ends that hold for all policies at once: gains over a policy that has nothing, for certain."""
+    """(policies, 3) values and ends of their simultaneous intervals, computed as gains over a policy with the exact value 0."""
     zero = lambda part: None if part is None else np.concatenate([part, np.zeros_like(part[..., :1])], -1)  # noqa: E731
     one = lambda part, last: None if part is None else np.append(part, last)  # noqa: E731
     value = zero(found.value)
@@ -200,5 +202,5 @@ def _with_cost(case: OPEInput, column: str) -> OPEInput:
 
 
 def as_json(costs: Sequence[Cost]) -> list[dict[str, Any]]:
-    """For files: of each cost column, limit, ends (policies, the behaviour policy last) and warnings."""
+    """The attributes of each `Cost` as JSON values."""
     return [each._asdict() | {"ends": each.ends.tolist(), "warnings": list(each.warnings)} for each in costs]

@@ -25,14 +25,15 @@ from deadreckon.ope.critics import in_blocks
 from deadreckon.policies.kinds import Categorical
 from deadreckon.randomness import generator
 
-LEVEL = 0.99  # of the log's own actions are covered
-# The bound comes from this share of the log's rows, or more, to have so many rows and episodes; never from more than half.
+LEVEL = 0.99  # share of the log's actions that are covered
+# The bound is computed from this share of the log's rows, or from more if these have too few rows or episodes; never from more
+# than half of the rows.
 HELD, FEWEST_ROWS, FEWEST_EPISODES = 0.1, 200, 5
-MOST = 8192  # of these rows are looked at
-FITTED = 1_000_000  # rows are enough for the model
-# Actions nearer to a bound count as this: a tanh's density has no limit there, and its distances none.
+MOST = 8192  # most of these rows that are used
+FITTED = 1_000_000  # number of rows that is enough to train the model
+# Actions, on the scale of -1 to 1, are clipped to this: at the bounds the density of a tanh-Gaussian may be infinite.
 EDGE = 0.95
-MODEL = BehaviorModel(steps=5_000, lr=1e-3)  # by default; the bound makes up for what it has not learned
+MODEL = BehaviorModel(steps=5_000, lr=1e-3)  # default; the bound is valid even if the model fits poorly
 
 
 def coverage(case: OPEInput, model: BehaviorModel = MODEL) -> Float[np.ndarray, "policies"]:
@@ -52,7 +53,7 @@ def coverage(case: OPEInput, model: BehaviorModel = MODEL) -> Float[np.ndarray, 
 def _coverage(case: OPEInput, model: BehaviorModel) -> np.ndarray:
     actor, teach = case.actor, case.teaching()
     rng = generator(case.seed, "coverage")
-    if teach is not None:  # the bound is for the judged episodes, by a model of the others
+    if teach is not None:  # the bound is computed from evaluated episodes, with a model of the others
         data, kept = case.log, case.data
         rows = len(kept)
         if kept.episodes < FEWEST_EPISODES or np.ceil(LEVEL * (rows + 1)) > rows:
@@ -82,7 +83,7 @@ def _coverage(case: OPEInput, model: BehaviorModel) -> np.ndarray:
 
     pick = np.sort(rng.choice(len(kept), min(len(kept), MOST), replace=False))
     seen, taken = np.asarray(kept.observations[pick]), np.asarray(kept.actions[pick])
-    told = in_blocks(lambda part: net(learned.view.observe(part)).T, seen).T  # what the model says
+    told = in_blocks(lambda part: net(learned.view.observe(part)).T, seen).T  # outputs of the model
     table = actor.table(seen, 1, "coverage")
     if data.spec.discrete:
         return _owned(case, (table * (told >= _bound(told[np.arange(len(told)), taken]))[:, None]).sum(-1).mean(0))
@@ -91,12 +92,12 @@ def _coverage(case: OPEInput, model: BehaviorModel) -> np.ndarray:
 
 
 def _owned(case: OPEInput, shares: np.ndarray) -> np.ndarray:
-    """Of each policy, the mean over the folds of one that is cross-fitted."""
+    """(policies,) shares, of cross-fitted policies the mean over folds."""
     return np.bincount(case.owner, shares) / np.bincount(case.owner)
 
 
 def _bound(likely: np.ndarray) -> float:
-    """What at least 99 % of new ones reach: the k-th from above of n, with k = ceil(0.99 (n + 1))."""
+    """The value that at least 99 % of new values reach: the k-th largest of n, with k = ceil(0.99 (n + 1))."""
     return float(np.sort(likely)[len(likely) - int(np.ceil(LEVEL * (len(likely) + 1)))])
 
 

@@ -1,7 +1,7 @@
-"""Networks of all policies at once: stacked (members, policies, ...), fed the same rows, and what they say about actions.
+"""Critics of all policies at once: networks stacked as (members, policies, ...) with the same input rows, and their values.
 
-With continuous actions per network sees (observation, action) and has one output; with discrete ones it sees the observation
-and has an output per action.
+With continuous actions a network takes (observation, action) and has one output; with discrete ones it takes the observation
+and has one output per action.
 """
 
 from collections.abc import Callable
@@ -17,13 +17,13 @@ from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Spec
 from deadreckon.nets.mlp import MLP, ensemble
 
-LOOK_RATE, LOOK_EVERY = 0.01, 50  # of the running validation loss, and updates between two looks at it
+LOOK_RATE, LOOK_EVERY = 0.01, 50  # rate of the running mean of the validation loss, and updates between checks of it
 NONE_YET = 1e30  # not infinite, which would count as diverged
 BLOCK = 512  # rows at a time: with 11 policies, 10 samples and 256 units, hidden layers of 60 MB
 
 
 def create(spec: Spec, hidden: tuple[int, ...], members: int, policies: int, key: PRNGKeyArray) -> MLP:
-    """Fresh networks (members, policies, ...)."""
+    """Newly initialised networks (members, policies, ...)."""
     inputs = spec.observation_size + (0 if spec.discrete else spec.action_size)
     make = lambda k: MLP.create(inputs, hidden, spec.action_size if spec.discrete else 1, k)  # noqa: E731
     return ensemble(lambda k: ensemble(make, policies, k), members, key)
@@ -40,7 +40,7 @@ def taken(critics: MLP, observation: Float[Array, "b o"], action: Array) -> Floa
 def expected(
     critics: MLP, observation: Float[Array, "b o"], table: Array, through: Callable[[Array], Array] = lambda x: x
 ) -> Float[Array, "m p b"]:
-    """Every critic's mean value over what its policy does, of a table (b, policies, samples, size) or (b, policies, n).
+    """Every critic's mean value over its policy's actions: (b, policies, samples, size), or probabilities (b, policies, n).
 
     `through` is applied to the networks' outputs before the mean.
     """
@@ -71,12 +71,12 @@ _expected, _taken = jax.jit(expected), jax.jit(taken)
 
 
 class Best(NamedTuple):
-    """Early stopping inside a compiled program: the parameters with the least loss on rows that do not teach them.
+    """Early stopping inside a compiled program: the parameters with the lowest loss on rows that they are not trained on.
 
     Attributes:
-        params: (lanes..., *) the best so far.
-        loss: (lanes...,) theirs.
-        running: (lanes...,) a running mean of the loss now.
+        params: (lanes..., *) the best so far; lanes are the separate fits, such as folds.
+        loss: (lanes...,) their loss.
+        running: (lanes...,) running mean of the current loss.
     """
 
     params: Any
@@ -99,12 +99,12 @@ class Best(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """Critics that have been fitted, on the scale of returns.
+    """Fitted critics, whose values are on the scale of returns.
 
     Attributes:
         critics: (members, policies, ...).
-        unit: what their 1 stands for.
-        view: the coordinates of their inputs.
+        unit: the return for which their output is 1.
+        view: normaliser of their inputs.
     """
 
     critics: MLP
@@ -112,7 +112,7 @@ class Fitted(NamedTuple):
     view: Normalizer
 
     def values(self, observations: Any, table: np.ndarray) -> np.ndarray:
-        """(members, policies, rows) values of states, of raw observations and what the policies do there."""
+        """(members, policies, rows) state values of raw observations, with the table of the policies' actions there."""
         return self._of(_expected, observations, table)
 
     def of_actions(self, observations: Any, actions: np.ndarray) -> np.ndarray:
@@ -125,9 +125,9 @@ class Fitted(NamedTuple):
 
 
 def in_blocks(function: Callable[..., Any], *columns: Any) -> np.ndarray:
-    """`function` of columns, a block of rows at a time; rows are the last axis of what it gives.
+    """`function` of columns, a block of rows at a time; rows are the last axis of its result.
 
-    All blocks have the same shape, so that one compiled program serves.
+    All blocks have the same shape, so that the function is compiled once.
     """
     rows = len(columns[0])
     size = min(BLOCK, 1 << (rows - 1).bit_length())
@@ -147,21 +147,21 @@ def in_blocks(function: Callable[..., Any], *columns: Any) -> np.ndarray:
 
 @dataclass
 class OutOfFold:
-    """What nuisance functions that have not seen an episode say of it.
+    """Predictions of nuisance models for episodes that they were not trained on.
 
     Attributes:
         begins: (policies, episodes) value of the initial observation.
-        errors: (policies, rows) r + discount V(s') - Q(s, a), with as many steps to go as are left.
+        errors: (policies, rows) r + discount V(s') - Q(s, a); with a horizon, V and Q are of the steps that are left.
         weighted: (policies, rows) the same summed over the steps of an episode, weighted by the ratio of the policy's occupancy
-            over the log's rows; None where that was not asked for.
+            over the log's rows; None if not requested.
         weights: (policies, rows) these ratios, whose mean over rows is one; likewise.
         mass: (policies, rows) what each row adds to the mass of the policy's occupancy, whose mean over rows is one where the
             log shows all that the policy does (the flow into an end, or into what is discounted away); likewise.
         settled: (policies,) whether the critics' backup converged.
-        fitted: (policies,) mean square of the errors on rows that taught the critics: what `errors` are compared with.
-        by_fold: gives (folds, policies) mean values of all initial observations by the critics that have not seen each fold;
-            None where nobody asks, or one set of critics saw all.
-        left_out: share of a fold in all episodes that teach critics.
+        fitted: (policies,) mean squared error on the rows that the critics were trained on, to compare `errors` with.
+        by_fold: function that returns (folds, policies) mean values of all initial observations, by the critics that were
+            trained without each fold; None if not needed, or without cross-fitting.
+        left_out: share of one fold in all episodes that critics are trained on.
     """
 
     begins: np.ndarray
@@ -176,7 +176,7 @@ class OutOfFold:
 
     @classmethod
     def empty(cls, policies: int, episodes: int, rows: int, marginal: bool) -> "OutOfFold":
-        """Room for them."""
+        """Arrays of zeros to be filled; `settled` is true."""
         more = lambda: np.zeros((policies, rows)) if marginal else None  # noqa: E731
         begins, errors, fitted = np.zeros((policies, episodes)), np.zeros((policies, rows)), np.zeros(policies)
         return cls(begins, errors, more(), more(), more(), np.ones(policies, bool), fitted)
@@ -200,7 +200,7 @@ class OutOfFold:
         following[:, ends] = np.where(np.asarray(data.terminals)[ends] | unknown, 0.0, last)
         out.begins[:] = begins
         out.errors[:] = np.asarray(data.rewards, np.float64) + case.discount * following - chosen
-        # Where nobody knows what came next, or for the behaviour policy what it did next, nothing is corrected.
+        # No correction where the next observation or, for the behaviour policy, its next action is not known.
         out.errors[:, ends[unknown]] = 0.0
         if case.logged:
             out.errors[-1, ~(case.shown | np.asarray(data.terminals))] = 0.0

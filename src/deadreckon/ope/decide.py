@@ -32,7 +32,7 @@ from deadreckon.settings import check_kind
 from deadreckon.stats.interval import ALPHA
 
 UNSEEN = "no check can detect confounding: an unrecorded variable that influenced both the logged actions and the rewards"
-GROUPS = 50  # whose gains are told apart at most
+GROUPS = 50  # most groups with separate gains
 MOST = 100.0  # factor of odds up to which the tipping point is searched
 
 
@@ -67,7 +67,7 @@ def decide(
     Args:
         case: log and policies, with the behaviour policy.
         estimators: names, `Estimator` objects or functions, the first of which decides; or "auto", see `automatic`.
-        seen: for each policy the reason why its estimate is not of fresh episodes, or None if it is; None: all are fresh.
+        seen: for each policy the reason why its estimate is not of held-out episodes, or None if it is; None: all are.
         alpha: share of logs for which one of the intervals may miss.
         groups: also estimate the gain in each of these groups of episodes.
         **options: `accept_model_based`, `cost_limit` (see `ope.costs`), `model`, `guarantee` (see `ope.guarantee`),
@@ -141,7 +141,7 @@ def check(case: OPEInput, settings: DecisionSettings, groups: Groups | None) -> 
 
 
 def _demanded(choice: Choice, bound: float, words: str) -> Choice:
-    """A choice that is deployed only if a bound is above zero, which is told as evidence."""
+    """The choice with a further condition, deployed only if `bound` is above zero; `words` state it as evidence."""
     choice = replace(choice, evidence=(*choice.evidence, words))
     if not choice.deploy or bound > 0:
         return choice
@@ -149,8 +149,8 @@ def _demanded(choice: Choice, bound: float, words: str) -> Choice:
 
 
 def _wider(case: OPEInput, first: Estimates, checked: Support, model: BehaviorModel, choice: Choice) -> float:
-    """By how much what rests on products of weights is wider because learned propensities do not fit: as the gains are, or
-    where the estimator that decides does not depend on that, as those of `dr-linear` would be."""
+    """How much is added to intervals by products of weights, because learned propensities may be wrong: as much as to the gains
+    or, if the estimator that decides does not use such weights, as to those by `dr-linear`."""
     depends = "normalising" in first.diagnostics
     if depends or not learns(case, "auto") or case.degenerate.any() or case.data.successors is not None:
         return choice.wider
@@ -162,7 +162,8 @@ def _wider(case: OPEInput, first: Estimates, checked: Support, model: BehaviorMo
 def _confounded(
     case: OPEInput, choice: Choice, model: BehaviorModel, alpha: float, gamma: float | None, wider: float
 ) -> tuple[dict[str, Any], Choice]:
-    """Bounds under unmeasured odds as JSON values, and the choice that knows them; without a factor, what is cheap to tell."""
+    """Bounds under unmeasured confounding as JSON values, and the choice with them as evidence. If `gamma` is None, only the
+    tipping point, and only of one-step episodes, where it is quick to compute."""
     values: dict[str, Any] = {"gamma": gamma, "bounds": None, "tipping": None}
     which, alone = case.names.index(choice.name), replace(choice, evidence=(*choice.evidence, UNSEEN))
     try:
@@ -212,19 +213,20 @@ def _tail(
 def automatic(case: OPEInput, model: BehaviorModel = PROPENSITIES, accept_model_based: bool = False) -> list[Estimator]:
     """Estimators for a case, of which the first decides; chosen by the case's design alone and never by rewards.
 
-    - All policies are deterministic with continuous actions, or do not tell their probabilities: weights are degenerate or not
-      known, and what is left is model-based (`fqe`); of cross-fitted policies nothing, as critics of all folds know what taught
-      them. The same where the log's rows do not follow each other, so that there are no ratios of episodes.
-    - One step, cross-fitted policies, or weights of whole episodes that for every policy amount to a fifth of the episodes or
-      to fifty (`basis.SHARE`, `basis.MANY`): doubly robust with linear critics (`dr-linear`).
-    - Else, or where what is asked for of any policy lies beyond the ends of the recording, and observations take few values:
-      doubly robust by ratios of occupancies (`drl`), whose variance does not grow with the product of the weights, with
-      `dr-linear` as evidence. With other observations `drl` rests on its features being right, which nothing corrects, so it is
-      evidence alone unless model-based estimates are accepted.
+    - All policies are deterministic with continuous actions, or do not give their probabilities: weights are degenerate or not
+      known, and a model-based estimate (`fqe`) remains. Not for cross-fitted policies: its critics would be trained on the
+      episodes that these were trained on. The same where the log's rows do not follow each other, so that episodes have no
+      ratios.
+    - One step, cross-fitted policies, or weights of whole episodes whose effective sample size is, for every policy, at least a
+      fifth of the episodes or fifty (`basis.SHARE`, `basis.MANY`): doubly robust with linear critics (`dr-linear`).
+    - Otherwise, if observations take few values: doubly robust by ratios of occupancies (`drl`), whose variance does not grow
+      with the product of the weights, with `dr-linear` as evidence. It then also decides if part of any policy's estimand lies
+      beyond the ends of the recording. If observations take many values, `drl` is valid only if its features are adequate, and
+      nothing corrects them, so it is only evidence unless model-based estimates are accepted.
 
     Args:
         case: log and policies.
-        model: how the behaviour policy is learned where propensities were not logged.
+        model: settings of the behaviour model, if propensities were not logged.
         accept_model_based: whether policies may be deployed by model-based estimates; then these come first where weights of
             any policy are degenerate.
     """

@@ -59,7 +59,7 @@ def positive_part(out: Array, positive: bool) -> Array:
 
 
 class Saddle(eqx.Module):
-    """What `fit` trains."""
+    """The learner of Q, zeta and lambda."""
 
     settings: "DICE"
     discount: float
@@ -79,7 +79,7 @@ class Saddle(eqx.Module):
         return State(q, zeta, multiplier, copy(zeta), init_opt(q), init_opt(zeta), init_opt(multiplier))
 
     def update(self, state: State, batch: Batch, *, step, key):
-        """One step down for Q and lambda, one up for zeta, from the same point."""
+        """One descent step of Q and lambda and one ascent step of zeta, from the same point."""
         arguments = (state.q, state.multiplier), state.zeta
         (down, up), metrics = jax.grad(self.lagrangian, (0, 1), has_aux=True)(*arguments, batch)
         lr = self.settings.lr
@@ -88,12 +88,12 @@ class Saddle(eqx.Module):
         if self.settings.norm:
             multiplier, multiplier_opt = apply_gradients(multiplier, down[1], multiplier_opt, lr)
         zeta, zeta_opt = apply_gradients(state.zeta, jax.tree.map(jnp.negative, up), state.zeta_opt, lr)
-        # Descent against ascent circles around the saddle point; the mean of its way is nearer than where it happens to stop.
+        # Gradient descent-ascent cycles around the saddle point; the mean of its iterates is closer to it than the last one.
         mean = polyak_update(state.mean, zeta, jnp.maximum(self.settings.ema_rate, 1.0 / (step + 1)))
         return State(q, zeta, multiplier, mean, q_opt, zeta_opt, multiplier_opt), metrics
 
     def lagrangian(self, primal: tuple[MLP, Array], dual: MLP, batch: Batch):
-        """The sum over members and policies of the Lagrangian above."""
+        """The sum over members and policies of the Lagrangian in the docstring of the module."""
         q_net, multiplier = primal
         settings, extra = self.settings, batch.extra
         assert extra is not None
@@ -164,7 +164,7 @@ class DICE(Estimator):
 
 
 def estimates(case: OPEInput, label: str, ratios: np.ndarray, found: np.ndarray, warnings: list[str]) -> Estimates:
-    """Of (members, policies, rows) ratios and the (members, policies) values by them, with warnings of the fit.
+    """Estimates from (members, policies, rows) ratios and the (members, policies) values by them, with warnings of the fit.
 
     An episode's weight is the sum of its rows' ratios, averaged over members.
     """
@@ -181,10 +181,10 @@ def estimates(case: OPEInput, label: str, ratios: np.ndarray, found: np.ndarray,
 def occupancy_rows(case: OPEInput, learner: Any, members: int, samples: int, initial_samples: int) -> TransitionSource:
     """The log for learners of occupancies: transitions and initial states, with the policies' actions and members' weights."""
     redrawn = case.redrawn(members)
-    # Episodes are redrawn, not rows: where they differ in length, a member's rows do not count once each on average.
+    # Episodes are resampled, not rows: where they differ in length, the weights of a member's rows do not average one.
     weight = redrawn[case.data.episode_of]
     extra = {"policy": case.next_actions(samples), "weight": weight / weight[case.data.usable].mean(0)}
-    # Clusters of several episodes are redrawn as a whole: then the initial states do not count once each either.
+    # Clusters of several episodes are resampled as a whole: then the weights of the initial states do not average one either.
     initial = {"initial_policy": case.initial_actions(initial_samples), "initial_weight": redrawn / redrawn.mean(0)}
     return TransitionSource(case.data, learner.needs(case.data.spec), extra, initial)
 
@@ -195,7 +195,7 @@ def mass(terminal: Any, discount: Any) -> Any:
 
 
 def weighted(case: OPEInput, ratios: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """(members, policies) means of ratio times `x` (rows,) over the rows that each member saw."""
+    """(members, policies) means of ratio times `x` (rows,) over the rows that each member was trained on."""
     weight = case.redrawn(len(ratios))[case.data.episode_of].T * case.data.usable
     x = np.asarray(x, np.float64)
     return np.stack([own @ (seen * x) for own, seen in zip(ratios, weight)]) / weight.sum(1)[:, None]

@@ -39,9 +39,9 @@ METRICS = {
     "rank_correlation": "Rank correlation",
     "regret": "Regret@1, in ranges of the true values",
 }
-TRIED = 5  # policies that SharpeRatio@k tries out, and of the regret in Table E.3
-UNPLUGGED = "-full-replay-v0"  # behind a task's name: its log in DOPE's half on RL Unplugged
-PRINTED = {"WPDIS": "IS", "WDR": "DR"}  # what thesis E.2 calls methods that have a more exact name here
+TRIED = 5  # k of SharpeRatio@k, and of regret@k in Table E.3
+UNPLUGGED = "-full-replay-v0"  # ends the name of a task's log in the half of DOPE that uses RL Unplugged
+PRINTED = {"WPDIS": "IS", "WDR": "DR"}  # names in thesis E.2 of methods that have a more exact name here
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ class Result:
 
 @dataclass(frozen=True, kw_only=True)
 class DopeSettings(FitSettings):
-    """Of the protocol's fits and results."""
+    """Settings of the protocol's fits and results."""
 
     out: Path | str | None = None  # folder of results and checkpoints; existing results are not computed again
     told: Callable[[Result], None] = unwatched  # called with every result
@@ -139,7 +139,7 @@ def evaluate_log(
             "settings": str(estimator), "seed": settings.seed, "log": data.fingerprint, "truth": truth.tolist(),
             "revisions": of_learning() | estimator_revisions(estimator),
         }  # fmt: skip
-        # What a function does is not in its name, so its results are not kept.
+        # The name of a function does not identify its code, so its results are not stored.
         name = f"{type(estimator).__name__}-{digest(identity, 4)}.json"
         path = None if folder is None or isinstance(estimator, Function) else folder / name
         if path is not None and path.exists():
@@ -151,7 +151,7 @@ def evaluate_log(
                 case = OPEInput(data, policies, discount=discount, names=names, **fits.only(FitSettings))
             try:
                 estimates = estimator.on(case)
-            except DivergedError as error:  # neither other methods nor other logs are held up
+            except DivergedError as error:  # other methods and other logs continue
                 estimates = _no_estimates(estimator, names, discount, str(error))
             result = _result(estimates, data.name, behavior, truth, errors, str(estimator))
             if path is not None:
@@ -169,7 +169,7 @@ def _kept(path: Path) -> Result:
 
 
 def _no_estimates(estimator: Estimator, names: tuple[str, ...], discount: float, why: str) -> Estimates:
-    """What stands for the estimates of a method that gave none."""
+    """Estimates that are NaN, for a method that gave none."""
     nan = np.full(len(names), np.nan)
     return Estimates(estimator.label, names, nan, nan, nan, Estimand(discount), warnings=(f"no estimates: {why}",))
 
@@ -257,7 +257,7 @@ def cells(results: Sequence[Result], metric: str, **options: Any) -> dict[str, d
             good = [r.metrics(**options) for r in own if np.isfinite(r.estimates).all()]
             measured = np.mean([getattr(m, metric) for m in good], 0) if good else np.full(3, np.nan)
             if own:
-                # Errors are printed in returns, and regrets in ranges.
+                # Thesis E.2 prints errors as returns, and regrets in ranges of the true values.
                 same = options.get("normalised", True) == (metric != "absolute_error")
                 theirs = printed(metric, log, method, options.get("k", 1)) if same else None
                 table.setdefault(log, {})[method] = Cell(*(float(x) for x in measured), printed=theirs)
@@ -295,7 +295,7 @@ def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
             redrawn = [pair(row[m].mean, row[m].spread) if p else "" for m, p in zip(methods, printed)]
             lines.append("| over redrawn policies | " + " | ".join(redrawn) + " |")
             lines.append("| thesis E.2 | " + " | ".join(pair(*p) if p else "" for p in printed) + " |")
-    # Of all logs or of none: a median of those that a method can do would flatter it.
+    # A method that has no value on some log has no median: one over the other logs would be too favourable.
     values = {m: [row[m].value if m in row else math.nan for row in table.values()] for m in methods}
     form = ".2f" if max((abs(m) for v in values.values() for m in v if math.isfinite(m)), default=0.0) < 100 else ",.0f"
     medians = [f"{np.median(v):{form}}" if np.isfinite(v).all() else "" for v in values.values()]

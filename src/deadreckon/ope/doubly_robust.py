@@ -42,15 +42,15 @@ from deadreckon.stats import inference
 from deadreckon.stats.bootstrap import jackknife, prediction
 from deadreckon.training.hyperparameters import Count, UnitInterval, static
 
-ALONE = {"marginal": "DRL", "switch": "SWITCH", "dros": "DRos", "mrdr": "MRDR"}  # labels whatever the critics are
-TRUSTED = np.concatenate([[0.0], np.geomspace(0.5, 5000.0, 13), [np.inf]])  # weights among which switch and dros choose
-OVERFIT = 1.5  # times the error on what taught the critics; beyond, one is warned
+ALONE = {"marginal": "DRL", "switch": "SWITCH", "dros": "DRos", "mrdr": "MRDR"}  # labels that do not depend on the critics
+TRUSTED = np.concatenate([[0.0], np.geomspace(0.5, 5000.0, 13), [np.inf]])  # candidate limits of weights, for switch and dros
+OVERFIT = 1.5  # a warning is given if the error out of fold is more than this times that on the training rows
 
 
 class DoublyRobust(Estimator):
     """FQE corrected by importance sampling."""
 
-    revision: ClassVar[int] = 4  # 2-4: MAGIC's intervals, of values and of gains, know the uncertainty of its critics
+    revision: ClassVar[int] = 4  # 2-4: MAGIC's intervals, of values and of gains, include the uncertainty of its critics
 
     takes_horizon = True
 
@@ -74,7 +74,7 @@ class DoublyRobust(Estimator):
         check_range(self.log_ratio_range)
 
     @property
-    def takes_crossed(self) -> bool:  # pyrefly: ignore[bad-override] - nobody sets it
+    def takes_crossed(self) -> bool:  # pyrefly: ignore[bad-override] - it is never set
         """Whether cross-fitted policies can be evaluated."""
         return self.kind != "marginal"
 
@@ -86,7 +86,7 @@ class DoublyRobust(Estimator):
         name = {"dr": "DR", "wdr": "WDR", "magic": "MAGIC"}[self.kind]
         return f"{name}-linear" if isinstance(self.fqe, LinearFQE) else name
 
-    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # products of weights overflow; `Estimator.on` tells of it
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # products of weights overflow; `Estimator.on` warns
     def solve(self, case: OPEInput) -> Estimates:
         """Adds the corrections to the mean value of the initial observations."""
         if self.kind == "marginal":
@@ -124,13 +124,13 @@ class DoublyRobust(Estimator):
         diagnostics = self._diagnostics(case, nuisances) | tails_of(case, tails) | multiplied(case.episodes, ess, average)
         diagnostics["beyond"] = np.array(share)
         nuisance = None
-        early = 0.0  # the least that remains of an error of the critics of any policy, beside the behaviour policy
+        early = 0.0  # least share of the critics' error that remains, with that of the behaviour policy
         if left:
             policies, logged = left[: len(case.policies)], left[len(case.policies) :]
             early = max([min(policies), *logged])
             diagnostics["uncorrected"] = uncorrected = np.array(left)
             nuisance = np.where(uncorrected > 0, uncorrected * self._critics_errors(case, nuisances, begins), 0.0)
-            # The same draws for all policies, so that what their critics share falls out of differences.
+            # The same draws for all policies, so that errors that their critics share cancel in differences.
             redrawn = redrawn + generator(case.seed, "uncorrected").standard_normal((len(redrawn), len(nuisance))) @ nuisance
             warnings += self._uncorrected_warnings(case, uncorrected, nuisance)
         if shifts:
@@ -142,11 +142,16 @@ class DoublyRobust(Estimator):
         )  # fmt: skip
 
     def nuisances(self, case: OPEInput) -> tuple[OutOfFold, np.ndarray | None]:
-        """Critics on the evaluated rows, and, with members, (members, policies, episodes) initial values."""
+        """Predictions on the evaluated rows; and (members, policies, episodes) initial values of critics that are not
+        cross-fitted, else None.
+
+        Raises:
+            UserError: `mrdr` without linear critics or with one fold.
+        """
         if self.kind == "mrdr":
             return case.once(("out of fold", self), lambda: self._of_least_variance(case)), None
         if isinstance(self.fqe, LinearFQE):
-            # Of one step there is no other ratio than the weight; of more, both kinds share what is solved.
+            # For one-step episodes the ratio of occupancies is the weight; for longer ones, `dr` and `marginal` share one fit.
             marginal = self.kind == "marginal" or (case.data.successors is None and int(case.data.lengths.max()) > 1)
             fit = Fit(self.fqe, case)
             key = ("out of fold", self.fqe, self.folds, marginal)
@@ -156,7 +161,7 @@ class DoublyRobust(Estimator):
         return case.once(("errors", self.fqe, self.samples), lambda: self._in_sample(case))
 
     def _in_sample(self, case: OPEInput) -> tuple[OutOfFold, np.ndarray]:
-        """By critics that learned from the judged rows, as the public code has it; an ensemble's mean."""
+        """Predictions of critics trained on the evaluated rows, as in the public code; means over the ensemble."""
         assert isinstance(self.fqe, FQE)
         data, fitted = case.timed, self.fqe.fitted(case)
         now = fitted.values(data.observations, case.current_actions(self.samples))
@@ -167,12 +172,12 @@ class DoublyRobust(Estimator):
         return replace(out, fitted=np.square(out.errors).mean(1)), begins
 
     def _of_least_variance(self, case: OPEInput) -> OutOfFold:
-        """By critics of `ope/mrdr.py`."""
+        """Predictions of the critics of `ope/mrdr.py`."""
         if not isinstance(self.fqe, LinearFQE) or self.folds < 2:
             raise UserError("kind='mrdr' needs fqe=LinearFQE(), whose features it takes, and folds of 2 or more")
 
         def propensities(each: OPEInput) -> tuple[np.ndarray, np.ndarray | None]:
-            # What is not judged needs no models out of fold, and may have none that learned from what is.
+            # Episodes that are not evaluated need no cross-fitting, and must not use models trained on evaluated ones.
             folds = self.folds if each is case else 1
             ratios = log_ratios(each, self.behavior, self.model, self.log_ratio_range, folds)
             return ratios, logged_probs(each, self.behavior, self.model, folds) if each.data.spec.discrete else None
@@ -180,10 +185,10 @@ class DoublyRobust(Estimator):
         return out_of_fold(case, Fit(self.fqe, case), self.folds, propensities)
 
     def _trusting(self, case: OPEInput) -> Estimates:
-        """With weights that are trusted up to a limit (`switch`) or shrunk (`dros`), which other folds choose.
+        """Estimates with weights that are used up to a limit (`switch`) or shrunk (`dros`); other folds choose the limit.
 
-        The behaviour policy keeps its weights, which are one. Diagnostics are those of the weights as they are: where their
-        tail is too heavy, or they rest on few episodes, nobody knows how much the limit hides.
+        The behaviour policy keeps its weights, which are one. Diagnostics are those of the original weights: where their tail
+        is too heavy, or they are based on few episodes, the bias due to the limit is not known.
         """
         if self.folds < 2:
             raise UserError(f"kind={self.kind!r} needs folds of 2 or more: other folds choose the limit of the weights")
@@ -260,7 +265,8 @@ class DoublyRobust(Estimator):
 
     @staticmethod
     def _residuals(case: OPEInput, nuisances: OutOfFold) -> tuple[np.ndarray, np.ndarray]:
-        """(policies,) root mean squares of what critics leave unexplained, in deviations of rewards: out of fold, and not."""
+        """(policies,) root mean squared errors of the critics out of fold, and on their training rows, both in standard
+        deviations of the reward."""
         scale = float(case.data.spec.reward.std) or 1.0
         return np.sqrt(np.square(nuisances.errors).mean(1)) / scale, np.sqrt(nuisances.fitted) / scale
 
@@ -274,7 +280,7 @@ class DoublyRobust(Estimator):
         return self.fqe.convergence_warnings(case, what) if isinstance(self.fqe, FQE) else []
 
     def _marginal(self, case: OPEInput) -> Estimates:
-        """By ratios of occupancies. Where all episodes are whole the behaviour policy has its mean return, exactly."""
+        """Estimates by ratios of occupancies; of the behaviour policy, the mean return if a terminal ends every episode."""
         if not isinstance(self.fqe, LinearFQE):
             raise UserError("kind='marginal' needs fqe=LinearFQE(), whose features also give the ratios of occupancies")
         if self.folds < 2:
@@ -295,7 +301,7 @@ class DoublyRobust(Estimator):
             return mean, episodes.groups * (total - mean * rows) / rows.sum()
 
         for i, name in enumerate(case.names):
-            # Of a horizon's steps the last is weighted over all rows, and the others have no weight where nobody knows more.
+            # With a horizon all rows count: the last step needs no successor, and rows without one weigh zero at other steps.
             every = np.ones(len(case.data), bool) if case.estimand.horizon is not None else case.followed
             masses.append(mean_of(nuisances.mass[i], every))
             if name == LOGGED and whole:
@@ -340,7 +346,7 @@ class DoublyRobust(Estimator):
         """(groups, policies) error of the critics' mean initial values (see `Estimates.nuisance`): by the members of an
         ensemble, or by the critics of the folds (the jackknife).
 
-        Networks of folds differ by their initialisations too, so theirs is an upper bound. Of one critic nothing is known.
+        Networks of folds also differ by their initialisation, so their error is an upper bound. NaN with a single critic.
         """
         if begins is not None:
             return prediction(begins.mean(-1))
@@ -365,10 +371,10 @@ class DoublyRobust(Estimator):
         """Corrections of several lengths, weighted so that variance plus squared bias is least.
 
         Returns:
-            The estimate, its bootstrap samples, the influence of the corrections, and how much of an error of the critics
-            remains in it: that of a state after j steps counts discount^j times, in the policy's episodes that go on so long.
+            The estimate, its bootstrap samples, the influence function of the corrections, and the share of an error of the
+            critics that remains in it: after j steps, discount^j times the share of the policy's episodes that last so long.
         """
-        from scipy.optimize import nnls  # half a second, for this kind alone
+        from scipy.optimize import nnls  # takes half a second, and only this kind needs it
 
         episodes = case.episodes
         ends = np.unique(np.geomspace(1, episodes.steps, self.lengths).round().astype(int)) - 1
@@ -390,11 +396,11 @@ class DoublyRobust(Estimator):
 
 
 def stretched(share: Sequence[float]) -> np.ndarray | None:
-    """(policies,) factors of the errors if the recording ends early; None: one.
+    """(policies,) factors of the standard errors if the recording ends early; None: one.
 
-    A share b of a policy's discounted time lies beyond it (`OPEInput.beyond_of`), where the critics are not corrected. Their
-    errors there are assumed to be those of the recorded part, which the influence function of the corrections does not include:
-    they add up, and the total error is 1 / (1 - b) times that of the recorded part.
+    A share b of a policy's discounted time lies beyond it (`OPEInput.beyond_of`), where the critics are not corrected. The
+    influence function of the corrections does not include their errors there. These are assumed to be those of the recorded
+    part and to add up with them, so the total error is 1 / (1 - b) times that of the recorded part.
     """
     beyond = np.asarray(share)
     if (beyond <= TAIL).all():

@@ -10,14 +10,14 @@ from deadreckon.errors import UserError
 from deadreckon.ope.sequences import times
 from deadreckon.settings import check_kind
 
-TAIL = 0.02  # share of the discounted time after a timeout that may be left to a critic without a word
+TAIL = 0.02  # share of the discounted time after a timeout that may be left to a critic without a warning
 
 
 @dataclass(frozen=True)
 class Estimand:
     """The value of a policy: E[sum_t discount^t r_t] over episodes that begin as the log's do.
 
-    The same holds for the behaviour policy and for a check in a simulator.
+    The behaviour policy, and a check in a simulator, have the same estimand.
 
     Attributes:
         discount: of the rewards, per step.
@@ -75,19 +75,19 @@ class Estimand:
             )
 
     def span(self, log: Dataset) -> float:
-        """The discounted number of steps of the longest episode: a return over it is on the scale of a reward."""
+        """The largest discounted number of steps of an episode: a return divided by it is on the scale of a reward."""
         if self.horizon is not None:
             return discounted_steps(self.discount, self.horizon)
         return float(log.lengths.max()) if self.discount == 1.0 else 1.0 / (1.0 - self.discount)
 
     def cut(self, log: Dataset) -> Dataset:
-        """The part of a log that counts: with a horizon, the first steps of each episode, which end there."""
+        """The part of a log that counts: with a horizon, the first steps of each episode, which ends there; see `cut_at`."""
         if self.horizon is None:
             return log
         return cut_at(log, self.horizon)
 
     def as_json(self) -> dict[str, Any]:
-        """For files."""
+        """The fields as JSON values."""
         return {"discount": self.discount, "horizon": self.horizon, "greedy": self.greedy}
 
     def __str__(self) -> str:

@@ -13,7 +13,7 @@ from deadreckon.stats.interval import PERCENT, decimals, fixed
 if TYPE_CHECKING:
     from deadreckon.ope.case import OPEInput
 
-LOGGED = "behaviour policy"  # the name of the policy that made the log
+LOGGED = "behaviour policy"  # the name of the policy that recorded the log
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Estimates(Shown):
         **more: Any,
     ) -> "Estimates":
         """Estimates of (policies,) values with (units, policies) influence functions, and intervals by them and by `nuisance`,
-        each separately; without weights nothing is known.
+        for each policy separately; they are infinite if all weights of a policy are zero.
         """
         low, high = inference.intervals(value, influence, seed=case.seed)
         if nuisance is not None:
@@ -87,16 +87,16 @@ class Estimates(Shown):
 
     @property
     def discount(self) -> float:
-        """Of the returns."""
+        """Discount of the returns, per step."""
         return self.estimand.discount
 
     def unbounded(self, where: np.ndarray) -> "Estimates":
-        """The same with intervals that have no bounds for the policies `where` (policies,) is true."""
+        """The same with infinite intervals for the policies for which `where` (policies,) is true."""
         return replace(self, low=np.where(where, -np.inf, self.low), high=np.where(where, np.inf, self.high))
 
     def corrects(self, which: int) -> bool:
-        """Whether logged rewards correct the estimate of one policy: not if it continues beyond the ends of the recording, or
-        if corrections end early, its own or those of the behaviour policy beside it."""
+        """Whether logged rewards correct the estimate of one policy: not if its estimand continues beyond the ends of the
+        recording, or if the corrections of this policy or of the behaviour policy end early."""
         beyond = self.diagnostics.get("beyond", np.zeros(which + 1))[which]
         return self.corrected and max(beyond, self.left(which)) <= TAIL
 

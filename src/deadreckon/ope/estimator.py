@@ -27,8 +27,8 @@ class Estimator(eqx.Module):
     revision: ClassVar[int] = 1
 
     takes_horizon = False  # whether it can count the first steps of an episode only, and take a discount of one
-    # Whether it can judge cross-fitted policies: weights are of single rows. What is fitted to all folds for a policy has the
-    # rewards that taught it, and what follows policies from state to state needs one for all states.
+    # Whether it can evaluate cross-fitted policies, as weights of single rows can. A model fitted to all folds would be trained
+    # on the rewards that the policy was trained on, and a method that follows a policy to its next states needs one policy.
     takes_crossed = False
     takes_apart = True  # whether rows need not follow each other; see `Dataset.successors`
 
@@ -38,7 +38,7 @@ class Estimator(eqx.Module):
         policies: Any,
         **options: Any,
     ) -> Estimates:
-        """The value of each policy, from the log alone; see `OPEInput` for the options."""
+        """The value of each policy, from the log alone; see `OPEInput` for the options and errors, and `check`."""
         return self.on(OPEInput(data, policies, **options))
 
     def check_settings(self) -> None:
@@ -52,7 +52,7 @@ class Estimator(eqx.Module):
                 check_fields(each)
 
     def check(self, case: OPEInput) -> None:
-        """Refuses settings out of range, and cases that this estimator cannot answer.
+        """Refuses settings out of range, and cases that this estimator cannot evaluate.
 
         Raises:
             UserError: in one line.
@@ -71,7 +71,7 @@ class Estimator(eqx.Module):
             )
 
     def on(self, case: OPEInput) -> Estimates:
-        """The same on a case that several estimators share."""
+        """The same on a case, which several estimators can share; see `check` for errors."""
         self.check(case)
         begun = time.perf_counter()
         found = self.solve(case)

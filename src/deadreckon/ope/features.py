@@ -14,10 +14,10 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.randomness import generator
 
-TABLE = 400  # observations x actions up to which there is a feature for each
-PRODUCTS = 400  # products of two numbers, up to so many
+TABLE = 400  # most pairs of an observation and an action with a feature for each
+PRODUCTS = 400  # most products of two numbers that are features
 SCALES = (1.0, 3.0)  # length scales of the cosines, in units of a typical distance
-FAR = 5.0  # standard deviations from the mean beyond which an observation counts as so far
+FAR = 5.0  # standard deviations from the mean at which observations are clipped
 
 
 class Table:
@@ -32,7 +32,7 @@ class Table:
 
     @classmethod
     def of(cls, log: Dataset) -> "Table | None":
-        """None where actions are continuous, or observations with actions are more than `TABLE`."""
+        """The table of a log; None if actions are continuous, or observations times actions are more than `TABLE`."""
         if not log.spec.discrete:
             return None
         most = TABLE // log.spec.action_size
@@ -128,7 +128,7 @@ class Features:
             parts.append(table)
         if self.crossed:
             parts.append((table[..., None] * seen[:, None, None]).reshape(rows, policies, -1))
-        # In place, as this is what a fit spends its time on.
+        # In place, because a fit spends most of its time here.
         out, begin = np.empty((rows, policies, self.size), np.float32), 0
         for part in parts:
             out[..., begin : begin + part.shape[-1]] = part
@@ -143,7 +143,7 @@ class Features:
 
     def _continuous(self, seen: np.ndarray, unit: np.ndarray) -> np.ndarray:
         inputs = np.concatenate([seen, unit], 1)
-        waves = inputs @ self.frequencies  # in place: these are most of the numbers, and most of the time
+        waves = inputs @ self.frequencies  # in place: this array takes most of the memory and time
         waves += self.phases
         np.cos(waves, out=waves)
         waves *= self.amplitude

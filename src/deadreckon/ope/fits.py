@@ -19,11 +19,11 @@ from deadreckon.training.hyperparameters import described, on_device
 from deadreckon.training.learner import lane_of
 
 BLOCK = 65_536  # rows at a time
-SETTLED = 0.05  # relative change of a fit's metric over its last fifth beyond which one is warned
+SETTLED = 0.05  # relative change of a fit's metric over its last fifth above which a warning is given
 
 
 class _Kept(TypedDict):
-    """The metrics of a fit, as a file has them."""
+    """The metrics of a fit, as stored in a file."""
 
     metrics: list[tuple[int, dict[str, float]]]
 
@@ -44,11 +44,11 @@ class Fits:
         self.estimand, self.seed, self.watch = estimand, settings.seed, settings.watch
         self.out = None if settings.out is None else Path(settings.out)
         self._kept: dict[Any, Any] = {}
-        self._metrics: dict[str, dict[int, dict[str, float]]] = {}  # of each fit, by updates done
+        self._metrics: dict[str, dict[int, dict[str, float]]] = {}  # of each fit, by number of updates
 
     @cached_property
     def manner(self) -> str:
-        """Tells sets of policies apart."""
+        """Identifies the set of policies."""
         raise NotImplementedError
 
     def once(self, key: Any, make: Callable[[], Any]) -> Any:
@@ -61,7 +61,8 @@ class Fits:
         """The state of a learner after `steps` updates, resumed from its checkpoints if there are any.
 
         Raises:
-            UserError: it diverged (NaN or infinite numbers).
+            DivergedError: it diverged (NaN or infinite numbers).
+            BusyError: another process does the same fit.
         """
         folder = None if self.out is None else self._folder(learner, rows, steps, what)
         with contextlib.nullcontext() if folder is None else alone(folder, f"fits {what} already"):
@@ -74,9 +75,9 @@ class Fits:
         seen = self._metrics[what] = {step: metrics for step, metrics in known}
 
         def told(progress: Chunk) -> None:
-            # What a kill lost is computed, and noted, again.
+            # After an interruption, updates since the last checkpoint are done again, and their metrics replaced.
             seen[progress.step] = {name: float(value[0]) for name, value in progress.metrics.items()}
-            if kept is not None:  # for who asks again when the fit is done
+            if kept is not None:  # for later calls, which load the finished fit
                 write_json(kept, {"metrics": list(seen.items())})
             self.watch(what, progress.step, steps)
 
@@ -98,9 +99,9 @@ class Fits:
         return [f"{what} still changes: {found}; more than {last:,} updates are needed"]
 
     def _folder(self, learner: Any, rows: TransitionSource, steps: int, what: str) -> Path:
-        """Where a fit's checkpoints lie: a folder of its own for every log, set of policies and setting."""
+        """The folder of a fit's checkpoints, a different one for every log, set of policies and settings."""
         assert self.out is not None
-        # Which rows teach whom is in these columns alone: held episodes, clusters and folds.
+        # Only these columns say which rows each model is trained on: they encode held-out episodes, clusters and folds.
         columns = {name: _digest(column) for name, column in {**rows.extra, **(rows.initial or {})}.items()}
         asked = {
             "learner": described(on_device(learner)), "steps": steps, "log": rows.log.fingerprint, "policies": self.manner,
@@ -110,12 +111,12 @@ class Fits:
 
 
 def settled(policies: int, warnings: Sequence[str]) -> dict[str, np.ndarray]:
-    """The diagnostic `settled` of an estimate of so many policies by one fit, which has these `convergence_warnings`."""
+    """The diagnostic `settled` of estimates by one fit, for each of `policies`: 1 without `convergence_warnings`, else 0."""
     return {"settled": np.full(policies, float(not warnings))}
 
 
 def _digest(column: np.ndarray) -> str:
-    """Of a column's shape, type and numbers, a block at a time: it may lie in a file."""
+    """Hash of a column's shape, type and numbers, a block at a time, because the column may be memory-mapped."""
     found = hashlib.blake2b(f"{column.shape} {column.dtype}".encode(), digest_size=16)
     for start in range(0, len(column), BLOCK):
         found.update(np.ascontiguousarray(column[start : start + BLOCK]).tobytes())

@@ -1,8 +1,8 @@
 """FQE-L2: fitted Q evaluation with a squared loss (Le et al. 2019; thesis 8.5; settings of the public implementation).
 
 Every policy has `members` critics, each of which is trained on a bootstrap sample of the episodes (`OPEInput.redrawn`): their
-mean is the estimate and their spread determines its interval. All critics of all policies are one program and use the same
-minibatches.
+mean is the estimate and their spread determines its interval. All critics of all policies are trained in one program, on the
+same minibatches.
 
 For doubly robust estimates the members are folds instead: each is trained on the episodes outside its fold and stops where its
 loss on a held-out tenth of them is smallest.
@@ -32,7 +32,7 @@ from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitI
 
 
 class State(NamedTuple):
-    """Critics (members, policies, ...), the slow copies that targets come from, their optimiser and the best copies so far."""
+    """Critics (members, policies, ...), their target networks, their optimiser and the best parameters so far."""
 
     critics: MLP
     targets: MLP
@@ -41,11 +41,12 @@ class State(NamedTuple):
 
 
 class Scale(NamedTuple):
-    """Units of the critics: a return over the discounted number of steps (`OPEInput.span`), in deviations of the reward.
+    """Units of the critics: a return divided by the discounted number of steps (`OPEInput.span`) and by the standard deviation
+    of the reward.
 
     Attributes:
-        std: of the reward, or 1 if it never changes.
-        unit: a critic's 1 in units of the return.
+        std: standard deviation of the reward, or 1 if it never changes.
+        unit: the return for which a critic's output is 1.
         low, high: smallest and largest possible value of a critic.
     """
 
@@ -56,12 +57,12 @@ class Scale(NamedTuple):
 
     @classmethod
     def of(cls, case: OPEInput) -> "Scale":
-        """Of a log's rewards; where episodes end, nothing (0) follows."""
+        """The scale for a case's rewards; if episodes end, values of 0 are possible, too."""
         reward = case.data.spec.reward
         std = float(reward.std) or 1.0
         ends = bool(np.asarray(case.data.terminals).any())
         low, high = float(reward.min) / std, float(reward.max) / std
-        if case.discount == 1.0 and case.estimand.horizon is None:  # an episode may be longer than any that was seen
+        if case.discount == 1.0 and case.estimand.horizon is None:  # an episode may be longer than any in the log
             return cls(std, std * case.span, -np.inf, np.inf)
         return cls(std, std * case.span, min(low, 0.0) if ends else low, max(high, 0.0) if ends else high)
 
@@ -89,7 +90,7 @@ class Critics(eqx.Module):
     stops: bool = eqx.field(static=True)
 
     def needs(self, spec):
-        """Transitions, with the columns `policy` and `weight` beside them, and where it is not all ones `known` (policies,)."""
+        """Transitions with the columns `policy` and `weight`, and `known` (policies,) if that is not all ones."""
         return BatchSpec(batch_size=self.settings.batch_size, standardise=True)
 
     def init(self, spec, key):
@@ -99,7 +100,7 @@ class Critics(eqx.Module):
         return State(critics, copy(critics), init_opt(critics), best)
 
     def update(self, state: State, batch: Batch, *, step, key):
-        """One step of every critic towards r + discount (1 - terminal) V_target(s'), clipped to what a value can be."""
+        """One step of every critic towards r + discount (1 - terminal) V_target(s'), clipped to the range of values."""
         assert batch.extra is not None
         future = expected(state.targets, batch.next_observation, batch.extra["policy"])
         reward = self.share * batch.reward / self.scale.std
@@ -147,17 +148,17 @@ class FQE(Estimator):
     def problem(
         self, case: OPEInput, weight: np.ndarray | None = None, check: np.ndarray | None = None
     ) -> tuple[Critics, TransitionSource]:
-        """What is trained for a case, and the rows that it learns from.
+        """The learner for a case, and the rows that it is trained on.
 
         Args:
             case: log and policies.
-            weight: (episodes, members) how often each episode counts for a member; None: redrawn with replacement.
+            weight: (episodes, members) how often each episode counts for a member; None: resampled with replacement.
             check: (episodes, members) the same for the validation loss by which critics stop early; None: they do not.
         """
         data, scale = case.timed, Scale.of(case)
         weight = case.redrawn(self.members) if weight is None else weight
         soon = case.discount == 0.0 or case.estimand.horizon == 1 or bool(np.asarray(data.terminals).all())
-        # Where values have to travel back in time, the first targets are small and so are the losses.
+        # While values propagate back in time, targets are still too small, and so are losses: these do not count.
         first = 0.0 if soon else self.steps / 2
         learner = Critics(
             self, case.discount, scale, share=1.0 / case.span, first=first, members=weight.shape[1], policies=case.count,
@@ -174,7 +175,7 @@ class FQE(Estimator):
         return Fitted(state.targets, Scale.of(case).unit, rows.view)
 
     def out_of_fold(self, case: OPEInput, folds: int, samples: int) -> OutOfFold:
-        """The out-of-fold estimates of critics, whose folds are lanes of one program.
+        """The out-of-fold predictions of critics; those of all folds are trained in one program.
 
         Args:
             case: log and policies.
@@ -199,7 +200,7 @@ class FQE(Estimator):
         chosen = fitted.of_actions(data.observations, data.actions)
 
         def told(by: int) -> OutOfFold:
-            """By the critics of the fold that is so many further on: of 0 they have not seen it, else they have."""
+            """By the critics of the fold that is `by` further on: those of 0 were not trained on the episode, others were."""
             of = lambda found, lane: np.take_along_axis(found, ((lane + by) % (fold.max() + 1))[None, None], 0)[0]  # noqa: E731
             own, final, taken = (of(x, lane).astype(np.float64) for x, lane in ((now, of_row), (last, fold), (chosen, of_row)))
             return OutOfFold.of_values(case, own[:, data.starts], own, final, taken)
@@ -228,5 +229,5 @@ class FQE(Estimator):
         )  # fmt: skip
 
     def convergence_warnings(self, case: OPEInput, what: str = "fqe") -> list[str]:
-        """A warning where the fit still changes."""
+        """A warning if the fit has not converged."""
         return case.convergence_warnings(what, "q")

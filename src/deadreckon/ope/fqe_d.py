@@ -1,7 +1,7 @@
 """FQE-D: fitted Q evaluation of the distribution of returns (Paine et al. 2020; thesis 8.5; settings of the public code).
 
-Each critic gives probabilities of `atoms` returns, evenly spaced over what is possible (C51, Bellemare et al. 2017). The target
-is the distribution of r + discount Z(s', a'), put back on the atoms, from a copy of the critics that is renewed every so often.
+Each critic gives probabilities of `atoms` returns, evenly spaced over the possible ones (C51, Bellemare et al. 2017). The
+target is the distribution of r + discount Z(s', a') by target networks, projected onto the atoms.
 """
 
 from typing import ClassVar, NamedTuple
@@ -29,7 +29,7 @@ from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, TwoOr
 
 
 class State(NamedTuple):
-    """Critics (members, policies, ...), the copies that targets come from, and the optimiser."""
+    """Critics (members, policies, ...), their target networks, and the optimiser."""
 
     critics: LayerNormMLP
     targets: LayerNormMLP
@@ -37,7 +37,7 @@ class State(NamedTuple):
 
 
 class Distributions(eqx.Module):
-    """What `fit` trains: as `fqe.Critics`, with the returns of the atoms between `scale.low` and `scale.high`."""
+    """The learner: as `fqe.Critics`, with the returns of the atoms between `scale.low` and `scale.high`."""
 
     settings: "FQED"
     discount: float
@@ -47,11 +47,11 @@ class Distributions(eqx.Module):
 
     @property
     def support(self) -> Float[Array, "z"]:
-        """(atoms,) what a critic's probabilities are of."""
+        """(atoms,) the returns that a critic gives probabilities of."""
         return support(self.scale.low, self.scale.high, self.settings.atoms)
 
     def needs(self, spec):
-        """Transitions, with the columns `policy` and `weight` beside them."""
+        """Transitions with the columns `policy` and `weight`."""
         return BatchSpec(batch_size=self.settings.batch_size, standardise=True)
 
     def init(self, spec, key):
@@ -64,7 +64,7 @@ class Distributions(eqx.Module):
         return State(critics, copy(critics), init_opt(critics))
 
     def logits(self, critics: LayerNormMLP, observation: Array, action: Array) -> Float[Array, "m p b z"]:
-        """Of the returns after one action per row, the same for all critics."""
+        """Logits of the returns after one action per row, the same for all critics."""
         if action.ndim == 1:
             every = self._every(critics, observation)
             return jnp.take_along_axis(every, action[None, None, :, None, None], -2)[..., 0, :]
@@ -76,7 +76,7 @@ class Distributions(eqx.Module):
         return out.reshape(*out.shape[:-1], -1, self.settings.atoms)
 
     def mixture(self, critics: LayerNormMLP, observation: Array, table: Array) -> Float[Array, "m p b z"]:
-        """Probabilities of the returns of what the policies do; see `critics.expected` for the table."""
+        """Probabilities of the returns of the policies' actions; see `critics.expected` for the table."""
         if table.ndim == 3:
             return jnp.einsum("mpbnz,bpn->mpbz", jax.nn.softmax(self._every(critics, observation)), table)
         seen = jnp.broadcast_to(observation[:, None], (*table.shape[:1], table.shape[2], observation.shape[-1]))
@@ -87,13 +87,13 @@ class Distributions(eqx.Module):
         return jax.vmap(lambda member: jax.vmap(one, (0, 1))(member, table))(critics)
 
     def update(self, state: State, batch: Batch, *, step, key):
-        """One step of every critic towards the projected target; copies are renewed every `target_update_period` steps."""
+        """One step of every critic towards the projected target; targets are updated every `target_update_period` steps."""
         assert batch.extra is not None
         future = self.mixture(state.targets, batch.next_observation, batch.extra["policy"])
         reward = self.share * batch.reward / self.scale.std
         target = project(future, reward, self.discount * (1.0 - batch.terminal), self.support)
         grads, metrics = jax.grad(self.loss, has_aux=True)(state.critics, batch, target)
-        # Every critic's gradient is clipped by its own norm.
+        # Every critic's gradient is clipped separately, by its norm.
         square = sum(jnp.square(g).sum(tuple(range(2, g.ndim))) for g in jax.tree.leaves(grads))
         scale = jnp.minimum(1.0, self.settings.max_grad_norm / jnp.sqrt(jnp.maximum(square, 1e-12)))
         grads = jax.tree.map(lambda g: g * scale.reshape(*scale.shape, *[1] * (g.ndim - 2)), grads)
@@ -137,7 +137,7 @@ class FQED(Estimator):
         return "FQE-D"
 
     def problem(self, case: OPEInput) -> tuple[Distributions, TransitionSource]:
-        """What is trained for a case, and the rows that it learns from."""
+        """The learner for a case, and the rows that it is trained on."""
         data, scale = case.data, Scale.of(case)
         scale = scale._replace(high=max(scale.high, scale.low + 1e-3))
         learner = Distributions(self, case.discount, scale, share=1.0 / case.span, policies=case.count)

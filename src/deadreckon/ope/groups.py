@@ -72,15 +72,15 @@ def by_group(
     on enough of them, and the log must support the policy's actions there.
 
     Args:
-        case: log and policies, with the log's own as the last.
-        which: of the policies.
+        case: log and policies, with the behaviour policy as the last.
+        which: index of the policy.
         groups: of the log's episodes.
-        model: how the behaviour policy is learned where propensities were not logged.
+        model: settings of the behaviour model, if propensities were not logged.
         alpha: share of logs for which one of the intervals of any of the policies may miss.
         wider: added at both ends; see `select.Choice`.
 
     Raises:
-        UserError: weights that mean nothing.
+        UserError: degenerate weights.
     """
     groups.check(case.log)
     if case.degenerate[which]:
@@ -90,7 +90,7 @@ def by_group(
     found, _ = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model).nuisances(case)
     row, logged = log_ratios(case, "auto", model, None)[which], len(case.policies)
     score, beyond = found.begins[which] - found.begins[logged], np.ones(len(size))
-    # Groups may be recorded for different times, so each has its own chances of a cut-off.
+    # Recordings of different groups may have different lengths, so each group has its own probability of a cut-off.
     for g in np.flatnonzero(size):
         part = code == g
         rows, episodes = part[case.data.episode_of], case.episodes_of(part)
@@ -100,7 +100,7 @@ def by_group(
         stretch = stretched([case.beyond_of(along, episodes)])
         beyond[g] = 1.0 if stretch is None else stretch[0]
     mean = np.bincount(code, score, len(groups.names)) / np.maximum(size, 1)
-    # The influence of a unit on a group is that of its episodes which are in it.
+    # A unit influences the mean of a group by those of its episodes that are in the group.
     influence = np.zeros((units, len(groups.names)))
     np.add.at(influence, (unit, code), units * (score - mean[code]) / size[code])
     missing = missing_by_row(case, model)[:, which] if case.data.spec.discrete else None
@@ -108,7 +108,7 @@ def by_group(
     known = np.array([line == "" for line in why])
     level = alpha / len(case.policies)
     factor = inference.simultaneous(influence[:, known], level, case.seed)
-    # Units without episodes of a group say nothing of how its others scatter: its own are as many as count.
+    # Units without episodes in a group do not contribute to its variance, so degrees of freedom are those of the others.
     own = np.array([len(np.unique(unit[code == g])) for g in range(len(size))])
     student = special.stdtrit(np.maximum(own - 1, 1), 1 - level / max(int(known.sum()), 1) / 2)
     factor = np.maximum(factor, student) * (own / np.maximum(own - 1, 1)) ** 0.5
@@ -123,12 +123,12 @@ def by_group(
 
 
 def _doubts(case: OPEInput, log_ratios: np.ndarray, missing: np.ndarray | None, some: np.ndarray) -> list[str]:
-    """Why a policy's gain in a group cannot be told from its episodes, a phrase each; of continuous actions by weights alone.
+    """Reasons why a policy's gain in a group is not known, one phrase each; for continuous actions by weights alone.
 
     Args:
         case: log and policies.
         log_ratios: (rows,) log of pi(a|s) / beta(a|s) of each logged action.
-        missing: (rows,) share of what the policy does there that has no support; None where actions are continuous.
+        missing: (rows,) share of the policy's actions there that have no support; None where actions are continuous.
         some: (episodes,) bool, the group.
     """
     rows = some[case.data.episode_of]

@@ -5,9 +5,10 @@ With w the weight of a whole episode, G its return, which lies in [low, high], a
     x = (w - 1) (G - low) + (high - low)
 
 is never negative, because w is not and G - low is at most high - low; and its mean is at most gain + (high - low): weights have
-mean one, or less where the log does not show what the policy does, and what is missing returns `low` or more. So a lower bound
-of the mean of x by betting (`stats/betting.py`), less high - low, bounds the gain, without a largest weight. Both returns come
-from the same episode, so what they share cancels. It holds for all policies at once (Bonferroni).
+mean one, or less where the log does not cover the policy's actions, and episodes that it does not cover return `low` or more.
+So a lower bound of the mean of x by betting (`stats/betting.py`), less high - low, bounds the gain, without a bound of the
+weights. Both returns come from the same episode, so their common variation cancels. It holds for all policies at once
+(Bonferroni).
 
 It assumes that propensities are those with which actions were sampled, that episodes are independent of each other and of the
 policies, and that the range is known independently of the log.
@@ -63,7 +64,7 @@ def guaranteed(case: OPEInput, which: int, return_range: tuple[float, float] | N
 
     Args:
         case: log and policies.
-        which: of the policies.
+        which: index of the policy.
         return_range: smallest and largest return of an episode, as defined by the estimand.
         alpha: probability that the bound of any of the policies fails.
 

@@ -1,4 +1,4 @@
-"""Policies that act on the last steps of an episode are evaluated on the log of histories, as memoryless ones."""
+"""Policies that act on the last steps of an episode are evaluated on a log of histories, as memoryless policies."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,12 +17,12 @@ def with_histories(log: Dataset, policies: Sequence[Any]) -> tuple[Dataset, list
         policies: of any kind.
 
     Returns:
-        The log, and the end of a row that each policy sees; None: all of it.
+        The log, and for each policy the slice at the end of an observation that it acts on; None: all of it.
 
     Raises:
         UserError: the log has no histories, or they have other sizes or bounds than those that a policy was trained on.
     """
-    # Whatever else carries something, such as a mixture, is refused by `tables.Actor`.
+    # Other policies with a memory, such as mixtures, are refused by `tables.Actor`.
     found = [p.inner if isinstance(p, EnvPolicy) and isinstance(p.inner, History) else None for p in policies]
     own = [inner for inner in found if inner is not None]
     if not own:
@@ -43,6 +43,6 @@ def with_histories(log: Dataset, policies: Sequence[Any]) -> tuple[Dataset, list
 
 
 def _bounds(policy: History) -> tuple[float, ...]:
-    """By which the actions in its histories are scaled; of discrete ones nothing."""
+    """Bounds by which the actions in its histories are scaled; empty for discrete ones."""
     low, high = policy.member.low, policy.member.high
     return () if low is None or high is None else (*map(float, low), *map(float, high))

@@ -24,7 +24,7 @@ from deadreckon.stats import inference, means
 from deadreckon.training.hyperparameters import Count, Positive, static
 
 PUBLIC_RANGE = (-6.0, 2.0)  # of a step's log-ratio in the public implementation that the thesis used
-NEARLY = 0.99  # share of the sum of squared weights that is had by rows that count
+NEARLY = 0.99  # share of the sum of squared weights that rows of `counting` have
 
 
 class ImportanceSampling(Estimator):
@@ -55,7 +55,7 @@ class ImportanceSampling(Estimator):
         super().check_settings()
         check_range(self.log_ratio_range)
 
-    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # products of weights overflow; `Estimator.on` tells of it
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # products of weights overflow; `Estimator.on` warns
     def solve(self, case: OPEInput) -> Estimates:
         """Weighted sums of the logged rewards."""
         episodes = case.episodes
@@ -142,7 +142,7 @@ class ImportanceSampling(Estimator):
 
 
 def check_range(log_ratios: tuple[float, float] | None) -> None:
-    """Refuses what is no range of log-ratios.
+    """Refuses invalid ranges of log-ratios.
 
     Raises:
         UserError: not two numbers, the least before the greatest.
@@ -153,8 +153,8 @@ def check_range(log_ratios: tuple[float, float] | None) -> None:
 
 
 def tails_of(case: OPEInput, log_weights: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """Diagnostics of what is averaged: `pareto.diagnosed` of each policy's (episodes,) or (rows,) weights, in logarithms, and
-    `effective_clusters`. Where episodes come in clusters, which are what is independent, both are of their sums."""
+    """Diagnostics of weights: `pareto.diagnosed` of each policy's (episodes,) or (rows,) weights, given as logarithms, and
+    `effective_clusters`. If episodes come in clusters, both use the sums of weights over clusters, which are independent."""
     if not case.clustered:
         return diagnosed(log_weights)
     sums = _by_cluster(case, log_weights)
@@ -162,8 +162,8 @@ def tails_of(case: OPEInput, log_weights: Sequence[np.ndarray]) -> dict[str, np.
 
 
 def effective_clusters(case: OPEInput, log_weights: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
-    """The diagnostic `effective clusters`: how many the sums of weights over each amount to; nothing where each episode is
-    one."""
+    """The diagnostic `effective clusters`: effective sample size of the sums of weights over each cluster; {} if each episode
+    is one."""
     return _effective(_by_cluster(case, log_weights)) if case.clustered else {}
 
 
@@ -185,12 +185,12 @@ def multiplied(episodes: Episodes, ess: np.ndarray, average: Sequence[np.ndarray
 
     Args:
         episodes: of the log.
-        ess: (policies,) episodes that they amount to.
+        ess: (policies,) their effective sample size, in episodes.
         average: for each policy the (episodes,) means of their weights (`Episodes.average`).
 
     Returns:
-        The share of the episodes that they amount to, their mean, which should be one, and the upper end of its one-sided 99 %
-        interval; nothing for episodes of one step.
+        The effective sample size as a share of the episodes; the mean weight, which should be one; and the upper end of its
+        one-sided 99 % interval. {} for episodes of one step.
     """
     if episodes.steps == 1:
         return {}
@@ -224,8 +224,8 @@ def log_ratios(
     folds: int = 5,
 ) -> np.ndarray:
     """(policies, rows) log of pi(a|s) / beta(a|s) of each logged action; learned propensities are those of `folds` folds."""
-    own = case.log_probs  # first: policies that tell no probabilities are refused before anything is fitted
-    ratios = np.zeros((case.count, own.shape[1]))  # the behaviour policy acts like itself
+    own = case.log_probs  # first: policies without probabilities are refused before anything is fitted
+    ratios = np.zeros((case.count, own.shape[1]))  # that of the behaviour policy stays zero
     for clipped in np.unique(case.clips).tolist():
         which = np.flatnonzero(case.clips == clipped)
         ratios[which] = own[which] - logged_probs(case, behavior, model, folds, clipped=clipped)
@@ -238,8 +238,8 @@ def logged_probs(
 ) -> np.ndarray:  # fmt: skip
     """(rows,) log beta(a|s) of the logged actions; learned ones are those of `folds` folds.
 
-    Learned densities of continuous actions are of the same kind as the policies' that are divided by them, `clipped` or not:
-    what a clipped Gaussian has at a bound is a probability, and what a tanh-Gaussian has there a density.
+    For continuous actions the learned model must be `clipped` if the policies are: at a bound of the actions, a clipped
+    Gaussian has a probability, and a tanh-Gaussian a density.
     """
     if folds > 1 and learns(case, behavior):
         return out_of_fold(case, model, folds, clipped=clipped).log_probs

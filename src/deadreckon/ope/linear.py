@@ -26,16 +26,16 @@ from deadreckon.randomness import generator
 from deadreckon.stats.bootstrap import percentile_interval, resample_counts
 from deadreckon.training.hyperparameters import Count, Positive, static
 
-RIDGES = 10.0 ** np.arange(-1, 6)  # in rows: what the prior that weights are zero counts
+RIDGES = 10.0 ** np.arange(-1, 6)  # candidate strengths of the penalty, in rows
 PILOT = 10.0
-DOUBLINGS = 22  # 2^22 steps are as good as endless
-GROWN = 1e6  # of the powers of the backup: it diverges
-PARTS = 5  # of the learning episodes, among which the ridge is chosen by cross-validation
+DOUBLINGS = 22  # 2^22 steps approximate an infinite sum
+GROWN = 1e6  # largest entry of the powers of the backup above which it diverges
+PARTS = 5  # folds of the training episodes in the cross-validation of the ridge
 N_BOOTSTRAP = 200
-GROUPS = 100  # of units that are redrawn
+GROUPS = 100  # most groups of units that the bootstrap resamples
 ROOM = 1e9  # bytes of sums above which there are fewer groups
-# Rows of episodes that are not judged, from which critics out of fold learn beside the judged ones: a few hundred weights are
-# settled by far fewer, and every row costs as many features as there are policies and samples. Judged rows are all used.
+# Most rows of not evaluated episodes on which critics out of fold are also trained: a few hundred weights need far fewer, and
+# every row costs as many feature vectors as there are policies and samples. Evaluated rows are all used.
 TAUGHT = 40_000
 
 
@@ -89,12 +89,12 @@ class LinearFQE(Estimator):
 
 
 class Last(NamedTuple):
-    """What is solved with one step to go, where nothing that follows counts.
+    """The solution with one step to go, where only the immediate reward counts.
 
     Attributes:
         base: (size,) weights of the value.
-        solve: (size,) of features to weights of a ratio over the rows.
-        rows: how many these are.
+        solve: function from (size,) mean features of an occupancy to (size,) weights of its ratio over the rows.
+        rows: number of rows.
     """
 
     base: np.ndarray
@@ -103,7 +103,7 @@ class Last(NamedTuple):
 
 
 def solved(factor: Any, right: np.ndarray) -> np.ndarray:
-    """The solution of a penalised system by its Cholesky factor; SciPy's decorators hide that it is an array."""
+    """The solution of a penalised system by its Cholesky factor, as an array for type checkers."""
     return np.asarray(cho_solve(factor, right))
 
 
@@ -130,16 +130,16 @@ class Fit:
         self.std = float(case.log.spec.reward.std) or 1.0
         self.horizon = case.estimand.horizon
         self.counts_next = case.discount > 0 and self.horizon != 1 and not np.asarray(case.log.terminals).all()
-        self._factors: dict[tuple[bytes, float, int], Any] = {}  # the policies share them
+        self._factors: dict[tuple[bytes, float, int], Any] = {}  # shared by policies
 
     def next_actions(self, case: OPEInput) -> np.ndarray | None:
-        """What the policies do after each row; None where nothing that follows counts."""
+        """Table of the policies' actions after each row; None if only immediate rewards count."""
         return case.next_actions(self.samples) if self.counts_next else None
 
     # ---- sums ---------------------------------------------------------------------------------------------------------
 
     def sums(self, case: OPEInput, group: np.ndarray, groups: int, *, start: bool = True) -> Sums:
-        """Of the episodes of `case.data`, by their (episodes,) group; without `start` none of the initial observations."""
+        """Sums over the episodes of `case.data` by their (episodes,) group; without `start`, none of initial observations."""
         data, d, count = case.data, self.features.size, case.count
         out = Sums(
             np.zeros((groups, d, d)), np.zeros((groups, count, d, d)), np.zeros((groups, d)), np.zeros((groups, count, d)),
@@ -177,7 +177,7 @@ class Fit:
     # ---- solving ------------------------------------------------------------------------------------------------------
 
     def ridge(self, sums: Sums, policy: int, groups: Sequence[int] | None) -> float:
-        """The ridge under which one backup of a pilot's values is predicted best, by cross-validation among groups of rows."""
+        """The ridge that predicts one backup of a preliminary critic's values best, by cross-validation over groups."""
         if self.given is not None:
             return self.given
         groups = range(len(sums.rows)) if groups is None else groups
@@ -202,15 +202,15 @@ class Fit:
         return float(RIDGES[int(np.argmin(errors))])
 
     def critic(self, sums: Sums, weight: np.ndarray, policy: int, ridge: float) -> Critic:
-        """Solves for one policy on groups that count `weight` times each; a ridge under which it diverges is made stronger."""
+        """Solves for one policy, with (groups,) `weight` of each group; a ridge with which it diverges is increased."""
         gram, following, reward, start, rows = sums.of(weight, policy)
         while True:
             factor = self._factor(gram, ridge, weight.tobytes(), sums.kind(policy))
             base, backup = solved(factor, reward), self.case.discount * solved(factor, following)
             solve, onward = partial(solved, factor), backup
             if self.features.table is not None:
-                # Ratios are those of the rows themselves. A penalty would take from the mass at every step; and of what no row
-                # shows there is no ratio, whatever a mean of the others is.
+                # Ratios in a table are not penalised: the penalty would reduce the mass at every step, and would give ratios to
+                # cells without rows.
                 once = _inverse_counts(gram)
                 solve, onward = partial(np.multiply, once), self.case.discount * once[:, None] * following
             if self.horizon is not None:
@@ -242,7 +242,7 @@ class Fit:
         return float(start @ theta) * self.std
 
     def _last(self, sums: Sums, weight: np.ndarray, ridge: float) -> Last:
-        """What is solved with one step to go, by all rows."""
+        """The solution with one step to go, by all rows."""
         gram, reward, rows = sums.of_all(weight)
         factor = self._factor(gram, ridge, b"all" + weight.tobytes(), 0)
         solve = partial(solved, factor) if self.features.table is None else partial(np.multiply, _inverse_counts(gram))
@@ -283,20 +283,20 @@ class Fit:
     # ---- out of fold --------------------------------------------------------------------------------------------------
 
     def out_of_fold(self, folds: int, *, marginal: bool) -> OutOfFold:
-        """What critics that have not seen an episode say of it.
+        """Predictions of critics for episodes that they were not trained on.
 
         Args:
-            folds: into which the judged episodes are parted; the critics of one learn from the others and from all episodes
-                that are not judged. 1: from all, those that they judge too, as the public code has it.
-            marginal: the ratios of occupancies too, of the same folds.
+            folds: number of parts of the evaluated episodes; the critics of one are trained on the others and on all episodes
+                that are not evaluated. 1: on all episodes, including those that they evaluate, as in the public code.
+            marginal: also the ratios of occupancies, by the same folds.
         """
         case, in_sample = self.case, folds == 1
-        fold = case.folds(PARTS if in_sample else folds)  # in the sample, of groups among which the ridge is chosen
+        fold = case.folds(PARTS if in_sample else folds)  # without cross-fitting, folds only choose the ridge
         folds = int(fold.max()) + 1
-        # The same for all doubly robust estimators of a case, and most of what they cost.
+        # The same for all doubly robust estimators of a case; computing it takes most of their time.
         key = ("sums", self.features.cosines, self.samples, folds, marginal)
         judged: Sums = case.once(key, lambda: self._judged_and_taught(fold, folds, marginal))
-        taught = range(folds, len(judged.rows))  # groups that are not judged, if any
+        taught = range(folds, len(judged.rows))  # groups that are not evaluated, if any
         count = case.count
         out = OutOfFold.empty(count, case.data.episodes, len(case.data), marginal)
         ridges: dict[tuple[int, int], float] = {}
@@ -328,7 +328,7 @@ class Fit:
         return self.std * np.einsum("kid,id->ki", weights, total / data.episodes)
 
     def _judged_and_taught(self, fold: np.ndarray, folds: int, start: bool) -> Sums:
-        """Of the judged episodes by fold, and behind them of the others, if any, in `PARTS` groups."""
+        """Sums over the evaluated episodes by fold, followed by those over the others, if any, in `PARTS` groups."""
         judged, teach = self.sums(self.case, fold, folds, start=start), self.case.teaching(TAUGHT)
         if teach is None:
             return judged
@@ -338,12 +338,12 @@ class Fit:
         return replace(judged, **both)
 
     def tell(self, out: OutOfFold, fold: np.ndarray, k: int, critics: Sequence[Critic]) -> None:
-        """Notes what the critics of one fold say of its episodes, and how well they fit some of the rows that taught them.
+        """Stores the predictions of one fold's critics for its episodes, and their errors on some of their training rows.
 
         Args:
-            out: where it is noted.
-            fold: (episodes,) of each.
-            k: the fold that the critics have not seen.
+            out: the result that is filled in.
+            fold: (episodes,) fold of each.
+            k: the fold that the critics were not trained on.
             critics: one per policy.
         """
         case, data, marginal = self.case, self.case.data, out.weighted is not None
@@ -383,14 +383,14 @@ class Fit:
         marginal: bool,
         logged: bool = False,
     ) -> dict[str, np.ndarray]:
-        """r + discount V(s') - Q(s, a) of rows, and where asked its sum weighted by the ratio of occupancies.
+        """r + discount V(s') - Q(s, a) of rows and, if `marginal`, its sum weighted by the ratio of occupancies.
 
-        It is zero where nobody knows what came next, or for the behaviour policy (`logged`) what it did next.
+        It is zero where the next observation or, for the behaviour policy (`logged`), its next action is not known.
 
-        Values are not cut at what a return can be: V has to be the mean of Q over the policy's actions, or the estimate is
+        Values are not clipped to the range of returns: V has to be the mean of Q over the policy's actions, or the estimate is
         biased.
 
-        Features of what follows are None where nothing that follows counts.
+        `follows`, the features at next observations, is None if only immediate rewards count.
         """
         case, discount = self.case, self.case.discount
         rewards = np.asarray(case.data.rewards[part], np.float64)
@@ -411,12 +411,12 @@ class Fit:
         every_q = self.std * q  # with 1, 2, ... steps to go
         every_v = self.std * np.concatenate([np.zeros((len(part), 1)), following[:, :-1]], 1)
         every_v *= goes_on[:, None]
-        # Where the horizon ends an episode, nothing that follows counts, whether it is known or not.
+        # Where the horizon ends an episode, the next observation does not count, whether it is known or not.
         left = last - time
         error = rewards + discount * every_v[rows, left] - every_q[rows, left]
         found = {"errors": np.where(known | (left == 0), error, 0.0)}
         if marginal:
-            weight = phi @ critic.ratios.T  # with one step to go, the last, of all rows, else of those that say what follows
+            weight = phi @ critic.ratios.T  # the last step by all rows, others by those with a known successor
             weight[:, :-1] *= known[:, None]
             every = np.where(known[:, None], rewards[:, None] + discount * every_v - every_q, 0.0)  # by steps to go
             every[:, 0] = rewards - every_q[:, 0]
@@ -425,8 +425,8 @@ class Fit:
         return found
 
     def _factor(self, gram: np.ndarray, ridge: float, rows: bytes, kind: int) -> Any:
-        """The Cholesky factor of a penalised Gram matrix, made once for the groups of rows that `rows` tells apart, and for
-        each kind of `Sums.kind`."""
+        """The Cholesky factor of a penalised Gram matrix, computed once for each choice of rows, which `rows` identifies, and
+        for each kind of `Sums.kind`."""
         key = (rows, ridge, kind)
         if key not in self._factors:
             self._factors[key] = cho_factor(self.penalised(gram, ridge))
@@ -435,7 +435,7 @@ class Fit:
     def penalised(self, gram: np.ndarray, ridge: float) -> np.ndarray:
         """A Gram matrix with the ridge, in rows.
 
-        A constant is not penalised: what is fitted has the mean of what it is fitted to. Otherwise each backup would lose a
+        The constant is not penalised, so that fitted values have the mean of their targets. Otherwise each backup would lose a
         share of the value, and a long sum of rewards most of it.
         """
         size = len(gram)

@@ -32,14 +32,13 @@ class Sums:
     """Sums over the rows of each of several groups of episodes, in float64.
 
     Attributes:
-        gram: (groups, d, d) of phi phi' of all rows, as with one step to go nothing that follows a row counts.
+        gram: (groups, d, d) of phi phi' of all rows, as one step to go needs no successors.
         next: (groups, policies, d, d) of phi phi_next', zero after terminals.
         reward: (groups, d) of phi r of all rows.
         start: (groups, policies, d) of features at initial observations.
         rows, episodes: (groups,) counts.
-        lost_gram, lost_reward, lost_rows: (groups, 2, *) the part of gram, reward and rows that says nothing of more steps: for
-            policies rows after which nobody knows what came next, for the behaviour policy also those of which the log does
-            not show what it did next.
+        lost_gram, lost_reward, lost_rows: (groups, 2, *) the part of gram, reward and rows that cannot be used for more steps:
+            rows without a known next observation (0) and, for the behaviour policy, also those without a known next action (1).
         logged: index of the behaviour policy, or -1.
     """
 
@@ -55,7 +54,7 @@ class Sums:
     logged: int
 
     def lacks_rows(self, policy: int) -> bool:
-        """Whether some rows say nothing of a policy, so that its sums are of fewer."""
+        """Whether some rows cannot be used for a policy, so that its sums are over fewer."""
         return bool(self.lost_rows[:, int(policy == self.logged)].any())
 
     def kind(self, policy: int) -> int:
@@ -63,14 +62,14 @@ class Sums:
         return int(policy == self.logged and not np.array_equal(self.lost_rows[:, 0], self.lost_rows[:, 1]))
 
     def whole(self, policy: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """(groups, ...) gram, reward and rows of one policy, of the rows that say what follows."""
+        """(groups, ...) gram, reward and number of rows of one policy, over the rows with a known successor."""
         if not self.lacks_rows(policy):
             return self.gram, self.reward, self.rows
         kind = int(policy == self.logged)
         return self.gram - self.lost_gram[:, kind], self.reward - self.lost_reward[:, kind], self.rows - self.lost_rows[:, kind]
 
     def of(self, weight: np.ndarray, policy: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-        """gram, next and reward of one policy by the rows that say what follows, its mean initial features and the number of
+        """gram, next and reward of one policy over the rows with a known successor, its mean initial features and the number of
         these rows, groups counted `weight` times.
         """
         add = partial(np.tensordot, weight, axes=1)

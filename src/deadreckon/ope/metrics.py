@@ -13,7 +13,7 @@ from deadreckon.errors import UserError
 from deadreckon.stats.ranks import spearman, spearman_of_each
 
 RESAMPLES = 1000  # of the policies
-PUBLIC_CLIP = 2.0  # what the public notebook cuts normalised estimates at, which makes ties of overestimates
+PUBLIC_CLIP = 2.0  # at which the public notebook clips normalised estimates, so that overestimates tie
 
 
 class Measured(NamedTuple):
@@ -34,7 +34,7 @@ class Measured(NamedTuple):
 
 @dataclass(frozen=True)
 class Metrics:
-    """Of one estimator on one set of policies.
+    """Metrics of one estimator on one set of policies.
 
     Attributes:
         absolute_error: mean |estimate - truth| (E.1), on the requested scale.
@@ -86,7 +86,7 @@ def regret(estimates: np.ndarray, truth: np.ndarray, k: int = 1) -> float:
     free, floor = k - len(sure), max(sure, default=-np.inf)
     # The largest of `free` draws from n ties is the j-th smallest with probability C(j, free - 1) / C(n, free), j from 0.
     weights = np.array([math.comb(j, free - 1) for j in range(len(tied))]) / math.comb(len(tied), free)
-    return max(0.0, float(truth.max() - weights @ np.maximum(tied, floor)))  # rounding aside, it never is negative
+    return max(0.0, float(truth.max() - weights @ np.maximum(tied, floor)))  # rounding could make it negative
 
 
 def compare(
@@ -129,7 +129,7 @@ def compare(
     if clip is not None:
         estimates = np.minimum(estimates, clip)
     draws = np.random.default_rng(seed).integers(0, len(truth), (resamples, len(truth)))
-    # A set of one policy, drawn over and over, has no ranks.
+    # A resampled set that holds only one policy has no ranks.
     draws = draws[(draws != draws[:, :1]).any(1)]
     of_all = {"absolute_error": absolute_error, "rank_correlation": rank_correlation, "regret": partial(regret, k=k)}
     redrawn = {

@@ -24,7 +24,7 @@ from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Sizes, static
 
 KINDS: dict[str, type[Model]] = {"feedforward": Gaussian, "autoregressive": AutoRegressive}
-TAIL = 0.01  # made-up episodes are cut where so much of the discounted time is left, if not before
+TAIL = 0.01  # share of the discounted time that is left when a simulated episode is cut off, if not before
 
 
 class ModelBased(Estimator):
@@ -46,7 +46,7 @@ class ModelBased(Estimator):
     model: BehaviorModel = static(BehaviorModel())  # model of the behaviour policy, where it is estimated too
 
     def fitted(self, case: OPEInput) -> tuple[Model, Any, TransitionSource]:
-        """The model and its parameters; made once for a case."""
+        """The model, its parameters with the unit of its rewards, and the rows; fitted once per case."""
         return case.once(self.replace(episodes=1, horizon=None, model=None), lambda: self._fit(case))
 
     def _fit(self, case: OPEInput) -> tuple[Model, Any, TransitionSource]:
@@ -71,15 +71,15 @@ class ModelBased(Estimator):
         horizon = self.horizon or int(np.ceil(np.log(TAIL) / np.log(max(case.discount, 1e-6))))
         if self.horizon is None and np.asarray(data.terminals)[data.ends].all():
             horizon = min(horizon, int(data.lengths.max()))
-        # Where nothing in the log ends, nothing does; of a learned chance something would be left, and over many steps count.
+        # If no episode of the log ends, none does here: small learned probabilities of an end would add up over many steps.
         endings = jnp.float32(np.asarray(data.terminals).any())
         redrawn = case.redrawn(members)
         rng = generator(case.seed, "first observations")
-        # Every policy begins at the same observations, drawn as the member's own episodes count.
+        # Every policy begins at the same observations, drawn from the member's bootstrap sample of episodes.
         starts = np.stack([rng.choice(data.episodes, count, p=own / own.sum()) for own in redrawn.T.astype(float)])
         first = np.asarray(rows.view.observe(np.asarray(data.observations[data.starts[starts]])))
         returns = np.zeros((members, case.count))
-        # What the log got is no comparison where its episodes were cut off: its own policy makes up episodes like the others.
+        # Logged returns are not comparable where episodes were cut off, so the behaviour policy is simulated like the others.
         for i in range(case.count):
             actor, which = (case.actor, i) if i < len(case.policies) else (case.behavior(self.model), 0)
             observation, alive = jnp.asarray(first), jnp.ones((members, count))
@@ -88,7 +88,7 @@ class ModelBased(Estimator):
                 seen = np.asarray(observation).reshape(members * count, -1)
                 raw = seen * rows.view.std + rows.view.mean
                 action = actor.act(which, raw, t).reshape(members, count, *data.actions.shape[1:])
-                # The same draws for every policy: what they share falls out of differences between them.
+                # The same draws for every policy, so that common errors cancel in differences between them.
                 key = key_for(jax.random.key(case.seed), "model", t)
                 factor = jnp.float32(case.discount**t)
                 observation, alive, total = _step(
@@ -101,8 +101,8 @@ class ModelBased(Estimator):
 
 @eqx.filter_jit
 def _step(model: Model, params: Any, limits: Limits, observation, action, alive, total, factor, endings, key):
-    """One step of all episodes: their observations, chances of going on, and discounted returns so far."""
+    """One step of all episodes: their observations, probabilities of not having ended, and discounted returns so far."""
     change = limits.hold(model.draw(params, observation, action, key))
-    # An end happens with its probability: what follows counts as much as it is likely to be reached.
+    # Ends are not sampled: later rewards are weighted by the probability that they are reached.
     total = total + factor * alive * change.reward
     return change.observation, alive * (1.0 - endings * change.ends), total

@@ -9,11 +9,11 @@ and nothing else that depends on Q_hat. Given the state, the inner variance over
 d' (diag(1 / beta) - 1 1') d in d_a = pi(a|s) e(s, a), which is Omega of Farajtabar et al. A log has the propensity of the
 logged action, and seldom those of all other actions, which the form needs. So `log_weights` are weights of rows that keep the
 form's diagonal, sum_a pi^2 (1 - beta) / beta e^2, which is the mean of rho^2 (1 - beta) e^2, and the whole of it where the
-policy is deterministic: there they are (1 - beta) / beta^2. Where it is not, they count errors that all actions share for more
-than these matter. Without the behaviour's probabilities (`log_behavior` of None, as for densities) they are rho^2, for the
+policy is deterministic: there they are (1 - beta) / beta^2. Where it is not, errors that all actions share get more weight than
+they should. Without the behaviour policy's probabilities (`log_behavior` of None, as for densities) they are rho^2, for the
 second moment of rho e, an upper bound of its variance.
 
-What is fitted is `mrdr_targets`, the importance-weighted return from each row on, whose mean given history and action is Q.
+Critics are fitted to `mrdr_targets`, the importance-weighted return from each row on, whose mean given history and action is Q.
 Both weights and targets are products along episodes, so these critics are for short ones.
 """
 
@@ -40,11 +40,11 @@ def log_weights(
     Args:
         log_ratios: (rows,) log pi(a|s) / beta(a|s) of the logged actions.
         lengths: (episodes,) rows of each episode.
-        discount: per step; 0 is a discount that only first steps survive.
+        discount: per step; with 0 only first steps have a weight.
         log_behavior: (rows,) log beta(a|s) for discrete actions; None leaves the factor 1 - beta out.
     """
     fade = discount ** times(lengths).astype(float)
-    # Zeros are minus infinity without a warning, and products of many ratios may leave the range of numbers.
+    # Logarithms of zero are minus infinity, without a warning.
     with np.errstate(divide="ignore"):
         logs = 2 * cumulate(log_ratios, lengths) + 2 * np.log(fade)
         if log_behavior is not None:
@@ -80,17 +80,17 @@ def mrdr_targets(
 def out_of_fold(
     case: OPEInput, fit: Fit, folds: int, propensities: Callable[[OPEInput], tuple[np.ndarray, np.ndarray | None]]
 ) -> OutOfFold:
-    """What critics of least variance that have not seen an episode say of it, linear in the features of `fit`.
+    """Predictions of critics of least variance, linear in the features of `fit`, for episodes they were not trained on.
 
-    With a horizon there is one for each step, as a value then depends on the steps to go. Each has the ridge that predicts the
-    groups it learns from best, left out in turn.
+    With a horizon there is one critic for each step, as a value then depends on the steps to go. Each has the ridge that is
+    best in cross-validation over its training groups.
 
     Args:
         case: log and policies.
-        fit: features, and what turns critics into errors.
-        folds: into which the judged episodes are parted; the critics of one learn from the others and from all episodes that
-            are not judged.
-        propensities: gives the (policies, rows) log-ratios of a case and, of discrete actions, (rows,) log beta.
+        fit: features, and the computation of the critics' errors.
+        folds: number of parts of the evaluated episodes; the critics of one are trained on the others and on all episodes that
+            are not evaluated.
+        propensities: returns the (policies, rows) log-ratios of a case and, for discrete actions, (rows,) log beta.
 
     Raises:
         UserError: episodes are cut off with much discounted time remaining, so their returns are not known.
@@ -126,7 +126,7 @@ def out_of_fold(
         logs = log_weights(ratios, lengths, case.discount, behavior)
         top = np.full(steps, -np.inf)
         np.maximum.at(top, step, logs)
-        # Relative to their mean at each step, so that a ridge counts rows. Where nothing has weight, none is as good as any.
+        # Relative to their mean at each step, so that the ridge is in rows. Steps without any weight keep weights of zero.
         own = np.exp(logs - np.where(np.isfinite(top), top, 0.0)[step])
         mean = np.bincount(step, own, steps) / np.maximum(np.bincount(step, minlength=steps), 1)
         weights[i] = own / np.maximum(mean, 1e-300)[step]
@@ -149,7 +149,7 @@ def out_of_fold(
             others = np.delete(np.arange(groups), k)
             theta[k, :, t] = [_solve(gram[i, others], moment[i, others], fit) for i in range(case.count)]
     for k in range(folds):
-        # Of a critic the first weights are those with one step to go.
+        # The first weights of a `Critic` are those with one step to go.
         critics = [Critic(own[::-1], own[::-1], 0.0, bool(ok)) for own, ok in zip(theta[k], out.settled)]
         fit.tell(out, fold, k, critics)
     return out

@@ -11,15 +11,15 @@ import numpy as np
 
 from deadreckon.errors import UserError
 
-LEAST = 5  # weights above a threshold that a tail is fitted to
-SURE = 1.645  # standard errors
+LEAST = 5  # least number of weights above the threshold to fit a tail
+SURE = 1.645  # standard errors of a one-sided 95 % bound
 
 
 def pareto_k(log_weights: np.ndarray) -> float:
     """The shape k of the tail of importance weights, by the fit of PSIS to the largest of them.
 
     The tail is the largest fifth of the weights, or 3 sqrt(n) of more than 225 (Vehtari et al. 2024, appendix), without those
-    that equal the weight below it: a threshold is exceeded, not met. Weights of zero have no tail and are left out.
+    that equal the weight below it, the threshold, which the tail must exceed. Weights of zero are left out.
 
     Args:
         log_weights: (n,) logarithms; minus infinity is a weight of zero.
@@ -46,12 +46,12 @@ def pareto_k(log_weights: np.ndarray) -> float:
         return -np.inf
     if len(above) < LEAST:
         return float("nan")
-    from arviz_stats.base.array import array_stats  # a second, for this alone
+    from arviz_stats.base.array import array_stats  # takes a second, and only this needs it
 
-    # Its tail is a function of the number of weights: so many copies of the threshold that it is what exceeds this.
+    # Its tail size depends on the number of weights: copies of the threshold are added so that the tail is `above`.
     tail = len(above)
     padding = 5 * tail - tail if tail <= 45 else -(-tail * tail // 9) - tail
-    # It takes log-likelihoods, whose negatives are the weights' logarithms.
+    # It takes log-likelihoods, which are the negative logarithms of the weights.
     return float(array_stats.psislw(-np.concatenate([np.full(padding, cutoff), above]))[1])
 
 
@@ -69,5 +69,5 @@ def diagnosed(log_weights: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _size(n: int) -> int:
-    """Weights in the tail of n."""
+    """Number of weights in the tail of n weights."""
     return int(3 * np.sqrt(n)) if n > 225 else n // 5

@@ -1,7 +1,7 @@
 """Policies with image observations are evaluated on the features that their encoders compute.
 
-An encoder was trained only on its policy's training episodes, so features of other episodes are of fresh rows. With several
-encoders, critics use the features of all of them, and each policy its own.
+An encoder was trained only on its policy's training episodes, so features of other episodes are out of sample. With several
+encoders, critics use the features of all of them, and each policy those of its encoder.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from deadreckon.errors import UserError
 from deadreckon.nets.encoder import Encoder
 from deadreckon.policies.deployed import EnvPolicy, Mixture, Seeing
 
-BLOCK = 512  # pictures at a time
+BLOCK = 512  # images at a time
 
 
 def with_features(log: Dataset, policies: Sequence[Any], names: Sequence[str]) -> tuple[Dataset, list[slice]]:
@@ -75,7 +75,7 @@ def _equal(one: Encoder, other: Encoder) -> bool:
 
 
 def _features(encoders: Sequence[Encoder], pictures: Any) -> np.ndarray:
-    """(rows, features of all encoders) float32, a block of pictures at a time; all blocks are of one shape."""
+    """(rows, features of all encoders) float32, a block of images at a time; all blocks are of one shape."""
     out = np.empty((len(pictures), sum(each.features for each in encoders)), np.float32)
     for start in range(0, len(out), BLOCK):
         part = np.asarray(pictures[start : start + BLOCK])

@@ -13,7 +13,7 @@ import numpy as np
 from deadreckon.errors import UserError
 
 ROUNDS = 20  # of proportional fitting
-MOST = 100.0  # largest temperature, and one over the smallest: beyond, the model knows nothing, or separates all rows
+MOST = 100.0  # largest temperature, and one over the smallest: beyond, the model is useless, or separates all rows
 
 
 def temperature(logits: np.ndarray, taken: np.ndarray, prior: float = 0.0) -> float:
@@ -29,7 +29,7 @@ def temperature(logits: np.ndarray, taken: np.ndarray, prior: float = 0.0) -> fl
         T within 1 / 100 and 100.
 
     Raises:
-        UserError: columns that do not belong together, no rows, or a taken action that the model excludes.
+        UserError: arrays of different lengths, no rows, or a taken action that the model excludes.
     """
     logits = _checked(logits, taken)
     allowed = np.isfinite(logits)
@@ -53,19 +53,19 @@ def temperature(logits: np.ndarray, taken: np.ndarray, prior: float = 0.0) -> fl
 
 
 def shifts(logits: np.ndarray, taken: np.ndarray, rows: float = 0.5) -> np.ndarray:
-    """(actions,) shifts of the logits after which each action is taken as often as its probabilities say, overall.
+    """(actions,) shifts of the logits with which the mean probability of each action is its logged frequency.
 
-    Maximum likelihood does that by itself, but not a fit that is stopped early: it does not know yet that an action is rare, or
-    never taken. Found by proportional fitting (Deming and Stephan 1940).
+    A converged fit by maximum likelihood has this property, but a fit that is stopped early may still overestimate actions that
+    are rare or never taken. Found by proportional fitting (Deming and Stephan 1940).
 
     Args:
         logits: (n, actions) of the model.
         taken: (n,) numbers of the logged actions.
-        rows: how many of each action are added to what was counted and to what was predicted, so that shares of zero do not end
-            in infinite shifts.
+        rows: pseudo-count that is added to the logged and to the predicted number of each action, so that frequencies of zero
+            do not give infinite shifts.
 
     Raises:
-        UserError: columns that do not belong together, no rows, or a taken action that the model excludes.
+        UserError: arrays of different lengths, no rows, or a taken action that the model excludes.
     """
     logits = _checked(logits, taken)
     allowed = np.isfinite(logits)

@@ -67,13 +67,14 @@ ESTIMATORS: dict[str, tuple[Callable[[], Estimator], str]] = {
 }
 # Weights as in the code that the thesis used (8.5).
 PUBLIC = {"behavior": "learned", "log_ratio_range": PUBLIC_RANGE, "alive_only": True, "folds": 1}
-# What one core does on a log of a million rows in an hour or two. Targets follow faster than in the full setting: a reward is
-# seen one step earlier each time they have caught up, and 20,000 updates at the usual 0.005 are only a hundred such steps.
+# Settings for which one core needs an hour or two on a log of a million rows. Target networks follow faster than in the full
+# settings: rewards propagate back one step each time that they have caught up, and 20,000 updates at the usual 0.005 are only a
+# hundred such steps.
 _FQE = {"steps": 20_000, "tau": 0.05}
 _MARGINAL = {"steps": 10_000, "members": 1, "batch_size": 256, "lr": 3e-4}
 CPU_BUDGET: dict[str, dict[str, Any]] = {
     "fqe": _FQE,
-    # The behaviour model keeps its own size: it is fitted once for all estimators of a log.
+    # The behaviour model keeps its full size: it is fitted once for all estimators of a log.
     **{name: {"fqe": _FQE, "samples": 1} for name in ("dr", "plain-dr", "magic")},
     "fqe-d": {"steps": 5_000, "members": 1, "batch_size": 256, "hidden": (256, 256), "target_update_period": 20},
     **{name: _MARGINAL for name in ("dice", "dual-dice", "gen-dice", "vpm")},
@@ -82,7 +83,7 @@ CPU_BUDGET: dict[str, dict[str, Any]] = {
 }
 
 
-_INNER = ("fqe", "model")  # what estimators fit inside
+_INNER = ("fqe", "model")  # fields of estimators with settings of models that they fit
 
 
 def estimator(name: str, **changes: Any) -> Estimator:
@@ -108,20 +109,20 @@ def estimator(name: str, **changes: Any) -> Estimator:
 
 
 def fits_name() -> str:
-    """Name of a folder for checkpoints of fits, which estimators share: other revisions of their code have another one."""
+    """Name of a folder for checkpoints of fits, which estimators share; it depends on the revisions of their code."""
     shared = [of_learning(), *(revisions(make()) for make, _ in ESTIMATORS.values())]
     return f"fits-{digest(shared, 8)}"
 
 
 def titled(label: str) -> str:
-    """A label with the name that asks for it, such as `is (WPDIS)`; the label alone where they are one, or nobody's name is."""
+    """An estimator's name with its label, such as `is (WPDIS)`; the label alone if both are the same, or if it has no name."""
     names = {make().label: name for name, (make, _) in ESTIMATORS.items()}
     name = names.get(label, label)
     return label if name.lower() == label.lower() else f"{name} ({label})"
 
 
 def with_fields(found: Any, changes: Mapping[str, Any]) -> Any:
-    """The estimator with those fields changed that it, or what it fits inside, has; a mapping changes an inner one alone."""
+    """The estimator with those fields changed that it, or a model that it fits, has; a mapping changes fields of one model."""
     own = {f.name for f in dataclasses.fields(found)}
     inner = {name: getattr(found, name) for name in _INNER if name in own}
     nested = {name: value for name, value in changes.items() if isinstance(value, Mapping)}
@@ -170,7 +171,11 @@ def as_estimators(given: Any) -> list[Estimator]:
 
 
 def as_estimator(given: Any) -> Estimator:
-    """An estimator, one's name, or a function as an estimator."""
+    """The estimator for an `Estimator`, a name or a function.
+
+    Raises:
+        UserError: an unknown name, or something else.
+    """
     if isinstance(given, Estimator):
         return given
     if isinstance(given, str):

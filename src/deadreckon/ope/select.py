@@ -21,10 +21,10 @@ from deadreckon.stats.bootstrap import ensemble_interval, percentile_interval
 from deadreckon.stats.interval import ALPHA, decimals, fixed, level_in_words
 
 BOOTSTRAP = 100  # bootstrap samples from which their percentiles are an interval; fewer are members of an ensemble
-# Times by which intervals are widened by what normalising the weights changes most, where propensities are learned: right ones
-# average one, and normalising them changes nothing. Those that miss what actions depend on bias gains by up to about this.
+# If propensities are learned, intervals are widened by this times the largest change of a gain from normalising the weights.
+# Weights by correct propensities average one, and normalising changes nothing; wrong ones bias gains by up to about this.
 MOVED = 2.0
-ALARMING = 0.1  # of an interval, which that change must not exceed without a warning
+ALARMING = 0.1  # share of an interval's width above which that change gives a warning
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Choice(Shown):
         warnings: reasons not to trust it.
         gains: (policies, 3) the same for all policies, without the behaviour policy.
         objections: for each policy the objections to its estimate, one phrase each; a policy with an objection is not deployed.
-        level: of the intervals.
+        level: confidence level of the intervals.
         wider: the widening of both ends for inaccurate learned propensities.
     """
 
@@ -70,10 +70,10 @@ def gains(found: Estimates, alpha: float = ALPHA, known: np.ndarray | None = Non
     Intervals of policies that are not `known` (policies,) are infinite, as are those without any weight. With learned
     propensities they are wider by `MOVED` times the largest change from normalising the weights.
 
-    Both values are estimated by the same method from the same episodes, so what they share cancels. Where there is an influence
-    function the interval is a studentised maximum (`inference.simultaneous`), and wider by an error of what was fitted that it
-    does not see (`Estimates.nuisance`). Otherwise it is the bootstrap's, or for the few members of an ensemble Student's. The
-    last three have Bonferroni's correction for the number of policies.
+    Both values are estimated by the same method from the same episodes, so common errors cancel. With an influence function,
+    the interval is by the studentised maximum (`inference.simultaneous`), and wider by the error of fitted models that the
+    influence function does not include (`Estimates.nuisance`). Otherwise it is by percentiles of the bootstrap or, for the few
+    members of an ensemble, Student's. The last three have Bonferroni's correction for the number of policies.
 
     Raises:
         UserError: the behaviour policy was not evaluated.
@@ -127,8 +127,8 @@ def select(
     Args:
         estimates: of the same policies, with the behaviour policy.
         support: of the policies in the log; None: not known.
-        seen: for each policy the reason why its estimate is not of fresh episodes, or None if it is; None: all are fresh.
-        against: for each policy further objections, such as its costs, one phrase each; None: nothing.
+        seen: for each policy the reason why its estimate is not of held-out episodes, or None if it is; None: all are.
+        against: for each policy further objections, such as its costs, one phrase each; None: none.
         accept_model_based: deploy also by estimates that no logged reward corrects.
         alpha: share of logs for which one of the intervals may miss.
 
@@ -173,7 +173,7 @@ def select(
     for each, told in zip(estimates[1:], found[1:]):
         chosen = max(range(len(names)), key=lambda i: _standing(each, told[i]))
         agrees = ", agrees that it is best" if chosen == best else f", would choose {names[chosen]}"
-        # Of one policy there is nothing to choose, and where nothing is known nothing to agree with.
+        # Agreement means nothing for a single policy, or if the interval is infinite.
         agrees = agrees if len(names) > 1 and np.isfinite(told[best, 1]) else ""
         evidence.append(f"{each.method}: {_signed(told[best])}{agrees}")
     warnings = list(first.warnings)
@@ -226,7 +226,7 @@ def _signed(told: Sequence[float]) -> str:
 
 
 def unbounded_where_unsupported(found: Estimates, support: Support | None) -> Estimates:
-    """An estimate whose intervals are unbounded for policies that the log, or these weights, do not support."""
+    """An estimate with infinite intervals for policies that the log does not support or whose weights miss too much."""
     lost = ~supported(found, support)
     for i, name in enumerate(found.names):
         lost[i] |= name != LOGGED and bool(Basis.of(found, i).lost)
@@ -234,9 +234,9 @@ def unbounded_where_unsupported(found: Estimates, support: Support | None) -> Es
 
 
 def moved_most(found: Estimates, known: np.ndarray) -> tuple[int, float]:
-    """Whose gain depends most on whether weights are normalised, and by how much; zero where propensities are logged.
+    """Index of the policy whose gain changes most if weights are normalised, and the change; 0.0 if propensities are logged.
 
-    All policies share the propensities, so it speaks against every estimate.
+    All policies share the propensities, so a change of one casts doubt on all estimates.
     """
     shift = np.where(known, np.abs(found.diagnostics.get("normalising", np.zeros(len(known)))), 0.0)
     which = int(np.argmax(shift))
@@ -262,8 +262,8 @@ def _speaks(found: Estimates, which: int) -> bool:
 
 
 def _standing(found: Estimates, told: np.ndarray) -> tuple[bool, float]:
-    """How a policy stands by its gain: by the lower end, or of a few members, whose spread is a matter of chance, by the
-    gain.
+    """Sort key of a policy: whether the lower end of its gain is finite, and this end; with the few members of an ensemble,
+    whose spread is unreliable, the gain itself.
     """
     few = found.influence is None and (found.bootstrap is None or len(found.bootstrap) < BOOTSTRAP)
     sure = told[0] if few or not np.isfinite(told[1]) else told[1]

@@ -1,8 +1,8 @@
-"""What unmeasured confounding could do to an estimate: the marginal sensitivity model (Tan 2006).
+"""The possible effect of unmeasured confounding on an estimate: the marginal sensitivity model (Tan 2006).
 
-Whoever made the log may have seen what it does not hold. The model lets the true odds of each logged action differ from those
-that are taken for true by a factor between 1 / Gamma and Gamma. With beta the action's nominal probability and w = pi / beta
-its weight, the true weight then lies in
+The behaviour policy may have used variables that are not in the log. The model lets the true odds of each logged action differ
+from the nominal ones by a factor between 1 / Gamma and Gamma. With beta the action's nominal probability and w = pi / beta its
+weight, the true weight then lies in
 
     [w (beta + (1 - beta) / Gamma), w (beta + (1 - beta) Gamma)],
 
@@ -12,8 +12,8 @@ below, so sorting solves it. For densities there are no odds; there the weight i
 of beta = 0. For sequences a whole episode's weight lies in the product of its steps' boxes (Kallus and Zhou 2020 treat the
 stationary case, which is not this one).
 
-These bounds are sharp for the box, but a box knows nothing else: that true weights must have mean one at every state, which
-would tighten them (Dorn and Guo 2023), is not used beyond the normalisation.
+These bounds are sharp for the box. True weights also have mean one in every state, which would tighten the bounds (Dorn and Guo
+2023), but is not used beyond the normalisation.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ from deadreckon.errors import UserError
 
 
 def check_gamma(gamma: float) -> None:
-    """Refuses what is no factor of odds.
+    """Refuses invalid ratios of odds.
 
     Raises:
         UserError: a Gamma below one, or an infinite one.
@@ -42,7 +42,7 @@ def weight_box(
 
     Args:
         log_ratios: (rows,) log pi(a|s) / beta(a|s) of the logged actions.
-        gamma: Gamma, how much odds may be off by; 1 is no confounding.
+        gamma: Gamma, the factor by which odds may be off; 1 is no confounding.
         log_behavior: (rows,) log beta(a|s), for discrete actions; None for densities.
 
     Raises:
@@ -62,9 +62,9 @@ def bounds(
     """Least and largest of mean(baseline) + sum w y / sum w over weights within the box.
 
     With returns as outcomes these are the bounds of a value, and with a baseline of minus the logged return of each episode,
-    which confounding does not touch, those of the gain over the log. With the errors r - Q(s, a) as outcomes and V(s) as
-    baseline they are doubly robust: only what the critic does not explain is uncertain. That stays valid for any critic, as
-    true weights carry Q to V.
+    which confounding does not affect, those of the gain over the log. With the errors r - Q(s, a) as outcomes and V(s) as
+    baseline they are doubly robust: only the residual of the critic is uncertain. They are valid for any critic, because with
+    true weights the mean of Q(s, a) is that of V(s).
 
     Args:
         outcomes: (episodes,) y, in units of the return.
@@ -96,7 +96,7 @@ def _ratios(y: np.ndarray, below: np.ndarray, above: np.ndarray) -> np.ndarray:
 
 def _steps(beyond: np.ndarray, until: np.ndarray) -> np.ndarray:
     """(episodes + 1,) sums of `until` up to each threshold and of `beyond` after it."""
-    after = np.append(np.cumsum(beyond[::-1])[::-1], 0.0)  # no differences, which would lose digits
+    after = np.append(np.cumsum(beyond[::-1])[::-1], 0.0)  # not by differences, which would lose digits
     return after + np.append(0.0, np.cumsum(until))
 
 
@@ -104,8 +104,8 @@ def tipping(lower: Callable[[float], float], most: float = 100.0, digits: int = 
     """The largest Gamma at which `lower(Gamma)`, a lower bound of a gain that falls with it, stays above zero.
 
     Args:
-        lower: of Gamma, from one on.
-        most: where the search ends.
+        lower: function of Gamma, for Gamma of one or more.
+        most: largest Gamma of the search.
         digits: after the point, to which the answer is rounded down.
 
     Returns:

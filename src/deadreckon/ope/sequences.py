@@ -1,7 +1,7 @@
-"""Arithmetic along the episodes of a log: what weighted estimators of sequences have in common, on plain arrays.
+"""Arithmetic along the episodes of a log, on plain arrays, which weighted estimators of sequences share.
 
-The rows of an episode follow each other, and episodes follow each other, so their `lengths` (episodes,), each at least one,
-say all about where they lie. One-step logs have lengths of one.
+The rows of an episode are consecutive, and episodes follow each other, so their `lengths` (episodes,), each at least one,
+determine which rows belong to which episode. One-step logs have lengths of one.
 """
 
 import numpy as np
@@ -20,7 +20,11 @@ def times(lengths: np.ndarray) -> np.ndarray:
 
 
 def totals(x: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """(..., episodes) sums over the rows of each episode, of (..., rows)."""
+    """(..., episodes) sums over the rows of each episode, of (..., rows).
+
+    Raises:
+        UserError: the lengths do not sum to the number of rows, or one is below 1.
+    """
     if x.shape[-1] != np.sum(lengths) or np.min(lengths, initial=1) < 1:
         raise UserError(f"episodes of {np.sum(lengths):,} rows, each of at least one, cannot divide {x.shape[-1]:,} rows")
     return np.add.reduceat(x, starts_of(lengths), axis=-1)
@@ -60,6 +64,6 @@ def corrected(
         lengths: (episodes,) rows of each episode.
         discount: per step.
     """
-    # A weight of zero times an endless error is no error: rows that do not count need no critic.
+    # Rows with a weight of zero do not count, even if their error is infinite or NaN.
     terms = weights * np.where(weights == 0.0, 0.0, errors) * discount ** times(lengths)
     return begin + totals(terms, lengths)

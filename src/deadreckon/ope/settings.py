@@ -1,4 +1,4 @@
-"""What is asked of estimates and of a decision: settings that estimators, `decide` and `runs.offline.judge` share.
+"""Settings of estimates and of decisions, which estimators, `decide` and `runs.offline.judge` share.
 
 Functions take them as keywords; `FitOptions`, `EstimateOptions` and `DecisionOptions` are these keywords for type checkers.
 """
@@ -19,14 +19,14 @@ from deadreckon.settings import Settings
 
 @dataclass(frozen=True, kw_only=True)
 class FitSettings(Settings):
-    """Of what estimators fit."""
+    """Settings of the fits of estimators."""
 
     seed: int = 0  # random seed of the estimates
-    out: Path | str | None = None  # folder of checkpoints, from which a killed fit continues; None: nothing is written
+    out: Path | str | None = None  # folder of checkpoints, from which an interrupted fit continues; None: nothing is written
     watch: Watcher = unwatched  # called with what is being fitted, the updates done and the updates in all
 
     def check_values(self) -> None:
-        """Refuses seeds that no generator takes."""
+        """Refuses seeds out of range."""
         super().check_values()
         if not 0 <= self.seed < 2**32:
             raise UserError(f"seed must be 0 .. 2^32 - 1, got {self.seed}")
@@ -34,7 +34,7 @@ class FitSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class EstimateSettings(FitSettings):
-    """Of estimates: what is estimated, and how. `Estimand` checks discount and horizon against the log."""
+    """Settings of estimates: what is estimated, and how. `Estimand` checks discount and horizon against the log."""
 
     discount: float = 0.995  # discount factor per step; 1 where episodes end or there is a horizon
     horizon: int | Literal["auto"] | None = None
@@ -43,7 +43,7 @@ class EstimateSettings(FitSettings):
     greedy: bool = False  # whether to evaluate deterministic (greedy) instead of sampled actions
 
     def estimand(self, log: Dataset) -> Estimand:
-        """What is estimated from a log; see `Estimand.of`.
+        """The estimand for a log; see `Estimand.of`.
 
         Raises:
             UserError: a discount or a horizon that is out of range, or without a finite value on this log.
@@ -53,7 +53,7 @@ class EstimateSettings(FitSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class EvidenceSettings(Settings):
-    """Of which estimates may decide, and what must hold beside a gain."""
+    """Settings of decisions: which estimates may decide, and what must hold beside a gain."""
 
     accept_model_based: bool = False  # whether to deploy also by estimates that no logged reward corrects
     cost_limit: float | Mapping[str, float] | Sequence[str] | None = None
@@ -62,7 +62,7 @@ class EvidenceSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class DecisionSettings(EvidenceSettings):
-    """Of a decision: by which estimates, and what must hold beside a gain."""
+    """All settings of a decision: which estimates may decide, what must hold beside a gain, and what is shown."""
 
     model: BehaviorModel = PROPENSITIES  # how the behaviour policy is learned, for checks and where no propensities were logged
     guarantee: bool = False
@@ -73,7 +73,7 @@ class DecisionSettings(EvidenceSettings):
     tail: float | None = None  # share of the worst episodes, such as 0.1, whose mean return is shown separately
 
     def check_values(self) -> None:
-        """Refuses factors of odds and shares of episodes that are none."""
+        """Refuses ratios of odds and shares of episodes that are out of range."""
         super().check_values()
         if self.confounding is not None:
             check_gamma(self.confounding)
@@ -82,7 +82,7 @@ class DecisionSettings(EvidenceSettings):
 
 
 def check_share(share: float) -> None:
-    """Refuses what is no share of the worst episodes.
+    """Refuses invalid shares of the worst episodes.
 
     Raises:
         UserError: it is not above 0 and at most 1.

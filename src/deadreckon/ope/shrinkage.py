@@ -1,9 +1,9 @@
 """Doubly robust estimates with shrunk weights (Su, Dimakopoulou, Krishnamurthy and Dudik 2020).
 
 Optimistic shrinkage takes w_lambda = lambda w / (w^2 + lambda), which minimises lambda (w' - w)^2 + w^2 w'^2 over w' and with
-it a bound of the squared error: it grows up to sqrt(lambda) / 2 at w = sqrt(lambda) and falls beyond. These are plain weights
-for an endless lambda, and the critic alone for zero. For sequences the weight up to each decision is shrunk, which the paper,
-of one step, does not consider.
+it a bound of the squared error: it grows up to sqrt(lambda) / 2 at w = sqrt(lambda) and falls beyond. An infinite lambda gives
+the plain weights, and zero the critic alone. For sequences the weight up to each decision is shrunk; the paper considers one
+step only.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ from deadreckon.ope.sequences import corrected, cumulate
 
 
 def shrunk(log_weights: np.ndarray, strength: float) -> np.ndarray:
-    """The weights, shrunk: of the shape of their logarithms.
+    """The shrunk weights, in the shape of their logarithms.
 
     Args:
         log_weights: logarithms of the weights; minus infinity is a weight of zero.

@@ -1,16 +1,17 @@
 """Marginalised importance sampling: ratios of states at each step instead of products along episodes (Xie, Ma and Wang 2019).
 
-For observations that are few and repeat, or states that were binned. The policy's distribution over states is carried from step
-to step by transitions that are weighted with the ratio of that one step alone,
+For observations that are few and repeat, or states that were binned. The policy's distribution over states is propagated from
+step to step by transitions that are weighted with the ratio of that one step alone,
 
     d_{t+1}(s') = sum_s d_t(s) sum_i rho_t^i 1[s_t^i = s, s_{t+1}^i = s'] / n_t(s),
     value = sum_t discount^t sum_s d_t(s) sum_i rho_t^i 1[s_t^i = s] r_t^i / n_t(s),
 
 where n_t(s) is the number of episodes that are in s at step t or, self-normalised, the sum of their ratios there. The variance
-grows with a power of the horizon where that of products grows exponentially. It rests on the Markov property: states that hide
-what matters bias it, and products do not.
+grows with a power of the horizon where that of products grows exponentially. It assumes the Markov property: states that omit
+relevant variables bias it, but not products.
 
-Steps without end are those of the longest episode. Episodes that were cut off tell nothing of what follows their last row.
+Without a horizon, there are as many steps as in the longest episode. An episode that was cut off has no transition from its
+last row.
 """
 
 from dataclasses import dataclass
@@ -40,10 +41,10 @@ class Marginal:
         scores: (episodes,) the value and each episode's influence on it, to first order; their mean, counted as episodes
             are, is the value, and their variance over n that of the value.
         states: (steps, states) the policy's distribution d_t, which may sum to less than one where episodes end.
-        lost: probability that went, before the last step, into states that all episodes in them were cut off at.
-        ess: (steps,) episodes that the weights d_t(s) n rho_t / n_t(s) of each step amount to, (sum w)^2 / sum w^2, where
-            the policy's whole probability is still in states that the log knows.
-        going_on: (steps,) probability that no terminal has ended the episode after each step; what is lost goes on.
+        lost: probability that reached, before the last step, states in which all logged episodes were cut off.
+        ess: (steps,) effective sample size (sum w)^2 / sum w^2, in episodes, of the weights d_t(s) n rho_t / n_t(s) of each
+            step, with the probability of having ended as weights of one.
+        going_on: (steps,) probability that no terminal has ended the episode after each step; lost probability is included.
     """
 
     value: float
@@ -69,13 +70,13 @@ class StateMarginal(Estimator):
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return "SMIS"
 
     def solve(self, case: OPEInput) -> Estimates:
-        """Carries each policy from step to step; intervals by the influence of episodes."""
+        """Propagates the state distribution of each policy; intervals by the influence functions of episodes."""
         data, episodes = case.data, case.episodes
-        count = LinearFQE().fourier_features  # which it has no use for, but shares with those who have
+        count = LinearFQE().fourier_features  # not used here; the same features are shared with linear critics
         features = case.once(("features", count), lambda: Features(case.log, count, case.seed))
         if features.table is None:
             raise UserError(
@@ -91,7 +92,7 @@ class StateMarginal(Estimator):
             values.append(found.value)
             influence.append(episodes.means(found.scores)[1])
             ess.append(episodes.quartile(found.ess))
-            tails.append(row)  # of single steps: these are what is averaged
+            tails.append(row)  # of single steps, which are averaged
             lost.append(found.lost)
             share.append(case.beyond_if(found.going_on))
         ess = np.asarray(ess)
@@ -129,10 +130,10 @@ def state_marginal(
         discount: per step.
         normalised: divide by sums of ratios, so that transitions sum to one and rewards stay within theirs; otherwise by
             numbers of episodes, without bias but for states that no episode reached.
-        counts: (episodes,) how often each episode counts, as in a redrawn log; None takes each once.
+        counts: (episodes,) how often each episode counts, as in a bootstrap sample; None: once.
 
     Raises:
-        UserError: states that are no numbers of states, or columns of different lengths.
+        UserError: states that are not whole numbers from zero, or columns of different lengths.
     """
     states, lengths = np.asarray(states), np.asarray(lengths)
     if not np.issubdtype(states.dtype, np.integer) or states.min(initial=0) < 0:
@@ -147,7 +148,7 @@ def state_marginal(
     rho, all_of_them = np.exp(log_ratios), count.sum()
 
     def at(t: int):
-        """Episodes, states, ratios and rewards at a step; those whose next is known, and whether and where they go on."""
+        """Episodes, states, ratios and rewards at a step; whether what follows is known, whether a row does, and its state."""
         there = np.flatnonzero(lengths > t)
         row = first[there] + t
         on = lengths[there] > t + 1
@@ -169,7 +170,8 @@ def state_marginal(
     for t in range(steps):
         there, s, ratio, _, known, on, after = at(t)
         weight = all_of_them * count[there] * ratio * shares(s, count[there] * (ratio if normalised else 1.0)) * reached[t][s]
-        # Those that ended have no rows any more; what they know of the step is counted like their share of the episodes.
+        # Ended episodes have no rows at this step; the probability of having ended counts as that share of the episodes, each
+        # with a weight of one.
         sure = weight.sum() + all_of_them * over
         ess[t] = sure**2 / max(np.square(weight).sum() + all_of_them * over, 1e-300)
         if t == steps - 1:

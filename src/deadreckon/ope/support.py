@@ -16,9 +16,9 @@ from deadreckon.ope.coverage import LEVEL, coverage
 from deadreckon.ope.importance import learns, log_ratios
 from deadreckon.stats import inference
 
-RARE = 0.1  # of the probability of a uniform choice: actions below that have no support
-MISSING = 0.10  # of a policy's mass without support is too much
-SHORT = 0.95  # what the mean weight of one step must be able to be
+RARE = 0.1  # share of the probability of a uniform choice below which an action has no support
+MISSING = 0.10  # share of a policy's actions without support above which there is an objection
+SHORT = 0.95  # least upper end of the interval of the mean weight of one step
 LONG = 1.05  # mean weight of one step above which logged propensities are wrong
 
 
@@ -65,8 +65,8 @@ def support(case: OPEInput, model: BehaviorModel, folds: int = 5) -> Support:
 
     Args:
         case: log and policies.
-        model: how the behaviour policy is learned.
-        folds: into which the judged episodes are parted.
+        model: settings of the behaviour model.
+        folds: number of parts of the evaluated episodes.
     """
     return case.once(("support", model, folds), lambda: _support(case, model, folds))
 
@@ -87,7 +87,7 @@ def _support(case: OPEInput, model: BehaviorModel, folds: int) -> Support:
 
 
 def missing_by_row(case: OPEInput, model: BehaviorModel, folds: int = 5) -> np.ndarray:
-    """(rows, policies) share of what each policy does there that has no support, where actions are discrete."""
+    """(rows, policies) share of each policy's actions at a row that have no support; for discrete actions."""
     chances = out_of_fold(case, model, folds).chances
     assert chances is not None
     legal = legal_at(case.data.observations, case.data.action_space)  # a uniform choice is one among these
@@ -100,7 +100,7 @@ def mean_weights(log_ratios: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, 
 
     Args:
         log_ratios: (policies, rows) log of pi(a|s) / beta(a|s) of each logged action.
-        unit: (rows,) number 0 .. n - 1 of the episode, cluster or group of clusters that each row is of.
+        unit: (rows,) number 0 .. n - 1 of the episode, cluster or group of clusters that each row belongs to.
     """
     ratios, units = np.exp(np.minimum(log_ratios, 50.0)), int(unit.max()) + 1
     rows, mean = np.bincount(unit, minlength=units), ratios.mean(1)

@@ -5,7 +5,7 @@ the weight up to there:
 
     V(s_0) + sum_t discount^t rho_{0:t} 1[rho_{0:t} <= tau] (r_t + discount V(s_{t+1}) - Q(s_t, a_t))
 
-An endless tau is plain doubly robust estimation, a tau of zero the critic alone. It has no bias where the critic has none.
+An infinite tau is plain doubly robust estimation, a tau of zero the critic alone. It has no bias where the critic has none.
 """
 
 import numpy as np
@@ -30,7 +30,7 @@ def switch_scores(
         errors: (rows,) r + discount V(s') - Q(s, a), with V(s') zero after terminals; in units of the reward.
         lengths: (episodes,) rows of each episode.
         discount: per step.
-        thresholds: (thresholds,) largest weights that are trusted; may be infinite.
+        thresholds: (thresholds,) largest weights that are used, values of tau; may be infinite.
 
     Raises:
         UserError: a threshold that is negative or no number.
@@ -42,7 +42,7 @@ def switch_scores(
 
 
 def beyond(log_ratios: np.ndarray, lengths: np.ndarray, discount: float, thresholds: np.ndarray) -> np.ndarray:
-    """(thresholds, episodes) discounted time that the policy spends beyond each threshold: means over episodes estimate it."""
+    """(thresholds, episodes) scores whose means estimate the policy's discounted time with weights above each threshold."""
     log_rho, fade = cumulate(log_ratios, lengths), discount ** times(lengths)
     above = lambda limit: totals(np.exp(np.where(log_rho > limit, log_rho, -np.inf)) * fade, lengths)  # noqa: E731
     return np.stack([above(limit) for limit in _logs(thresholds)])

@@ -24,9 +24,9 @@ from deadreckon.policies.kinds import Deterministic, Gaussian, TanhMeanGaussian
 from deadreckon.randomness import generator, sequence
 
 BLOCK = 8192  # rows at a time
-LIMIT = 2**30  # bytes of a table above which it lies in a file
-NOISE = 0.01  # standard deviation, on the scale where actions are in [-1, 1], given to policies that draw nothing (8.5)
-DRAWS = 100  # of a discrete policy that does not tell its probabilities
+LIMIT = 2**30  # bytes of a table above which it is kept in a file
+NOISE = 0.01  # standard deviation, on the scale where actions are in [-1, 1], of noise for deterministic policies (thesis 8.5)
+DRAWS = 100  # draws from a discrete policy that does not give its probabilities
 
 
 @dataclass(frozen=True)
@@ -38,13 +38,16 @@ class Actor:
         names: one each.
         spec: of the log.
         greedy: deterministic (greedy) instead of sampled actions.
-        seed: of all draws; row `i` of a table is drawn alike whatever is asked for besides it.
-        noise: standard deviation, on the scale where actions are in [-1, 1], that deterministic policies of continuous actions
-            are given where weights need a density (thesis 8.5); None: their logged actions have probability zero, and so have
-            those of policies that do not tell how likely their actions are.
-        illegal: (probability of illegal actions, rows) so far of each policy that gives them any; it is judged as if it drew
+        seed: of all draws; those of a table do not depend on other tables.
+        noise: standard deviation, on the scale where actions are in [-1, 1], of noise that deterministic policies of continuous
+            actions get if weights need a density (thesis 8.5); None: their logged actions have probability zero, and so have
+            those of policies that give no probabilities.
+        illegal: (probability of illegal actions, rows) so far of each policy that gives them any; it is evaluated as if it drew
             again until an action is legal.
-        parts: numbers of a row that each policy sees, such as the end of a history; None: all.
+        parts: slice of an observation that each policy acts on, such as the end of a history; None: all.
+
+    Raises:
+        UserError: a policy with a memory, without the requested kind of actions, or for other observations or actions.
     """
 
     policies: Sequence[Any]
@@ -73,7 +76,7 @@ class Actor:
                 self._fits(name, _action_shape(policy, size))
 
     def _seen(self, which: int, observations: np.ndarray) -> np.ndarray:
-        """What one policy sees of rows."""
+        """The part of observations that one policy acts on."""
         return observations if self.parts is None else observations[:, self.parts[which]]
 
     def _fits(self, name: str, shape: tuple[int, ...]) -> None:
@@ -88,14 +91,17 @@ class Actor:
         """The actions of each policy at each observation.
 
         Args:
-            observations: (rows, *shape) raw, an array or what gives slices of one.
+            observations: (rows, *shape) raw, an array or an object whose slices are arrays.
             samples: draws per row, of continuous actions.
-            purpose: name, by which draws are told apart.
-            more: room beside the policies, for whoever asks to fill.
+            purpose: name of the table; tables with different names have independent draws.
+            more: number of further policies, whose entries the caller fills in.
 
         Returns:
             (rows, policies + more, samples, size) float32 actions in [-1, 1], or probabilities (rows, policies + more, n) of
             discrete ones.
+
+        Raises:
+            UserError: a policy whose actions or probabilities are not finite or do not fit the log.
         """
         rows = len(observations)
         inner = (self.spec.action_size,) if self.spec.discrete else (1 if self.greedy else samples, self.spec.action_size)
@@ -137,7 +143,7 @@ class Actor:
     def log_probs(self, observations: np.ndarray, actions: np.ndarray) -> np.ndarray:
         """(policies, rows) float64 log-densities of the environment's actions, or log-probabilities of discrete ones.
 
-        A policy that draws nothing is given Gaussian noise of `noise`.
+        A deterministic policy gets Gaussian noise with the standard deviation `noise`.
 
         Raises:
             UserError: a policy samples its actions and gives no probabilities of them.
@@ -190,7 +196,8 @@ class Actor:
         return np.asarray(Normalizer.of(self.spec).to_unit(np.asarray(drawn, np.float32)))
 
     def _probabilities(self, which: int, observations: np.ndarray, entropy: np.random.SeedSequence) -> np.ndarray:
-        """(rows, n) of a discrete policy: told by it, or counted from draws, which is unbiased; of legal actions alone."""
+        """(rows, n) probabilities of a discrete policy, by its method or by frequencies of draws, which are unbiased; legal
+        actions only."""
         tells = getattr(self.policies[which], "action_probs", None)
         shape = len(observations), self.spec.action_size
         if tells is None:
@@ -206,7 +213,7 @@ class Actor:
         return np.eye(shape[1], dtype=np.float32)[found.argmax(1)] if self.greedy else found.astype(np.float32)
 
     def _counted(self, which: int, observations: np.ndarray, entropy: np.random.SeedSequence) -> np.ndarray:
-        """(rows, n) shares of `DRAWS` actions of a policy that does not tell its probabilities."""
+        """(rows, n) frequencies in `DRAWS` draws from a policy that does not give its probabilities."""
         policy, rng, rows = self.policies[which], np.random.default_rng(entropy), np.arange(len(observations))
         counts = np.zeros((len(rows), self.spec.action_size), np.float32)
         step = Step(observations, np.zeros(len(rows)), np.ones(len(rows), bool))
@@ -218,7 +225,7 @@ class Actor:
         return counts
 
     def _legal(self, which: int, chances: np.ndarray, observations: np.ndarray) -> np.ndarray:
-        """Probabilities (rows, n) without those of illegal actions, which are noted, so that each row sums to one again."""
+        """Probabilities (rows, n), normalised over legal actions; those of illegal actions are added to `illegal`."""
         if (mask := legal_at(observations, self.spec.action)) is None:
             return chances
         lost, kept = (chances * ~mask).sum(1), (chances * mask).sum(1, keepdims=True)
@@ -241,32 +248,32 @@ class Actor:
 
 
 def _observation_size(policy: Any) -> int | None:
-    """Of a policy of ours; None where it is not known."""
+    """Number of observations of a policy of this package; None if not known."""
     if not isinstance(policy, EnvPolicy) or not hasattr(policy.inner, "net"):
         return None
     net = policy.inner.net
-    # What acts in one step sees as many numbers of noise as it has actions.
+    # A one-step policy also has noise of the size of an action as input.
     return int(net.weights[0].shape[0]) - (int(net.biases[-1].shape[-1]) if isinstance(policy.inner, OneStep) else 0)
 
 
 def _action_shape(policy: EnvPolicy, observation_size: int) -> tuple[int, ...]:
-    """Of one action of a policy of ours."""
+    """Shape of one action of a policy of this package."""
     seen = jax.ShapeDtypeStruct((1, observation_size), np.float32)
     return eqx.filter_eval_shape(lambda x: first_actions(policy, x, jax.random.key(0), True), seen).shape[1:]
 
 
 def draws_nothing(policy: Any) -> bool:
-    """Whether a policy of ours has nothing random in it."""
+    """Whether a policy of this package is deterministic."""
     if not isinstance(policy, EnvPolicy):
         return False
     inner = policy.inner
-    if isinstance(inner, Gaussian) and not isinstance(inner, TanhMeanGaussian):  # one that was published without a deviation
+    if isinstance(inner, Gaussian) and not isinstance(inner, TanhMeanGaussian):  # published without a deviation
         return bool(np.isneginf(inner.net.biases[-1][inner.net.biases[-1].shape[0] // 2 :]).all())
     return isinstance(inner, Deterministic)
 
 
 def _room(shape: tuple[int, ...]) -> np.ndarray:
-    """A float32 array in memory, or above `LIMIT` in a file that goes with it."""
+    """A float32 array in memory, or above `LIMIT` in a file that is removed with it."""
     if 4 * int(np.prod(shape)) <= LIMIT:
         return np.empty(shape, np.float32)
     with tempfile.TemporaryFile() as file:
@@ -274,7 +281,7 @@ def _room(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def _padded(function: Any, policy: EnvPolicy, *columns: np.ndarray, **options: Any) -> np.ndarray:
-    """`function` on whole blocks, so that one compiled program serves the last, shorter block too."""
+    """`function` on columns padded to a whole block, so that the last, shorter block needs no further compilation."""
     rows = len(columns[0])
     size = min(BLOCK, 1 << (rows - 1).bit_length())
     wide = [np.concatenate([c, np.repeat(c[-1:], size - rows, 0)]) if size > rows else c for c in columns]

@@ -22,7 +22,7 @@ from deadreckon.ope.settings import check_share
 from deadreckon.stats import inference
 from deadreckon.stats.interval import ALPHA
 
-FEW = 10.0  # episodes that the tail's weights must amount to
+FEW = 10.0  # least effective sample size of the tail's weights, in episodes
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,8 @@ class Tail:
     Attributes:
         value: CVaR, in units of the return.
         quantile: the return that the worst share of episodes does not exceed.
-        influence: (episodes,) how far each pulls the value, to first order; their mean is zero, their variance over n that of
-            the value.
-        ess: episodes that the weights of the tail amount to, (sum w)^2 / sum w^2.
+        influence: (episodes,) influence function of the value; its mean is zero, and its variance over n is that of the value.
+        ess: effective sample size of the weights of the tail, (sum w)^2 / sum w^2, in episodes.
     """
 
     value: float
@@ -51,17 +50,17 @@ class Tail:
 def lower_tail(log_weights: np.ndarray, returns: np.ndarray, share: float, least: float = FEW) -> Tail:
     """The mean return of the worst `share` of a policy's episodes.
 
-    The influence of an episode is w (q - (q - G)+ / share - CVaR) over the mean weight: the quantile has none of its own,
-    because it is where the maximum is.
+    The influence of an episode is w (q - (q - G)+ / share - CVaR) over the mean weight: to first order the estimated quantile
+    adds nothing, because it attains the maximum.
 
     Args:
         log_weights: (episodes,) logarithms of whole episodes' weights; minus infinity is a weight of zero.
         returns: (episodes,) discounted returns.
-        share: alpha, of the episodes, above 0 and up to 1, where the value is the self-normalised mean.
+        share: alpha, above 0 and at most 1, where the value is the self-normalised mean.
         least: effective sample size of the tail, in episodes, below which there is no estimate.
 
     Raises:
-        UserError: a share that is none, no weight at all, or a tail of too few episodes.
+        UserError: a share out of range, no weight at all, or a tail of too few episodes.
     """
     check_share(share)
     logs, returns = np.asarray(log_weights, float), np.asarray(returns, float)
@@ -97,9 +96,9 @@ def tails(
 
     Args:
         case: log and policies.
-        which: of the policies.
-        share: of the episodes, the worst of which are meant.
-        model: how the behaviour policy is learned where propensities were not logged.
+        which: index of the policy.
+        share: share of the worst episodes.
+        model: settings of the behaviour model, if propensities were not logged.
         alpha: share of logs for which the interval of any of the policies may miss.
         wider: added at both ends; see `select.Choice`.
 

@@ -1,8 +1,8 @@
-"""Which value of a parameter that trades bias for variance: the one with the least upper bound of the squared error.
+"""Choice of a parameter that trades bias for variance, by the least upper bound of the squared error.
 
-Estimates are given as scores (grid, episodes), one row a value of the parameter, whose means over the episodes are the
-estimates. A choice looks at the scores that it gets; `cross_fitted` hands it only those of other folds, so that what an episode
-adds is never scaled by a parameter that was chosen with it.
+Estimates are given as scores (grid, episodes), one row per value of the parameter, whose means over the episodes are the
+estimates. `cross_fitted` chooses the parameter of each fold by the episodes of the other folds, so that the parameter of an
+episode's score was not chosen with that episode.
 """
 
 from collections.abc import Callable
@@ -18,14 +18,14 @@ def bias_bound(scores: np.ndarray, full: np.ndarray, alpha: float = ALPHA) -> np
 
         |mean(full - scores)| + sqrt(2 s^2 log(2 / alpha) / n) + 2 max|full - scores| log(2 / alpha) / (3 n)
 
-    Bernstein's inequality, as in Su, Dimakopoulou, Krishnamurthy and Dudik 2020. They have the second moment and
-    the largest of the weights; here they are those of the difference itself, which is what the inequality is about, and which
-    vanish where nothing is changed. Moments of the sample stand in for the true ones, so it holds for many episodes.
+    Bernstein's inequality, as in Su, Dimakopoulou, Krishnamurthy and Dudik 2020. They use the second moment and the maximum of
+    the weights; here these are of the difference itself, to which the inequality applies and which is zero where the parameter
+    changes nothing. Sample moments replace the true ones, so the bound is asymptotic.
 
     Args:
         scores: (grid, episodes).
         full: (episodes,) scores of an estimate without bias.
-        alpha: chance that one bound fails.
+        alpha: probability that one bound fails.
     """
     n = scores.shape[1]
     gap, term = full - scores, np.log(2 / alpha)
@@ -40,7 +40,7 @@ def least_bound(scores: np.ndarray, biases: np.ndarray) -> int:
         biases: (grid,) upper bounds of their means' biases.
 
     Raises:
-        UserError: fewer than two episodes, of which no variance is known.
+        UserError: fewer than two episodes, so that the variance is not known.
     """
     if scores.shape[1] < 2:
         raise UserError(f"a parameter cannot be chosen by the variance of {scores.shape[1]} episode")
@@ -55,13 +55,13 @@ def cross_fitted(
     Args:
         scores: (grid, episodes).
         folds: (episodes,) number of each episode's fold.
-        choose: gets the (n,) episodes outside a fold, gives the index of the parameter.
+        choose: function from the (n,) indices of the episodes outside a fold to the index of the parameter.
 
     Returns:
         (episodes,) scores, and (folds,) the index chosen for each fold, in ascending order of the folds' numbers.
 
     Raises:
-        UserError: a single fold, outside of which there is nothing.
+        UserError: a single fold.
     """
     names = np.unique(folds)
     if len(names) < 2:

@@ -1,13 +1,13 @@
 """VPM: the variational power method for occupancy ratios (Wen et al. 2020; thesis 8.5).
 
 A policy's discounted occupancy d is the fixed point of d' = (1 - g) start + g P d, where `start` is the initial states with the
-policy's actions and P a step followed by the policy's action: iterated from anywhere, d' comes to it (the power method). With
-d = tau log, tau the ratio to the log's own distribution, one iteration is the density ratio d' / log. Every f-divergence has a
+policy's actions and P a step followed by the policy's action: the iteration converges to it from any d (the power method). With
+d = tau log, tau the ratio to the distribution of the log, one iteration is the density ratio d' / log. Every f-divergence has a
 variational form whose solution is that ratio and which needs only expectations; with the squared one it is
 
     tau' = argmin E_log[tau^2] / 2 - (1 - g) E_start[tau] - g E_log[tau_k(s, a) (1 - terminal) tau(s', a')]
 
-(least-squares importance fitting), so a single network does it, where other divergences need a second one. A penalty keeps the
+(least-squares importance fitting), which needs a single network, where other divergences need a second one. A penalty keeps the
 mass of an occupancy, E_log[tau (1 - g (1 - terminal))] = 1 - g. The weights need no behaviour policy.
 """
 
@@ -30,11 +30,11 @@ from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, host, static
 
-EXCESS_RATE = 0.01  # of the running mean of the mass beyond one
+EXCESS_RATE = 0.01  # rate of the running mean of the mass minus one
 
 
 class State(NamedTuple):
-    """The ratio of this iteration, that of the one before, a running mean of the mass beyond one, and the optimiser."""
+    """The ratio of this iteration, that of the one before, a running mean of the mass minus one, and the optimiser."""
 
     tau: MLP
     before: MLP
@@ -43,18 +43,18 @@ class State(NamedTuple):
 
 
 class Power(eqx.Module):
-    """What `fit` trains."""
+    """The learner of the ratios."""
 
     settings: "VPM"
     discount: float
     policies: int = eqx.field(static=True)
 
     def needs(self, spec):
-        """Transitions and as many initial states, each with what the policies do there and the members' weights."""
+        """Transitions and as many initial states, each with the policies' actions and the members' weights."""
         return BatchSpec(batch_size=self.settings.batch_size, initial=self.settings.batch_size, standardise=True)
 
     def init(self, spec, key):
-        """Fresh networks."""
+        """Initial networks."""
         members = self.settings.members
         tau = create(spec, self.settings.hidden, members, self.policies, key)
         return State(tau, copy(tau), jnp.zeros((members, self.policies)), init_opt(tau))
@@ -65,12 +65,12 @@ class Power(eqx.Module):
         tau, opt = apply_gradients(state.tau, grads, state.opt, self.settings.lr)
         over = (step + 1) % self.settings.inner_updates == 0
         before = jax.tree.map(lambda new, old: jnp.where(over, new, old), tau, state.before)
-        # The square of one batch's mass would be penalised for its variance, which a terminal's mass of 1 / (1 - discount)
-        # makes huge; the slope of the square at the running mean is right, and quiet once the mass is.
+        # A penalty on the squared excess of a batch would also penalise the variance of its mass, which is huge because a
+        # terminal has the mass 1 / (1 - discount). So the gradient of the penalty is taken at the running mean of the excess.
         return State(tau, before, polyak_update(state.excess, whole - 1.0, EXCESS_RATE), opt), metrics
 
     def loss(self, tau_net: MLP, before_net: MLP, excess: Array, batch: Batch):
-        """The objective above, summed over members and policies."""
+        """The objective in the docstring of the module, summed over members and policies."""
         extra = batch.extra
         assert extra is not None
         lasts = 1.0 - batch.terminal
@@ -121,7 +121,7 @@ class VPM(Estimator):
 
     @property
     def label(self) -> str:
-        """What tables call it."""
+        """Its name in tables."""
         return "VPM"
 
     def solve(self, case: OPEInput) -> Estimates:

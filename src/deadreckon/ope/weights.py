@@ -1,11 +1,11 @@
-"""Sums over episodes, weighted by likelihood ratios: what importance sampling and doubly robust estimates have in common.
+"""Sums over episodes, weighted by likelihood ratios, which importance sampling and doubly robust estimates share.
 
 With rho_t the product of the ratios pi(a|s) / beta(a|s) of an episode's first t + 1 actions, an estimate is the sum over t of
 N_t / D_t, where N_t = sum_i discount^t rho_t^i x_t^i over the episodes i, and D_t is their number or, self-normalised, the sum
-of their rho_t. An episode that has ended keeps its last ratio: nothing follows it, and that counts. One that the log has cut
-off (a timeout) is no longer counted, as what would have followed is not known; the others then count for it, each with the
-inverse of its chance not to have been cut off by then (Kaplan and Meier 1958): otherwise episodes that end early, which no
-cut can reach, would be too many. With one weight for a whole episode, cut-off episodes count as they are.
+of their rho_t. An episode that has ended keeps its last ratio, with terms of zero at later steps. One that was cut off (a
+timeout) is no longer counted, because its later rewards are not known; the others are then weighted by the inverse probability
+of not being cut off by that step (Kaplan and Meier 1958). Otherwise episodes that end early, and so are never cut off, would be
+over-represented. With one weight for a whole episode, cut-off episodes count as they are.
 """
 
 from dataclasses import dataclass
@@ -19,11 +19,11 @@ from deadreckon.errors import UserError
 from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.sequences import cumulate, times
 from deadreckon.randomness import generator
-from deadreckon.stats.bootstrap import RESAMPLES, percentile_interval, resample_counts
+from deadreckon.stats.bootstrap import RESAMPLES, resample_counts
 
-GROUPS = 1000  # at most so many groups of episodes are redrawn; up to here each episode is one
+GROUPS = 1000  # most groups of episodes that are resampled; up to this number each episode is a group
 FEW = 10.0  # effective sample size, in episodes, below which there is a warning
-QUARTER = 0.25  # of the discounted time, which may rest on fewer
+QUARTER = 0.25  # share of the discounted time at steps with an effective sample size below the reported one
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class Sums:
     Attributes:
         numerators: (groups, steps).
         denominators: (groups, steps).
-        ess: episodes that the weights amount to, (sum w)^2 / sum w^2, at the step where they are fewer for a quarter
-            of the discounted time: the first steps rest on many, and would hide what the later ones rest on.
+        ess: effective sample size of the weights, (sum w)^2 / sum w^2, in episodes: the lower quartile over the discounted
+            time, because a mean would be dominated by the first steps, where it is largest.
     """
 
     numerators: np.ndarray
@@ -50,31 +50,31 @@ class Sums:
         return np.cumsum(_ratios(self.numerators.sum(0), self.denominators.sum(0)))
 
     def redraw(self, counts: np.ndarray) -> np.ndarray:
-        """(n,) estimates of redrawn logs; `counts` (n, groups) says how often each group counts."""
+        """(n,) estimates of bootstrap samples; `counts` (n, groups) says how often each group counts."""
         return self.redraw_steps(counts).sum(-1)
 
     def redraw_steps(self, counts: np.ndarray) -> np.ndarray:
-        """(n, steps) what each step adds to them."""
+        """(n, steps) the terms of each step in them."""
         return _ratios(counts @ self.numerators, counts @ self.denominators)
 
     def influence(self) -> np.ndarray:
-        """(groups,) how far each pulls the estimate, to first order; their mean is zero, their sum over n^2 the variance."""
+        """(groups,) influence function of the estimate: its mean is zero, its sum of squares over groups^2 the variance."""
         return self.influence_steps().sum(1)
 
     def influence_steps(self) -> np.ndarray:
-        """(groups, steps) the same for what each step adds."""
+        """(groups, steps) the same for the term of each step."""
         total = self.denominators.sum(0)
         ratio = _ratios(self.numerators.sum(0), total)
         return len(self.numerators) * _ratios(self.numerators - ratio * self.denominators, total[None])
 
 
 def effective(weights: np.ndarray) -> np.ndarray:
-    """How many equal ones the weights along the last axis amount to, (sum w)^2 / sum w^2; none where all are 0."""
+    """Effective sample size of the weights along the last axis, (sum w)^2 / sum w^2; 0 where all are 0."""
     return np.square(weights.sum(-1)) / np.maximum(np.square(weights).sum(-1), 1e-300)
 
 
 def few(names: tuple[str, ...], ess: np.ndarray, episodes: int) -> list[str]:
-    """A warning where the weights of a policy amount to less than `FEW` of so many episodes, else nothing."""
+    """A warning if the effective sample size of a policy's weights, of so many episodes, is below `FEW`; else nothing."""
     below = np.flatnonzero(ess < FEW)
     if not len(below):
         return []
@@ -84,20 +84,30 @@ def few(names: tuple[str, ...], ess: np.ndarray, episodes: int) -> list[str]:
 
 
 def _ratios(numerators: np.ndarray, denominators: np.ndarray) -> np.ndarray:
-    """Where nothing has weight, nothing is added."""
+    """The quotient; 0 where the denominator is 0."""
     return np.divide(numerators, denominators, out=np.zeros(np.broadcast_shapes(numerators.shape, denominators.shape)),
                      where=denominators > 0)  # fmt: skip
 
 
 def _accumulated(shape: tuple[int, ...], where: tuple[np.ndarray, ...], logs: np.ndarray) -> np.ndarray:
-    """Log of the running sum along the last axis of what `logs` says is added at `where`; what lies beyond is left out."""
+    """Logarithms of cumulative sums along the last axis of exp(`logs`) at the indices `where`; later ones are left out."""
     out = np.full((*shape[:-1], shape[-1] + 1), -np.inf)
     np.logaddexp.at(out, where, logs)
     return np.logaddexp.accumulate(out[..., :-1], -1)
 
 
 class Episodes:
-    """The shape of a log's episodes, and how they are redrawn: alike for all policies and estimators of a case."""
+    """The lengths and ends of a log's episodes, and their bootstrap samples: the same for all policies and estimators.
+
+    Args:
+        data: the log.
+        discount: per step.
+        seed: of the bootstrap.
+        units: (episodes,) number of the group, 0 .. n - 1, with which each episode is resampled.
+
+    Raises:
+        UserError: the log's rows do not follow each other.
+    """
 
     def __init__(self, data: Dataset, discount: float, seed: int, units: np.ndarray):
         if data.successors is not None:
@@ -119,7 +129,7 @@ class Episodes:
     @cached_property
     def counts(self) -> np.ndarray:
         """(n_bootstrap, groups) how often each group counts."""
-        # The same for every policy: what they share falls out of differences between them.
+        # The same for every policy, so that common errors cancel in differences between them.
         return resample_counts(generator(self.seed, "redrawn groups"), self.groups, RESAMPLES)
 
     def means(self, x: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -129,10 +139,10 @@ class Episodes:
         return mean, self.groups * (total - mean * size) / self.count, (self.counts @ total) / (self.counts @ size)
 
     def _kept(self) -> np.ndarray:
-        """(steps + 1,) chance that an episode that does not end is not cut off within so many steps, by Kaplan and Meier."""
+        """(steps + 1,) probability that an episode that does not end is not cut off within so many steps (Kaplan-Meier)."""
         cut = np.bincount(self.lengths[~self.ended], minlength=self.steps + 1)
         over = np.bincount(self.lengths, minlength=self.steps + 1)
-        # After s steps those can be cut off that go on beyond, and those that are.
+        # At risk of a cut-off after s steps are the episodes that continue, and those that are cut off there.
         beyond = self.count - np.cumsum(over)
         at_risk = np.maximum(beyond + cut, 1)
         return np.cumprod(1.0 - cut / at_risk)
@@ -142,7 +152,7 @@ class Episodes:
         return cumulate(log_ratios, self.lengths)
 
     def sums(self, log_rho: np.ndarray, x: np.ndarray, *, normalised: bool, alive_only: bool = False) -> Sums:
-        """Of one policy: `log_rho` and `x` (rows,). `alive_only` forgets ended episodes, as the public code does."""
+        """The sums of one policy, from `log_rho` and `x` (rows,). `alive_only` drops ended episodes, as in the public code."""
         if not alive_only:
             log_rho = log_rho - self.log_kept
         last = log_rho[self.first + self.lengths - 1]
@@ -182,8 +192,8 @@ class Episodes:
         return float(ess[order][np.searchsorted(share, QUARTER)])
 
     def typical(self, log_rho: np.ndarray, *, whole: bool) -> np.ndarray:
-        """(episodes,) logarithm of each episode's weight: its last, or the discounted sum of those of all steps, of which an
-        ended episode keeps its last and one that is cut off has no more; others count for that, as in `sums`."""
+        """(episodes,) logarithm of each episode's weight: its last one if `whole`, else the discounted sum of its weights over
+        all steps. After its end an episode keeps its last weight; after a cut-off others have more weight, as in `sums`."""
         if whole:
             return log_rho[self.first + self.lengths - 1]
         log_rho = log_rho - self.log_kept
@@ -208,8 +218,8 @@ class Episodes:
             return (total + rest * np.exp(log_rho[self.first + self.lengths - 1])) / fade.sum()
 
     def going_on(self, log_rho: np.ndarray) -> np.ndarray:
-        """(steps,) share of the policy's episodes that no terminal has ended after each step, by their weights; one where
-        nothing has weight. An episode that is cut off goes on: what follows is only not known."""
+        """(steps,) weighted share of the policy's episodes that no terminal has ended after each step; one where all weights
+        are zero. An episode that is cut off counts as continuing."""
         log_rho, ends = log_rho - self.log_kept, self.first + self.lengths - 1
         over = _accumulated((self.steps + 1,), (self.lengths[self.ended],), log_rho[ends[self.ended]])[1:]
         goes, on = np.ones(len(log_rho), bool), np.full(self.steps, -np.inf)
@@ -219,15 +229,15 @@ class Episodes:
         return expit(np.subtract(on, over, out=np.full(self.steps, np.inf), where=some))
 
     def contributions(self, log_rho: np.ndarray, x: np.ndarray, *, whole: bool = False) -> np.ndarray:
-        """(episodes,) what each adds without normalisation; per decision their mean is the estimate of `sums`, and with one
-        weight per episode where cut-offs are `even`."""
+        """(episodes,) terms of the estimate without normalisation; their mean is the estimate of `sums` or, if cut-offs are
+        `even`, with one weight per episode that of `whole`."""
         log_rho = log_rho if whole else log_rho - self.log_kept
         with np.errstate(over="ignore"):
             rho = np.exp(np.repeat(log_rho[self.first + self.lengths - 1], self.lengths) if whole else log_rho)
         return np.bincount(self.of, rho * x * self.discount**self.time, self.count)
 
     def whole(self, log_rho: np.ndarray, x: np.ndarray, *, normalised: bool) -> Sums:
-        """The same with one weight per episode, its last, for its whole discounted sum of `x`."""
+        """As `sums`, with one weight per episode, its last, for its discounted sum of `x`."""
         total = np.bincount(self.of, x * self.discount**self.time, self.count)
         last = log_rho[self.first + self.lengths - 1]
         top = last.max()
@@ -240,23 +250,17 @@ class Episodes:
         ess = _ratios(np.square(relative.sum()), np.square(relative).sum())
         return Sums(numerators, denominators, float(ess))
 
-    def percentiles(self, draws: np.ndarray, ess: float) -> tuple[float, float]:
-        """The bootstrap's interval, with no more episodes than groups of them were redrawn; endless where nothing is known."""
-        if self.groups < 2 or not ess > 0:
-            return -np.inf, np.inf
-        return percentile_interval(draws, min(ess, self.groups))
-
     def warnings(
         self, names: tuple[str, ...], ess: np.ndarray, *, whole: bool = False, ahead: float = 0.0
     ) -> list[str]:
-        """Why weighted sums of this log may not be trusted.
+        """Reasons not to trust weighted sums of this log, one line each.
 
         Args:
             names: of the policies.
-            ess: (policies,) episodes that the weights amount to.
+            ess: (policies,) effective sample sizes of the weights, in episodes.
             whole: each episode has one weight.
-            ahead: share of the discounted time that is still to come where episodes are cut off, and that is not counted
-                (`OPEInput.cut_ahead`); 0 where it is estimated otherwise.
+            ahead: share of the discounted time after episodes are cut off that is not counted (`OPEInput.cut_ahead`); 0 if it
+                is estimated otherwise.
         """
         found = few(names, ess, self.count)
         cut = ~self.ended

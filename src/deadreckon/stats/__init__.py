@@ -1,1 +1,1 @@
-"""Statistics that everything else shares: intervals, the bootstrap, and comparisons of scores, on plain arrays."""
+"""Statistics that all other packages share: intervals, the bootstrap, and comparisons of scores, on plain arrays."""

@@ -1,11 +1,10 @@
 """Bounds of a mean that hold for any number of episodes, by betting (Waudby-Smith and Ramdas 2024).
 
-Whoever thinks that the mean is m offers fair bets on X - m. A capital that starts at one and is multiplied by
-1 + lambda_i (X_i - m) with each episode, lambda_i in [0, 1 / m) chosen before X_i is seen, is a nonnegative martingale if that
-is true: it ever reaches 1 / alpha with a chance of at most alpha (Ville). The lower bound is the least m that is not refuted.
-Nothing is asked of X but that it is not negative, and that the episodes are independent or at least E[X_i | earlier ones] = mu.
-That a lower bound of nonnegative importance-weighted returns needs no largest weight is in Karampatziakis, Mineiro and Ramdas
-2021.
+If the mean is m, bets on X - m are fair. A capital that starts at one and is multiplied by 1 + lambda_i (X_i - m) with each
+episode, lambda_i in [0, 1 / m) chosen before X_i is observed, is then a nonnegative martingale: it ever reaches 1 / alpha with
+a probability of at most alpha (Ville). The lower bound is the least m that is not rejected. The only assumptions are that X is
+not negative, and that episodes are independent or at least E[X_i | earlier ones] = mu. That a lower bound of nonnegative
+importance-weighted returns needs no largest weight is in Karampatziakis, Mineiro and Ramdas 2021.
 """
 
 import numpy as np
@@ -13,12 +12,12 @@ import numpy as np
 from deadreckon.errors import UserError
 from deadreckon.stats.interval import ALPHA
 
-HALVINGS = 40  # of the interval that the bound is searched in
-FRACTIONS = np.geomspace(1e-4, 0.98, 24)  # of the capital that the mixture's bets risk; fixed, or the bound would not hold
+HALVINGS = 40  # bisections of the interval in which the bound is searched
+FRACTIONS = np.geomspace(1e-4, 0.98, 24)  # shares of the capital that the mixture's bets stake; must be fixed in advance
 
 
 def lower(x: np.ndarray, alpha: float = ALPHA) -> np.ndarray:
-    """(...,) lower bounds of the means of (..., n) samples, each of which fails with a chance of at most `alpha`.
+    """(...,) lower bounds of the means of (..., n) samples, each of which fails with a probability of at most `alpha`.
 
     The capital is divided evenly among bets of fixed fractions, lambda = c / m for c in `FRACTIONS`: a discrete form of Cover's
     portfolio. It needs no bound from above, does not depend on the order of the samples, and scales with them, as importance
@@ -26,7 +25,7 @@ def lower(x: np.ndarray, alpha: float = ALPHA) -> np.ndarray:
 
     Args:
         x: (..., n) samples, not negative.
-        alpha: chance that a bound fails.
+        alpha: probability that a bound fails.
 
     Raises:
         UserError: no samples, or some that are negative or not finite.
@@ -38,7 +37,7 @@ def lower(x: np.ndarray, alpha: float = ALPHA) -> np.ndarray:
         raise UserError("no samples, of which nothing can be said")
     if not (np.isfinite(x).all() and (x >= 0).all()):
         raise UserError("bounds by betting need finite samples that are not negative")
-    # At the samples' own mean no bet has gained (log is concave), and towards zero all grow: the bound lies between.
+    # At the mean of the samples no bet has gained (log is concave), and towards zero all grow: the bound lies between.
     refuted = lambda mean: log_capital(x, np.maximum(mean, np.finfo(float).tiny)) >= np.log(1 / alpha)  # noqa: E731
     return _search(refuted, x.mean(-1))
 
@@ -47,13 +46,13 @@ def log_capital(x: np.ndarray, mean: np.ndarray, fractions: np.ndarray = FRACTIO
     """(...,) log of the mixture's capital after all of (..., n) samples, against means (...,) above zero."""
     scaled = x / np.asarray(mean)[..., None] - 1.0
     logs, room = np.empty((len(fractions), *scaled.shape[:-1])), np.empty_like(scaled)
-    for i, c in enumerate(fractions):  # in one piece of memory: this is what the search spends its time on
+    for i, c in enumerate(fractions):  # in place: the search spends most of its time here
         logs[i] = np.log1p(np.multiply(scaled, c, out=room), out=room).sum(-1)
     return np.logaddexp.reduce(logs, axis=0) - np.log(len(fractions))
 
 
 def _search(refuted, high: np.ndarray) -> np.ndarray:
-    """The least mean that is not refuted, where all below are: always from the refuted side, so that rounding is safe."""
+    """The least mean that is not rejected, by bisection up to `high`; from the rejected side, so that rounding is safe."""
     low, high = np.zeros_like(high), np.array(high, float)
     for _ in range(HALVINGS):
         middle = (low + high) / 2

@@ -6,15 +6,15 @@ from scipy import special
 from deadreckon.stats.interval import ALPHA
 
 RESAMPLES = 1000
-TAIL = 10  # bootstrap samples beyond a percentile that it takes to know it
-_AT_ONCE = 2**16  # draws, which stay in the processor's cache
+TAIL = 10  # least number of bootstrap samples beyond a percentile that is used
+_AT_ONCE = 2**16  # draws at a time, which fit in the processor's cache
 
 
 def resample_counts(rng: np.random.Generator, units: int, resamples: int) -> np.ndarray:
     """(resamples, units) how often each unit is in a sample of as many, drawn with replacement.
 
-    The multinomial of equal chances, from the units drawn rather than one binomial for each: several times as fast for hundreds
-    of units.
+    A multinomial sample of equal probabilities, from draws of the units instead of one binomial for each: several times as fast
+    for hundreds of units.
     """
     counts = np.empty((resamples, units))
     rows = max(1, _AT_ONCE // units)
@@ -26,14 +26,14 @@ def resample_counts(rng: np.random.Generator, units: int, resamples: int) -> np.
 
 
 def percentile_interval(draws: np.ndarray, ess: float, alpha: float = ALPHA) -> tuple[float, float]:
-    """The bootstrap's interval from (n,) bootstrap samples, wider where few episodes count.
+    """The bootstrap's percentile interval from (n,) bootstrap samples, expanded for a small effective sample size `ess`.
 
-    Their percentiles are those of a normal with a deviation that is too small by sqrt(1 - 1/n); they are expanded to those of
-    Student's t (Hesterberg 2015), with as many episodes as the weights amount to. An end beyond which fewer than `TAIL`
-    bootstrap samples would lie is continued from the last percentile that has so many, as a normal's would be.
+    The percentiles are those of a normal distribution whose standard deviation is too small by the factor sqrt(1 - 1/ess); they
+    are expanded to those of Student's t (Hesterberg 2015). An end beyond which fewer than `TAIL` bootstrap samples would lie is
+    extrapolated, as for a normal distribution, from the last percentile with so many.
     """
     n = max(ess, 2.0)
-    # In standard deviations of the bootstrap samples, and how far they reach for sure.
+    # Both in standard deviations of the bootstrap samples: the end, and the farthest percentile with enough samples beyond.
     wanted = float(np.sqrt(1.0 / (1.0 - 1.0 / n)) * special.stdtrit(n - 1, 1 - alpha / 2))
     safe = min(wanted, float(special.ndtri(1 - min(TAIL / len(draws), 0.5 - 1e-3))))
     tail = 100.0 * float(special.ndtr(-safe))
@@ -70,8 +70,8 @@ def prediction(values: np.ndarray) -> np.ndarray:
 def ensemble_interval(values: np.ndarray, alpha: float = ALPHA) -> tuple[np.ndarray, np.ndarray]:
     """Intervals from (members, ...) estimates, each fitted to a bootstrap resample: mean +- t_{m-1} s sqrt(1 + 1/m).
 
-    A member differs from the estimate as the estimate does from the truth (the bootstrap), so what is missing is one more
-    draw: the interval is that of a prediction. It knows of the log's randomness and the fit's, not of a bias that all share.
+    A member differs from the estimate as the estimate does from the truth (the bootstrap principle), so this is a prediction
+    interval for one more draw. It includes the randomness of the log and of the fit, but not a bias that all members share.
     """
     members = len(values)
     if members < 2:

@@ -1,4 +1,4 @@
-"""Scores of a method by task, checked: what tables and comparisons begin with."""
+"""Checked scores of a method by task, for tables and comparisons."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -13,7 +13,11 @@ Scores = Mapping[str, ArrayLike] | Sequence[ArrayLike] | np.ndarray
 
 
 def by_task(scores: Scores, whose: str = "the scores", *, stacked: bool = False) -> dict[Any, np.ndarray]:
-    """Checked: task's name or number -> (seeds,), or (..., seeds) where `stacked`."""
+    """Checked scores: task's name or number -> (seeds,), or (..., seeds) if `stacked`.
+
+    Raises:
+        UserError: no task, no run, another form, or numbers that are not finite; `whose` names the scores.
+    """
     if isinstance(scores, Mapping):
         items = list(scores.items())
     elif isinstance(scores, np.ndarray) and scores.ndim != 2:
@@ -32,7 +36,11 @@ def by_task(scores: Scores, whose: str = "the scores", *, stacked: bool = False)
 
 
 def numbers(values: ArrayLike, what: str, stacked: bool) -> np.ndarray:
-    """Finite numbers (runs,), or (..., runs) where `stacked`; `what` names them in errors."""
+    """Finite numbers (runs,), or (..., runs) if `stacked`.
+
+    Raises:
+        UserError: something else; `what` names the numbers.
+    """
     try:
         runs = np.asarray(values, np.float64)
     except (TypeError, ValueError) as error:
@@ -48,14 +56,22 @@ def numbers(values: ArrayLike, what: str, stacked: bool) -> np.ndarray:
 
 
 def pairs_of(ours: Scores, theirs: Scores) -> list[tuple[Any, np.ndarray, np.ndarray]]:
-    """(task, our runs, their runs) of every task, matched by name, or by place where there are no names."""
+    """(task, our runs, their runs) of every task, matched by name, or by position if there are no names.
+
+    Raises:
+        UserError: different tasks, or what `by_task` raises.
+    """
     x, y = by_task(ours, "our scores"), by_task(theirs, "their scores")
     same_tasks(x, y, "ours", "theirs")
     return [(task, x[task], y[task]) for task in x]
 
 
 def same_tasks(x: Mapping[Any, Any], y: Mapping[Any, Any], first: str, second: str) -> None:
-    """Refuses two methods whose tasks differ."""
+    """Refuses two methods whose tasks differ.
+
+    Raises:
+        UserError: names the first task that one lacks.
+    """
     for one, other, has, lacks in ((x, y, first, second), (y, x, second, first)):
         extra = [task for task in one if task not in other]
         if extra:
@@ -63,6 +79,10 @@ def same_tasks(x: Mapping[Any, Any], y: Mapping[Any, Any], first: str, second: s
 
 
 def check_level(level: float) -> None:
-    """Refuses what is no level of an interval."""
+    """Refuses levels of intervals that are not between 0 and 1.
+
+    Raises:
+        UserError: in one line.
+    """
     if not 0.0 < level < 1.0:
         raise UserError(f"level must lie between 0 and 1, got {level}")

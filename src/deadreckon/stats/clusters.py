@@ -1,12 +1,12 @@
-"""How much rows are worth that lie in clusters, such as batches, and are no independent ones."""
+"""The effective sample size of rows in clusters, such as batches, which are not independent."""
 
 import numpy as np
 
 
 def intraclass(values: np.ndarray, codes: np.ndarray) -> float:
-    """The intraclass correlation of (rows,) values in clusters: the share of their variance that rows of one have in common, by
-    one-way analysis of variance (Donner 1986, eq. 2.2), in [0, 1]; 0 where each row is a cluster, and 1 where all are one, as
-    nothing tells.
+    """The intraclass correlation of (rows,) values in clusters: the share of their variance that is between clusters, by
+    one-way analysis of variance (Donner 1986, eq. 2.2), in [0, 1]; 0 if each row is a cluster, and 1 if all rows are one, when
+    it cannot be estimated.
 
     Args:
         values: (rows,).
@@ -27,11 +27,11 @@ def intraclass(values: np.ndarray, codes: np.ndarray) -> float:
 
 
 def effective(codes: np.ndarray, *values: np.ndarray) -> float:
-    """How many independent rows rows in clusters are worth, the number of clusters at least.
+    """Effective number of independent rows among rows in clusters, at least the number of clusters.
 
-    n / (1 + (m - 1) r), with m the size of the cluster that a row is in, in the mean over rows, and r the intraclass
-    correlation: of one list of values for what is said of these (Kish 1965), the product of both for a correlation or
-    regression of one on the other (Scott and Holt 1982).
+    n / (1 + (m - 1) r), with m the mean over rows of the size of a row's cluster, and r the intraclass correlation: of one list
+    of values for statistics of these (Kish 1965), the product of both for a correlation or regression of one on the other
+    (Scott and Holt 1982).
 
     Args:
         codes: (rows,) 0, 1, ..., the cluster of each row.

@@ -1,4 +1,4 @@
-"""Two methods, all of a table, two sets of tasks, or groups of runs: intervals of differences, and which cells are bold."""
+"""Comparisons of two methods, of two sets of tasks, of groups of runs, or of all methods of a table (the bold cells)."""
 
 import math
 from bisect import bisect_left
@@ -17,11 +17,11 @@ _SIDES = "our scores", "their scores"
 
 @dataclass(frozen=True)
 class Difference(Interval):
-    """Ours less theirs, with its interval.
+    """Our mean minus theirs, with its interval.
 
     Attributes:
-        p: two-sided; of a difference this far from zero if there were none.
-        p_better: one-sided; of a difference this great if ours were no better.
+        p: two-sided p-value, for the hypothesis that there is no difference.
+        p_better: one-sided p-value, for the hypothesis that ours is not better.
         dof: degrees of freedom of Student's t.
     """
 
@@ -35,14 +35,14 @@ def paired(ours: Scores, theirs: Scores, level: float = LEVEL) -> Difference:
 
     Run i of ours and run i of theirs share a seed. Each task's mean difference has the variance s^2 / n of its own
     differences, and the mean over T tasks that of their sum / T^2, with degrees of freedom after Welch and Satterthwaite;
-    for one task it is the paired t-test. Tasks are fixed and only runs are due to chance, as in `interval`: a t-test over
+    for one task it is the paired t-test. Tasks are fixed and only runs are random, as in `scores.interval`: a t-test over
     all differences together would count it as noise that a method gains more on one task than on another, and one over the
-    tasks' means asks about tasks that nobody ran. Unlike the bootstrap it allows for few seeds, if differences are roughly
-    normal. Seeds are taken as independent between tasks, whose data and networks differ. A task of one run makes limits and
-    p NaN. Differences that are all the same within every task leave no doubt (p = 0), or, of no size, no finding (p = 1).
+    tasks' means generalises to tasks that were not run. Unlike the bootstrap it is valid for few seeds, if differences are
+    roughly normal. Seeds are taken as independent between tasks, whose data and networks differ. A task of one run makes limits
+    and p NaN. If differences are equal within every task, the standard error is zero, and p is 0, or 1 if their mean is zero.
 
     Raises:
-        UserError: tasks that are not the same, other numbers of runs, or what `interval` raises.
+        UserError: different tasks or numbers of runs, or what `scores.interval` raises.
     """
     check_level(level)
     gaps = _gaps(ours, theirs)
@@ -65,7 +65,7 @@ def _gaps(ours: Scores, theirs: Scores) -> list[np.ndarray]:
 
 
 def paired_within(ours: Scores, theirs: Scores, extent: float, level: float = LEVEL) -> Interval:
-    """As `paired`, of scores within a range, where tasks whose differences are all the same are not taken as certain.
+    """As `paired`, for scores within a range: tasks whose differences are all the same are not taken as certain.
 
     Student's interval has no width where a metric such as the regret is the same in every run, though other runs may differ. Of
     n differences that are all c, another value has a probability of at most q = 1 - a^(1/n), at level 1 - a (Clopper and
@@ -75,7 +75,7 @@ def paired_within(ours: Scores, theirs: Scores, extent: float, level: float = LE
 
     Args:
         ours, theirs: as in `paired`.
-        extent: greatest less least value that a score can have.
+        extent: greatest minus least value that a score can have.
         level: of the interval.
 
     Raises:
@@ -97,14 +97,14 @@ def paired_within(ours: Scores, theirs: Scores, extent: float, level: float = LE
 
 
 def more_runs(found: Difference, runs: int, bound: float, level: float = LEVEL, wanted: float | None = None) -> int | None:
-    """How many more runs of each task bring a bound out of the interval of `paired`, if mean and variances stay as they are.
+    """Number of further runs of each task with which the interval of `paired` excludes a bound, if mean and variances stay.
 
     Args:
-        found: of `paired`.
-        runs: that each task had.
+        found: result of `paired`.
+        runs: number of runs of each task.
         bound: such as 0.
-        level: that `found` has.
-        wanted: level of the interval that the bound is to be out of; None: the same.
+        level: of `found`.
+        wanted: level of the interval that is to exclude the bound; None: the same.
 
     Returns:
         0 where the bound lies outside already; None where it is the mean itself, to a millionth of the interval, or where
@@ -117,7 +117,7 @@ def more_runs(found: Difference, runs: int, bound: float, level: float = LEVEL, 
         return None
 
     def half(count: int) -> float:
-        """Of the interval; degrees of freedom grow as runs do."""
+        """Half-width of the interval for a number of runs, to which degrees of freedom are proportional."""
         first, now = (float(stdtrit(found.dof * (each - 1) / (runs - 1), (1 + at) / 2))
                       for each, at in ((runs, level), (count, wanted)))  # fmt: skip
         return (found.high - found.value) * now / first * math.sqrt(runs / count)
@@ -129,12 +129,12 @@ def more_runs(found: Difference, runs: int, bound: float, level: float = LEVEL, 
 def between(ours: Scores, theirs: Scores, level: float = LEVEL) -> Difference:
     """Mean over our tasks less the mean over theirs, which are other tasks, with Welch's t interval and p.
 
-    Here tasks are what is due to chance, the runs of each being averaged first: it asks whether tasks like ours give more than
-    tasks like theirs. One task on a side makes limits and p NaN. Of two sets of runs, with each run given as a task of its own,
+    Here tasks are random, and the runs of each are averaged first: it tests whether tasks like ours have greater scores than
+    tasks like theirs. One task on a side makes limits and p NaN. For two sets of runs, with each run given as a separate task,
     it is Welch's test.
 
     Raises:
-        UserError: what `interval` raises.
+        UserError: what `scores.interval` raises.
     """
     check_level(level)
     sides = [np.array([runs.mean() for runs in by_task(scores, name).values()]) for scores, name in zip((ours, theirs), _SIDES)]
@@ -175,7 +175,7 @@ def variance_ratio(blocks: Sequence[np.ndarray], level: float = LEVEL) -> Interv
 
 
 def _student(value: float, error: float, dof: float, level: float) -> Difference:
-    """Of a difference with this standard error and these degrees of freedom; without an error there is no doubt."""
+    """A difference with this standard error and these degrees of freedom; its interval has no width if the error is 0."""
     if error == 0.0:
         return Difference(value, value, value, float(value == 0.0), float(1.0 - np.sign(value)) / 2, dof)
     half, t = error * float(stdtrit(dof, (1 + level) / 2)), value / error
@@ -203,11 +203,11 @@ def _two_sided(t: float, dof: float) -> float:
 
 
 def bold(columns: Mapping[str, Scores], level: float = ALPHA) -> dict[str, np.ndarray]:
-    """Which cells of a table are bold: in each row the best mean, and all that Welch's t-test cannot tell from it (p > level).
+    """Which cells of a table are bold: in each row the best mean, and all that do not differ from it by Welch's t-test.
 
-    The test is two-sided, and nothing is corrected for how many methods there are. Bold does not say that methods are
-    equal: the fewer the seeds, the more is bold. Where a cell or the best has one run there is no test, so only the best is
-    bold. Where neither varies, means decide. Cells of the same mean as the best are bold in any case.
+    The test is two-sided (p > level is bold), and not corrected for the number of methods. Bold does not mean that methods are
+    equal: the fewer the seeds, the more cells are bold. Where a cell or the best has one run there is no test, so only the best
+    is bold. Where neither varies, means decide. Cells of the same mean as the best are bold in any case.
 
     Args:
         columns: method -> its scores, higher being better; all methods must have the same tasks.
@@ -233,7 +233,7 @@ def bold(columns: Mapping[str, Scores], level: float = ALPHA) -> dict[str, np.nd
 
 @dataclass(frozen=True)
 class _Cell:
-    """Mean of some runs, its variance, and how many they are."""
+    """Mean of some runs, the variance of this mean, and the number of runs."""
 
     mean: float
     variance: float

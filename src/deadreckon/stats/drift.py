@@ -3,12 +3,12 @@
 Rows of an episode are not independent, so whole units (episodes, or clusters of them) are exchanged and never rows. Each column
 is described by 0/1 features of its rows (is the value at most a quantile; is it this level), of which a unit has the sum. The
 statistic of a column is the largest studentised difference of its features' means, and a column is compared with the largest
-statistic of *all* columns under a permutation (maxT: Westfall and Young 1993). So the chance that any column is accused is at
-most alpha if units are exchangeable, whatever the columns have to do with each other.
+statistic of *all* columns under a permutation (maxT: Westfall and Young 1993). So the probability that any column is reported
+is at most alpha if units are exchangeable, whatever the dependence between columns.
 
-**Looking again and again** is safe because tests are made at fixed numbers of units alone: after 20, 40, 80, ... new units
-(`epochs`), of which the k-th has the share 1 / (k (k + 1)) of alpha. All are made anew from the whole log at each look, so how
-often one looks, and when, changes nothing.
+**Repeated looks** are valid because tests are made only at fixed numbers of units: after 20, 40, 80, ... new units (`epochs`),
+of which the k-th has the share 1 / (k (k + 1)) of alpha. All are computed again from the whole log at each look, so results do
+not depend on how often and when one looks.
 """
 
 from collections.abc import Sequence
@@ -17,18 +17,18 @@ from typing import NamedTuple
 import numpy as np
 
 FIRST = 20  # new units before the first test
-MOST = 4_000  # units on each side that a test looks at; of more, so many drawn at random
+MOST = 4_000  # most units of either sample in a test; of more, a random sample is used
 THRESHOLDS = 16  # quantiles at which the distribution of numbers is compared
-ENOUGH = 20  # permutations at least as extreme, after which there is no doubt (Besag and Clifford 1991)
-BLOCK = 256  # permutations at once
+ENOUGH = 20  # permutations at least as extreme after which sampling stops (Besag and Clifford 1991)
+BLOCK = 256  # permutations at a time
 
 
 class Epoch(NamedTuple):
-    """A test that is made once there are so many new units.
+    """A test that is made once there are `stop` new units.
 
     Attributes:
         start, stop: the new units that are compared.
-        alpha: chance that it accuses anything without reason.
+        alpha: its probability of a false alarm.
     """
 
     start: int
@@ -37,9 +37,9 @@ class Epoch(NamedTuple):
 
 
 def epochs(units: int, alpha: float) -> list[Epoch]:
-    """The tests that are due after so many new units: of all units so far, and of the newer half of them, by turns.
+    """The tests that are due after so many new units: at each size one of all new units, and one of their newer half.
 
-    The latter see a change that came late. The chances of all that can ever be made add up to `alpha`.
+    The latter detect late changes. The probabilities of a false alarm of all possible tests add up to `alpha`.
     """
     out, stop, k = [], FIRST, 1
     while stop <= units:
@@ -64,14 +64,14 @@ def test(
     reference: Sequence[np.ndarray], new: Sequence[np.ndarray], sizes: tuple[np.ndarray, np.ndarray], alpha: float,
     rng: np.random.Generator,
 ) -> np.ndarray:  # fmt: skip
-    """p-values of columns, corrected for their number: the chance that any is at most alpha without a change is at most alpha.
+    """p-values of columns, corrected for their number: without a change, any is at most alpha with probability alpha or less.
 
     Args:
-        reference: a column each, (units, features) sums of its features over the rows of each unit.
+        reference: for each column (units, features) sums of its features over the rows of each unit.
         new: the same of the new units.
         sizes: (units,) rows of each unit of the reference, and of the new ones.
-        alpha: smallest p-value that has to be told from larger ones; it says how many permutations there are at most.
-        rng: draws the permutations.
+        alpha: level of the test, which determines the largest number of permutations.
+        rng: generator of the permutations.
 
     Returns:
         (columns,) p-values.
@@ -81,7 +81,7 @@ def test(
     parts, owner = [], []
     for which, (a, b) in enumerate(zip(reference, new)):
         sums = np.concatenate([a, b]).astype(np.float64)
-        # What a unit has beyond what its number of rows lets expect; these add up to zero.
+        # Sums of a unit minus those that are expected for its number of rows; these differences add up to zero.
         rest = sums - rows[:, None] * (sums.sum(0) / rows.sum())
         spread = np.sqrt(few * (many - few) / (many * (many - 1)) * np.square(rest).sum(0))
         varies = spread > 1e-9
@@ -104,9 +104,9 @@ def test(
 
 
 def beyond(reference: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """(columns,) chances that so many new units lie beyond all of the reference without a change.
+    """(columns,) probabilities that, without a change, so many new units lie beyond all of the reference.
 
-    Of exchangeable units the k largest are all new with the chance prod_i (m - i) / (m + n - i): m new ones, n others.
+    The k largest of exchangeable units are all new with probability prod_i (m - i) / (m + n - i): m new ones, n others.
 
     Args:
         reference: (n, columns) the largest value of each unit.

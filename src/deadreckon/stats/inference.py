@@ -7,8 +7,8 @@ from deadreckon.randomness import generator
 from deadreckon.stats.bootstrap import resample_counts
 from deadreckon.stats.interval import ALPHA
 
-N_BOOTSTRAP = 2000  # of the units, for the simultaneous interval
-BEYOND = 10  # bootstrap samples that must lie beyond a quantile
+N_BOOTSTRAP = 2000  # bootstrap samples of the units for the studentised bootstrap
+BEYOND = 10  # least number of bootstrap samples beyond a quantile that is used
 SURE = 0.01  # error rate of a test that weights average one, for each policy
 
 
@@ -25,7 +25,7 @@ def errors(influence: np.ndarray) -> np.ndarray:
 
 
 def student(value: np.ndarray, influence: np.ndarray, alpha: float = ALPHA) -> tuple[np.ndarray, np.ndarray]:
-    """(policies,) ends of value +- t_{n-1} times the standard error, each for itself, by n units."""
+    """(policies,) ends of value +- t_{n-1} times the standard error, for each policy separately, by n units."""
     n = len(influence)
     half = errors(influence) * (special.stdtrit(n - 1, 1 - alpha / 2) if n > 1 else np.inf)
     return value - half, value + half
@@ -35,12 +35,12 @@ def studentised(influence: np.ndarray, seed: int = 0, n_bootstrap: int = N_BOOTS
     """(n_bootstrap, policies) |t| of the means of influence functions over resampled units (bootstrap-t: Efron and Tibshirani
     1993, 12.5).
 
-    A redraw of equal units has no spread: its t is infinite, or zero where it is at the mean itself.
+    A bootstrap sample of equal units has no variance: its t is infinite, or zero if it is at the mean itself.
     """
     n = len(influence)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         psi = (influence - influence.mean(0)) / influence.std(0)
-    # The same for all that is compared with one seed.
+    # The same samples for all estimates that are compared with one seed.
     counts = resample_counts(generator(seed, "resamples"), n, n_bootstrap)
     mean = counts @ psi / n
     variance = np.maximum(counts @ np.square(psi) / n - np.square(mean), 0.0)
@@ -53,8 +53,8 @@ def _reach(t: np.ndarray, n: int, alpha: float) -> np.ndarray:
     """The quantile of (n_bootstrap, *) studentised means at level 1 - alpha, and never below Student's for n - 1 degrees of
     freedom, which is exact for one normal estimate.
 
-    Far out, where fewer than `BEYOND` bootstrap samples lie beyond it, it is the last quantile that has so many, times the
-    ratio of Student's. Infinite where there are no more samples than these.
+    If fewer than `BEYOND` bootstrap samples lie beyond it, it is the last quantile with so many, times the ratio of Student's
+    quantiles. Infinite if there are no more samples than these.
     """
     student = lambda level: special.stdtrit(n - 1, 1 - level / 2)  # noqa: E731
     least = BEYOND / (len(t) + 1)
@@ -68,7 +68,8 @@ def _reach(t: np.ndarray, n: int, alpha: float) -> np.ndarray:
 def intervals(
     value: np.ndarray, influence: np.ndarray, alpha: float = ALPHA, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(policies,) ends of intervals, each for itself, by redrawn units; they adapt to skewed scores. Endless for one unit."""
+    """(policies,) ends of intervals, for each policy separately, by the studentised bootstrap over units, which adapts to
+    skewed scores; infinite for one unit."""
     n, error = len(influence), errors(influence)
     if n < 2:
         return np.full(len(value), -np.inf), np.full(len(value), np.inf)
@@ -80,7 +81,7 @@ def intervals(
 def beside(half: np.ndarray, deviations: np.ndarray, alpha: float = ALPHA) -> np.ndarray:
     """(policies,) half-widths of intervals of estimates that have a second, independent error.
 
-    It is the root of the sum of the squares of both half-widths, an interval which misses at most as often as either of them
+    It is the root of the sum of the squares of both half-widths; this interval misses at most as often as either of them
     (Banerjee 1960).
 
     Args:
@@ -97,8 +98,8 @@ def beside(half: np.ndarray, deviations: np.ndarray, alpha: float = ALPHA) -> np
 def simultaneous(influence: np.ndarray, alpha: float = ALPHA, seed: int = 0) -> float:
     """The factor c for which value +- c times the standard error holds for all policies at once, at level 1 - alpha.
 
-    The quantile of max_j |t_j| over redrawn units, where t_j is the studentised mean of the j-th influence function (Romano and
-    Wolf 2005). It adapts to skewed scores and to estimates that vary together.
+    The quantile of max_j |t_j| over resampled units, where t_j is the studentised mean of the j-th influence function (Romano
+    and Wolf 2005). It adapts to skewed scores and to correlated estimates.
 
     Args:
         influence: (units, policies), mean zero.
@@ -106,10 +107,10 @@ def simultaneous(influence: np.ndarray, alpha: float = ALPHA, seed: int = 0) -> 
         seed: of the bootstrap.
 
     Returns:
-        The factor; infinite where there are fewer than two units, or where the bootstrap samples do not reach so far.
+        The factor; infinite if there are fewer than two units, or too few bootstrap samples.
     """
     n = len(influence)
-    with np.errstate(over="ignore"):  # where products of weights are huge, and the interval has no ends
+    with np.errstate(over="ignore"):  # products of weights may overflow; the interval is infinite then
         psi = influence[:, influence.std(0) > 0]
     if n < 2:
         return np.inf
@@ -127,7 +128,7 @@ def gains(
         influence: (units, policies) of these.
         against: index of the one that is subtracted.
         alpha: share of logs for which one of the intervals may miss.
-        known: (policies,) whether anything is known of an estimate; the intervals of the others are endless. None: of all.
+        known: (policies,) whether an estimate is valid; the intervals of the others are infinite. None: all are.
         seed: of the bootstrap.
 
     Returns:

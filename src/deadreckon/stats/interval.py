@@ -1,10 +1,10 @@
-"""A number with its interval, and the level that intervals have unless told otherwise."""
+"""A number with its interval, and the default level of intervals."""
 
 import math
 from dataclasses import dataclass
 from statistics import NormalDist
 
-REVISION = 3  # of how intervals are made, in all of `stats`; raised where their ends change (see bench/identity.py)
+REVISION = 3  # of the computation of intervals in all of `stats`; raised when their ends change (see bench/identity.py)
 ALPHA = 0.05  # share of cases in which an interval misses
 LEVEL = 1.0 - ALPHA
 NORMAL = NormalDist().inv_cdf(1.0 - ALPHA / 2)  # half of a normal's interval at `LEVEL`, in standard deviations
@@ -35,21 +35,21 @@ class Interval:
 
 
 def decimals(*values: float) -> int:
-    """How many decimals to show of numbers that stand together: two, or more where all are so small that two would hide them.
+    """Number of decimals for numbers that are shown together: two, or more if all are too small for two.
 
-    The largest in size keeps two digits that are not zero.
+    The largest in size keeps two significant digits.
     """
     most = max((abs(value) for value in values if math.isfinite(value)), default=0.0)
     return 2 if most == 0.0 else max(2, 1 - math.floor(math.log10(most)))
 
 
 def fixed(value: float, digits: int, sign: str = "") -> str:
-    """A number with so many decimals; in powers of ten from a thousand millions on, which products of weights exceed by far."""
+    """A number with so many decimals; from 1e9 on in scientific notation, as products of weights can be far larger."""
     large = math.isfinite(value) and abs(value) >= 1e9
     return f"{value:{sign}.2e}" if large else f"{value:{sign}.{digits}f}"
 
 
 def level_in_words(level: float) -> str:
-    """A level in words, never as 100 %, which no interval has: late looks have levels that three digits do not show."""
+    """A level in words, with enough digits not to show 100 %, to which levels of late looks would be rounded."""
     digits = next((d for d in range(3, 17) if float(f"{100 * level:.{d}g}") < 100), 17)
     return f"{100 * level:.{digits}g} %"

@@ -7,7 +7,7 @@ from deadreckon.stats.interval import ALPHA, Interval
 
 
 def student(x: np.ndarray, alpha: float = ALPHA) -> tuple[float, float]:
-    """mean +- t_{n-1} s / sqrt(n): right for many episodes, or normal ones."""
+    """mean +- t_{n-1} s / sqrt(n): valid for many numbers, or normal ones; infinite for one number."""
     n = len(x)
     if n < 2:
         return -np.inf, np.inf
@@ -16,7 +16,7 @@ def student(x: np.ndarray, alpha: float = ALPHA) -> tuple[float, float]:
 
 
 def mean_interval(x: np.ndarray) -> Interval:
-    """The mean with Student's interval at `LEVEL`, which one number alone does not have."""
+    """The mean with Student's interval at `LEVEL`, whose ends are NaN for one number."""
     return Interval(float(x.mean()), *(student(x) if len(x) > 1 else (np.nan, np.nan)))
 
 

@@ -5,13 +5,13 @@ from jaxtyping import Float
 
 
 def spearman(a: np.ndarray, b: np.ndarray) -> float:
-    """The rank correlation of two (rows,) lists, ties at their mean rank; 0 where one of them is flat."""
+    """The rank correlation of two (rows,) lists, ties at their mean rank; 0 if one of them is constant."""
     flat = np.ptp(a) == 0 or np.ptp(b) == 0
     return 0.0 if flat else float(spearman_of_each(a[None], b[None])[0])
 
 
 def spearman_of_each(a: Float[np.ndarray, "n rows"], b: Float[np.ndarray, "n rows"]) -> Float[np.ndarray, "n"]:
-    """`spearman` of many pairs of lists at once, of which a flat one makes NaN."""
+    """`spearman` of many pairs of lists at once; NaN if one of a pair is constant."""
     from scipy.stats import rankdata  # slow to import, and few need it
 
     x, y = (ranks - ranks.mean(1, keepdims=True) for ranks in (rankdata(each, axis=1) for each in (a, b)))

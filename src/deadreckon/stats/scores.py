@@ -1,8 +1,8 @@
-"""What a table of scores says and does not say: means that outliers cannot move, intervals, comparisons, the bold rule.
+"""Statistics of tables of scores: aggregates, intervals, probabilities of improvement and performance profiles.
 
 Aggregates, the stratified bootstrap, the probability of improvement and performance profiles are those of Agarwal et al.
-(2021), "Deep RL at the Edge of the Statistical Precipice" (rliable). All of them speak about the runs that a method might have
-had on these tasks; none speaks about other tasks.
+(2021), "Deep RL at the Edge of the Statistical Precipice" (rliable). All of them describe the distribution of a method's runs
+on these tasks; none generalises to other tasks.
 """
 
 import math
@@ -18,9 +18,9 @@ from deadreckon.stats.bootstrap import resample_counts
 from deadreckon.stats.by_task import Scores, by_task, check_level, numbers, pairs_of
 from deadreckon.stats.interval import LEVEL, Interval
 
-RESAMPLES = 5000  # each limit of a 95 % interval is then right to some 1 % of its width
+RESAMPLES = 5000  # limits of a 95 % interval then have errors of about 1 % of its width
 
-# Of one (..., seeds) array a task, a number or a (...) array of them.
+# From one (..., seeds) array per task to a number, or a (...) array of numbers.
 Statistic = Callable[[list[np.ndarray]], Any]
 
 
@@ -73,7 +73,11 @@ def median(scores: Scores) -> Any:
 
 
 def optimality_gap(scores: Scores, target: float) -> Any:
-    """How far runs fall short of `target`, those beyond it counting as there: mean over tasks of the mean over runs."""
+    """Mean over tasks of the mean over runs of how far a run falls short of `target`, 0 for runs beyond it.
+
+    Raises:
+        UserError: a target that is not finite, or what `by_task` raises.
+    """
     if not math.isfinite(target):
         raise UserError(f"target must be a finite score, got {target}")
     return np.mean([np.maximum(target - x, 0.0).mean(-1) for x in by_task(scores, stacked=True).values()], axis=0)
@@ -87,20 +91,20 @@ def _means(scores: Scores) -> np.ndarray:
 def interval(
     scores: Scores, statistic: Statistic = iqm, level: float = LEVEL, resamples: int = RESAMPLES, seed: int = 0
 ) -> Interval:
-    """A statistic with its percentile bootstrap interval, stratified: runs are redrawn within each task.
+    """A statistic with its percentile bootstrap interval, stratified: runs are resampled within each task.
 
-    Few seeds make it too narrow, because redrawn means of n runs spread by only sqrt((n - 1) / n) of what they should. With
-    3 seeds per task, the 95 % interval of a mean covers the true value in no more than 89 % of cases however many tasks there
-    are (5 seeds: 92 %, 10: 94 %), and of one task alone it runs from the worst run to the best, which hold a symmetric
-    distribution's middle in 75 %. So 3 seeds cannot show that two methods whose intervals just part are different; use
-    `paired`, whose t limits are wider for that reason. A task of a single run would add no width although it varies, so one
-    such task makes the limits NaN.
+    Few seeds make it too narrow, because resampled means of n runs have only sqrt((n - 1) / n) of the standard deviation that
+    they should have. With 3 seeds per task, the 95 % interval of a mean covers the true value in no more than 89 % of cases
+    however many tasks there are (5 seeds: 92 %, 10: 94 %), and for one task alone it is from the worst run to the best, which
+    include the centre of a symmetric distribution in 75 %. So with 3 seeds, intervals that just do not overlap do not show that
+    methods are different; use `comparison.paired`, whose t limits are wider for that reason. A task of a single run would add
+    no width although it varies, so one such task makes the limits NaN.
 
     Args:
         scores: of one method.
         statistic: of one (..., seeds) array a task, reducing the last axis, such as `partial(optimality_gap, target=100)`.
         level: share of cases in which the interval is meant to cover the true value.
-        resamples: redrawn tables.
+        resamples: number of bootstrap samples.
         seed: of the bootstrap.
 
     Raises:
@@ -122,12 +126,12 @@ def probability_of_improvement(
 ) -> Interval:
     """Mean over tasks of P(X > Y) + P(X = Y) / 2 for a run X of ours and a run Y of theirs, with its bootstrap interval.
 
-    By task it is the Mann-Whitney statistic over the number of pairs of runs. Runs of both methods are redrawn within tasks,
-    apart from one another. Where every run of ours beats every run of theirs, so does every redraw: [1, 1] then means that
-    no overlap was seen, not that there is none. Limits are NaN where a task has a single run of either, as in `interval`.
+    By task it is the Mann-Whitney statistic over the number of pairs of runs. Runs of both methods are resampled within tasks,
+    independently. If every run of ours is better than every run of theirs, so is every bootstrap sample: [1, 1] then means that
+    no overlap was observed, not that there is none. Limits are NaN if a task has a single run of either, as in `interval`.
 
     Raises:
-        UserError: tasks that are not the same, or what `interval` raises.
+        UserError: different tasks, or what `interval` raises.
     """
     rng, pairs = _generator(level, resamples, seed), pairs_of(ours, theirs)
     total, redrawn = 0.0, np.zeros(resamples)
@@ -148,14 +152,14 @@ def performance_profile(
 ) -> Profile:
     """The share of runs that score above each threshold, every task counting alike, with a bootstrap band.
 
-    The band is stratified and too narrow for few seeds, as `interval` says, and holds for each threshold by itself, not for
-    the whole curve. Where no run or every run is above, it has no width. It is NaN where a task has a single run.
+    The band is stratified and too narrow for few seeds, see `interval`, and holds for each threshold separately, not for the
+    whole curve. Where no run or every run is above, it has no width. It is NaN if a task has a single run.
 
     Args:
         scores: of one method.
         thresholds: (thresholds,) on the scale of the scores.
         level: of the band.
-        resamples: redrawn tables.
+        resamples: number of bootstrap samples.
         seed: of the bootstrap.
 
     Raises:

@@ -19,9 +19,10 @@ _META = "meta.json"
 
 
 def folder_of(out: Path, what: str, asked: dict[str, Any]) -> Path:
-    """Where the checkpoints of a fit lie: a folder of its own for everything that was asked for, with a note that says it.
+    """The folder of a fit's checkpoints below `out`, named by `what` and a hash of all its settings `asked`, which are also
+    written into it.
 
-    Another version of the package, or other revisions of the training loop, have their own, for their updates may be others.
+    The hash includes the version of the package and revisions of the training loop, whose change may change updates.
     """
     asked = asked | {"version": __version__, "revisions": of_learning()}
     folder = out / f"{what}-{digest(asked, 6)}"
@@ -31,12 +32,12 @@ def folder_of(out: Path, what: str, asked: dict[str, Any]) -> Path:
 
 
 def inherit(folder: Path) -> None:
-    """Lets a fit of more `steps` begin where a shorter one of the same ended, whose newest checkpoint is copied.
+    """Lets a fit continue a shorter one that differs in `steps` alone: the newest checkpoint of that one is copied.
 
-    For learners whose updates do not depend on how many are still to come.
+    For learners whose updates do not depend on the number of updates that remain.
 
     Args:
-        folder: of the fit, from `folder_of`; nothing is done where it has a checkpoint.
+        folder: of the fit, from `folder_of`; nothing is done if it has a checkpoint.
     """
     if any(folder.glob("[0-9]*.npz")):
         return
@@ -47,7 +48,7 @@ def inherit(folder: Path) -> None:
     for _, path in sorted(found, reverse=True):
         try:
             arrays, meta = load_arrays(path)
-        except UserError:  # broken, or gone since; an older one will do
+        except UserError:  # damaged, or removed meanwhile; an older one is used
             continue
         return save_arrays(folder / path.name, arrays, meta)
 
@@ -81,10 +82,10 @@ def save_tree(path: Path, tree: Any, meta: dict[str, Any]) -> None:
 
 
 def load_tree(path: Path, like: Any, lanes: slice | None = None) -> tuple[Any, dict[str, Any]]:
-    """Reads a pytree of the same structure, shapes and dtypes as `like`; of stacked states only some `lanes`, where asked so.
+    """Reads a pytree of the same structure, shapes and dtypes as `like`; with `lanes`, only these of stacked states.
 
     Raises:
-        UserError: the file is broken, or holds something else.
+        UserError: the file is damaged, or holds something else.
     """
     arrays, meta = load_arrays(path)
     if lanes is not None:

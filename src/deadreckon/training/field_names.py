@@ -1,8 +1,8 @@
-"""Hyperparameters under other names: those of older versions, which stand in files, and those of publications.
+"""Other names of hyperparameters: those of older versions, which files may contain, and those of publications.
 
 A setting from a file, a suite or the command line is found by the name of its field; else by the other names that its class
-or a base class has in `other_names`; else by `COMMON`, where one field of the class alone is meant. Python calls take the names
-of fields alone.
+or a base class has in `other_names`; else by `COMMON`, if exactly one field of the class is meant. Python calls take only the
+names of fields.
 """
 
 import dataclasses
@@ -29,7 +29,7 @@ COMMON = {
 
 
 def meant(kind: type, name: str) -> list[str]:
-    """The fields of a class that a name may mean: one where it is clear, none where nothing is known of the name."""
+    """The fields of a class that a name may mean: one if the name is unambiguous, none if it is unknown."""
     fields = {field.name for field in dataclasses.fields(kind)}
     if name in fields:
         return [name]

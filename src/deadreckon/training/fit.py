@@ -1,4 +1,7 @@
-"""The one training loop: chunks of updates, checkpoints, resume, and lanes that diverge (NaN or infinite numbers)."""
+"""The one training loop: chunks of updates, checkpoints, resume, and lanes that diverge (NaN or infinite numbers).
+
+Lanes are the fits that one compiled program trains at once, such as the seeds of a run.
+"""
 
 import contextlib
 import re
@@ -25,7 +28,7 @@ from deadreckon.training.program import PARAMETERS, advance, begin, choose, fini
 from deadreckon.training.replay import Experience
 from deadreckon.training.sources import source_of
 
-KEPT = 2  # checkpoints on disk: the newest, and one more in case the disk lies about having written it
+KEPT = 2  # checkpoints on disk: the newest, and one more in case the disk has not completely written it
 
 
 class Failure(NamedTuple):
@@ -75,17 +78,21 @@ class Fit:
     """A fit that runs chunk by chunk, and can be stopped anywhere and resumed.
 
     Attributes:
-        learners: one per lane, alike in everything but float fields.
-        rows: the log or the designs as the learners need them, or experience that grows while they learn; or a sequence of logs
+        learners: one per lane, which differ in float fields alone.
+        rows: the log or the designs as the learners need them, or experience that grows during training; or a sequence of logs
             of one shape, one a lane.
         seeds: one per lane.
         steps: updates in all.
-        chunk: most updates between two looks from outside; also what a kill can lose.
+        chunk: most updates between two values of `chunks`; also the most that an interruption can lose.
         folder: of the checkpoints; None keeps nothing on disk.
         stream: fetch batches from the host instead of keeping the log on the device; None decides by memory.
         sight: settings for image observations.
         stops: further steps at which a chunk must end, such as evaluations, as a period; 0 for none.
-        each: what every lane learns from: `rows`, or its own of them.
+        each: the rows that each lane is trained on: `rows`, or those of its log.
+
+    Raises:
+        UserError: numbers out of range or of different lengths, lanes that need different batches or programs, or a learner
+            that cannot be trained online.
     """
 
     learners: Sequence[Any]
@@ -116,7 +123,7 @@ class Fit:
         self.learner = lift(self.learners)
         self.roots = jnp.stack([jax.random.key(seed) for seed in self.seeds])
         self.source = source_of(self.rows, self.roots, self.chunk, self.stream)
-        # Chunks and pauses end where blocks do, so that neither changes when a policy acts.
+        # Chunks and stops are whole blocks of updates, so that they do not change when a policy acts.
         block = self.source.block
         self.steps, self.chunk, self.stops = (-(-n // block) * block for n in (self.steps, self.chunk, self.stops))
         self.states = begin(self.learner, [own.spec for own in self.each], self.roots, self.sight)
@@ -129,7 +136,11 @@ class Fit:
         return all(self.failures)
 
     def resume(self) -> None:
-        """Resumes from the newest complete checkpoint in `folder`; a damaged one is reported, and an older one used."""
+        """Resumes from the newest complete checkpoint in `folder`; a damaged one is reported, and an older one used.
+
+        Raises:
+            UserError: all checkpoints are damaged.
+        """
         found = checkpoints(self.folder) if self.folder else []
         problem = None
         for _, path in reversed(found):
@@ -149,17 +160,17 @@ class Fit:
             raise problem
 
     def chunks(self) -> Iterator[Chunk]:
-        """Walks to the end, giving `Chunk` after every chunk.
+        """Trains to the end, and yields a `Chunk` after every chunk.
 
-        The checkpoint is written when the caller comes back for more, so what the caller wrote for a chunk is on disk
-        before it; after a kill in between, the chunk is computed and written again, the same.
+        The checkpoint is written when the caller requests the next chunk, so what the caller wrote for a chunk is on disk
+        before it; after an interruption in between, the same chunk is computed and written again.
         """
         refresh = self._refresh
         prepares = hasattr(self.learners[0], "prepare")
         with self.source as source:
             if self.step == 0:
                 self.save()
-            self._forget()  # a kill may have come between the last checkpoint and this
+            self._forget()  # the last run may have been killed before it did this
             while self.step < self.steps and not self.ended:
                 if prepares and (self.step == 0 or (refresh and self.step % refresh == 0)):
                     self._prepare()
@@ -218,7 +229,7 @@ class Fit:
         for i, (learner, own, state) in enumerate(zip(self.learners, self.each, states)):
             assert isinstance(own, TransitionSource)  # `__post_init__` has refused anything else
             key = key_for(self.roots[i], "prepare", self.step)
-            # The first preparation may take hours: a kill loses that of one lane only.
+            # The first preparation may take hours: an interruption loses that of one lane only.
             kept = self.folder / f"prepared-{i}.npz" if self.folder is not None and self.step == 0 else None
             if failures[i] is None:
                 try:
@@ -228,7 +239,7 @@ class Fit:
                         state = learner.prepare(state, own, key, partial(inner, own))
                         if kept is not None:
                             save_tree(kept, state, {})
-                except DivergedError as error:  # what diverged stands before the colon
+                except DivergedError as error:  # the text before the colon names what diverged
                     failures[i] = Failure(f"{str(error).partition(':')[0]} (while preparing)", self.step)
             lanes.append(state)
         self.failures = tuple(failures)
@@ -244,7 +255,7 @@ class Fit:
         self._forget()
 
     def _forget(self) -> None:
-        """Removes what newer checkpoints have made useless."""
+        """Removes files that newer checkpoints have made useless."""
         if self.folder is None:
             return
         for _, path in checkpoints(self.folder)[:-KEPT]:
@@ -257,11 +268,12 @@ def complete(job: Fit, what: str, on_chunk: Callable[[Chunk], None]) -> None:
     """Runs a fit to its end, from its checkpoints if it has any.
 
     Args:
-        job: not yet begun.
-        what: is fitted, for the error.
+        job: a fit that has not begun.
+        what: name of the fit, for the error.
         on_chunk: called after every chunk.
 
     Raises:
+        UserError: all its checkpoints are damaged.
         DivergedError: a lane diverged.
     """
     job.resume()
@@ -284,7 +296,7 @@ def fit(
     stream: bool | None = None,
     on_chunk: Callable[[Chunk], None] = lambda progress: None,
 ) -> Fitted:
-    """Trains in memory, without a folder; see `Fit` for the arguments."""
+    """Trains in memory, without a folder; see `Fit` for the arguments and errors."""
     job = Fit(learners, rows, seeds, steps, chunk=chunk, stream=stream)
     for progress in job.chunks():
         on_chunk(progress)

@@ -20,8 +20,8 @@ class Range:
     """The numbers that a field takes.
 
     Attributes:
-        ge, gt: the least number, or one that all are above.
-        le, lt: the greatest, or one that all are below.
+        ge, gt: lower bound, included (ge) or excluded (gt).
+        le, lt: upper bound, included (le) or excluded (lt).
     """
 
     ge: float = -math.inf
@@ -60,7 +60,7 @@ def host(default: Any) -> Any:
 
 
 class _HostOnly:
-    """What a compiled program finds in a field of the host's: using it there is a mistake, and raises a `TypeError`."""
+    """The value that a compiled program gets for a field of the host; computing with it raises a `TypeError`."""
 
     def __repr__(self) -> str:
         return "read by the host alone"
@@ -70,7 +70,7 @@ HOST_ONLY = _HostOnly()
 
 
 def on_device(learner: Any) -> Any:
-    """A learner as its program sees it, without what the host alone reads, in the settings that it holds too."""
+    """A learner as its compiled program gets it, without the values of fields of the host, also in nested settings."""
     changes = {}
     for field in dataclasses.fields(learner):
         value = getattr(learner, field.name)
@@ -82,13 +82,13 @@ def on_device(learner: Any) -> Any:
 
 
 def range_of(kind: type, field: str) -> Range | None:
-    """What a field of a class takes; None where it is no number."""
+    """The range of a field of a class; None if it has none."""
     return _hints(kind)[field][1]
 
 
 @cache
 def _hints(kind: type) -> dict[str, tuple[Any, Range | None, bool]]:
-    """What `_parted` says of every annotation of a class."""
+    """The result of `_parted` for every annotation of a class."""
     return {name: _parted(hint) for name, hint in typing.get_type_hints(kind, include_extras=True).items()}
 
 
@@ -136,7 +136,7 @@ def _check(name: str, value: Any, kind: type, range_: Range) -> None:
 
 
 def described(learner: eqx.Module) -> str:
-    """All hyperparameters as text, by which results are told apart; `str` leaves out those that have their default's value."""
+    """All hyperparameters as text, which identifies results; `str` leaves out those that have their default."""
     values = ((f.name, getattr(learner, f.name)) for f in dataclasses.fields(learner))
     parts = (f"{name}={described(value) if isinstance(value, eqx.Module) else repr(value)}" for name, value in values)
     return f"{type(learner).__name__}({', '.join(parts)})"

@@ -19,7 +19,7 @@ L = TypeVar("L", bound=eqx.Module)
 
 
 class Learner(Protocol):
-    """Anything iterative: agents, behaviour models, value estimates, dynamics ensembles.
+    """Anything that is trained by updates: agents, behaviour models, value estimates, dynamics ensembles.
 
     Optional, found by name: `prepare(state, rows, key, fit) -> state`, called on the host before the first update and,
     where the learner has a positive `refresh`, again every `refresh` updates; `fit(learner, steps, key)` trains another learner
@@ -41,7 +41,7 @@ class Learner(Protocol):
 
 
 def lift(learners: Sequence[L]) -> L:
-    """One learner whose float fields are (lanes,) arrays; all other fields must agree, they are the program's shape.
+    """One learner whose float fields are (lanes,) arrays; all other fields must agree, as they shape the compiled program.
 
     Raises:
         UserError: a field that is not a float differs between the learners.
@@ -57,7 +57,7 @@ def lift(learners: Sequence[L]) -> L:
     return jax.tree.map(lambda *values: jax.device_put(np.asarray(values, np.float32)), *map(on_device, learners))
 
 
-# On the host, where no program is compiled: on the device these are one for every shape of a leaf.
+# These work on the host, which compiles nothing; on the device each shape of a leaf would be another program.
 def unstack(tree: Any, count: int) -> list[Any]:
     """The parts of a (lanes, ...) tree that belong to each of `count` lanes."""
     host = jax.device_get(tree)

@@ -1,4 +1,4 @@
-"""Lanes of a fit that learn from one log, where others beside them learn from other logs."""
+"""The lanes of a fit that are trained on one of several logs."""
 
 from typing import Any
 
@@ -10,12 +10,12 @@ from deadreckon.training.sources import Source
 
 
 class Part:
-    """Some lanes of a fit, as whoever records their run sees them: a fit that others walk.
+    """Some lanes of a fit, for the recorder of their run: it has the attributes of a fit, but does not train.
 
     Attributes:
         learners: of its lanes.
         seeds: of its lanes.
-        each: the log of its lanes, for each of them.
+        each: the rows of its log, once per lane.
         learner: the learners as one, see `lift`.
     """
 
@@ -46,15 +46,15 @@ class Part:
 
     @property
     def ended(self) -> bool:
-        """Whether all lanes of the fit have failed, those of other logs too: until then it goes on."""
+        """Whether all lanes of the fit have failed, also those of other logs: until then it continues."""
         return self.fit.ended
 
     @property
     def source(self) -> Source:
-        """Where rows come from."""
+        """The source of the rows."""
         return self.fit.source
 
     def of(self, chunk: Chunk) -> Chunk:
-        """What a chunk says of its lanes."""
+        """The part of a chunk for its lanes."""
         metrics = {name: values[self.lanes] for name, values in chunk.metrics.items()}
         return Chunk(chunk.step, self.states, metrics, chunk.failures[self.lanes])

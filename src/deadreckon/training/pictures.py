@@ -19,17 +19,17 @@ from deadreckon.nets.encoder import Encoder, Kind, shifted
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.randomness import keys
 
-REVISION = 1  # raised where what is learned from pictures changes (see bench/identity.py)
-FEATURES = 64  # that an agent sees instead of a picture
-SHIFT = 4  # pixels, the most that pictures of 84 are moved in DrQ-v2; others in proportion
+REVISION = 1  # raised when a change of the code changes training on images (see bench/identity.py)
+FEATURES = 64  # features that an agent gets instead of an image
+SHIFT = 4  # pixels, the largest shift of images of 84 x 84 in DrQ-v2; of others in proportion
 
 
 class Sight(NamedTuple):
     """Settings for image observations.
 
     Attributes:
-        network: that computes features of them; see `nets.encoder.Kind`.
-        shift: pixels, the most that they are moved at random either way.
+        network: kind of encoder; see `nets.encoder.Kind`.
+        shift: pixels, the largest random shift in each direction.
     """
 
     network: Kind = "patches"
@@ -67,7 +67,7 @@ def features_of(spec: Spec) -> Spec:
 
 
 def usual_shift(height: int) -> int:
-    """Pixels, the most that pictures of this height are moved in proportion to `SHIFT`."""
+    """Pixels, the largest shift of images of this height, in proportion to `SHIFT`."""
     return max(1, round(SHIFT * height / 84))
 
 

@@ -1,4 +1,4 @@
-"""Many updates as one compiled program: how rows are packed, drawn and learned from, for all lanes at once.
+"""Many updates as one compiled program: rows are packed, drawn and trained on, for all lanes at once.
 
 All randomness follows from the seed, a purpose (see `randomness`) and the step, and a chunk's length is an argument of the
 program, so neither the chunk length nor where rows come from changes a bit of the result.
@@ -23,11 +23,11 @@ from deadreckon.training.learner import stack, unstack
 from deadreckon.training.pictures import USUAL, Sight
 
 REVISION = 2  # of the loop: rows drawn, keys, order of updates; raised where numbers change (see bench/identity.py)
-PARAMETERS = "parameters"  # what has failed where no metric has, and a state is not finite
+PARAMETERS = "parameters"  # stands for the metric that failed if all metrics are finite, but a state is not
 
 
 class Column(NamedTuple):
-    """Where a batch's field lies in the packed matrix (`start` >= 0) or, for images, that it is its own array."""
+    """The position of a batch's field in the packed matrix (`start` >= 0); images are separate arrays (`start` of -1)."""
 
     name: str
     start: int
@@ -36,7 +36,7 @@ class Column(NamedTuple):
 
 
 def layout_of(fields: dict[str, tuple[tuple[int, ...], Any]]) -> tuple[Column, ...]:
-    """Where fields of given shapes and types lie."""
+    """The positions of fields of given shapes and types."""
     columns, start = [], 0
     for name, (shape, dtype) in fields.items():
         packed = dtype != np.uint8
@@ -46,7 +46,7 @@ def layout_of(fields: dict[str, tuple[tuple[int, ...], Any]]) -> tuple[Column, .
 
 
 def pack(columns: dict[str, np.ndarray], layout: tuple[Column, ...], axes: int) -> dict[str, np.ndarray]:
-    """Columns as one float32 matrix, so that a batch is one gather; images stay beside it. `axes`: leading index axes."""
+    """Columns as one float32 matrix, so that a batch is one gather; images stay separate. `axes`: leading index axes."""
     packed = [columns[c.name] for c in layout if c.start >= 0]
     lead = packed[0].shape[:axes]
     out = {"packed": np.concatenate([p.reshape(*lead, -1).astype(np.float32, copy=False) for p in packed], -1)}
@@ -67,7 +67,7 @@ def unpack(taken: dict[str, Array], layout: tuple[Column, ...], axes: int) -> di
 
 
 class Plan(NamedTuple):
-    """What shapes the compiled chunk; hashable."""
+    """The settings that determine the compiled program of a chunk; hashable."""
 
     layout: tuple[Column, ...]
     batch_size: int
@@ -76,13 +76,13 @@ class Plan(NamedTuple):
     resident: bool
     grows: bool  # each lane has rows of its own, on the device
     logged: int = 0  # rows of each batch that come from a log, which all lanes share; the others are the lane's own
-    n_step: int = 0  # of growing rows: transitions that are summed up to one (`summed`); 0: rows are taken as they are
-    stride: int = 1  # rows between two that follow each other
+    n_step: int = 0  # of growing rows: transitions that are summed to one (`summed`); 0: rows are used as they are
+    stride: int = 1  # distance in rows between a row and the next one of its episode
     gamma: float = 1.0  # discount of these sums
 
 
 def draw(plan: Plan, root: PRNGKeyArray, step: Int[Array, ""], rows: Int[Array, ""]) -> Int[Array, "b *w"]:
-    """Indices of the rows of one batch: the same function whether the rows lie on the device or are fetched."""
+    """Indices of the rows of one batch: the same function whether the rows are on the device or are fetched."""
     key = key_for(root, "rows", step)
     index = jax.random.randint(key, (plan.batch_size - plan.logged,), 0, rows)
     if plan.window:
@@ -99,7 +99,7 @@ def draw_logged(plan: Plan, root: PRNGKeyArray, step: Int[Array, ""], rows: Int[
 def indices(
     plan: Plan, roots: Key[Array, "lanes"], start: Int[Array, ""], rows: Int[Array, ""], length: int
 ) -> Int[Array, "t lanes b *w"]:
-    """Those of `draw`, for `length` steps of all lanes."""
+    """The indices of `draw` for `length` steps of all lanes."""
     steps = start + jnp.arange(length)
     return jax.vmap(lambda step: jax.vmap(lambda root: draw(plan, root, step, rows))(roots))(steps)
 
@@ -120,13 +120,13 @@ def batch_of(plan: Plan, taken: dict[str, Array], initial: dict[str, Array] | No
 
 
 def summed(batch: Batch, inside: Bool[Array, "b n"], gamma: float) -> Batch:
-    """Transitions that follow each other as one of n steps, or of fewer where an episode or what there is ends; see `Batch`.
+    """Consecutive transitions as one of n steps, or of fewer where the episode or the rows end; see `Batch`.
 
-    What comes out has the six columns of a transition and its discount alone.
+    The result has only the columns of a transition and its discount.
 
     Args:
         batch: (b, n, ...) transitions, with the column "timeout" in `extra`.
-        inside: whether these are rows that are there.
+        inside: (b, n) whether each of these rows exists.
         gamma: discount of the sum.
     """
     assert batch.extra is not None
@@ -156,14 +156,14 @@ def advance(
 ) -> tuple[Any, dict[str, Float[Array, "lanes"]], dict[str, Int[Array, "lanes"]]]:
     """Updates `start` .. `stop` - 1 of all lanes as one program.
 
-    The log is an argument, never a closure (that would be compiled in). Nothing is donated: the states from before the
-    chunk are what a failed lane falls back to, for one copy of the states a chunk. Where rows of a log stand beside the lanes'
-    own, `data` holds them as "logged", with their number; where lanes learn from different logs, "spans" has for each lane the
-    first of its rows and how many there are.
+    The log is an argument, never a closure (that would be compiled in). Nothing is donated: a failed lane returns to its state
+    before the chunk, which costs one copy of the states. If batches have rows of a log beside the lanes' own, `data` holds
+    these rows and their number as "logged"; if lanes are trained on different logs, "spans" has the first row and the number of
+    rows of each lane.
 
     Returns:
-        The states, each metric's mean, and per metric the first step at which it was not finite (-1 if none); so too, under
-        `PARAMETERS`, whether the states are finite at the end, unless rows are added as it goes.
+        The states, each metric's mean, and per metric the first step at which it was not finite (-1 if none). Under
+        `PARAMETERS` it is the last step where the final states are not finite; rows that grow have no such entry.
     """
     single = roots.shape[0] == 1
     logged, known = data.get("logged", ({}, 0))
@@ -216,7 +216,7 @@ def advance(
     sums = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
     bad = jax.tree.map(lambda s: jnp.full(s.shape, -1, jnp.int32), shapes)
     states, sums, bad = jax.lax.fori_loop(start, stop, body, (states, sums, bad))
-    if not plan.grows:  # a chunk of experience is many calls: its end is looked at once
+    if not plan.grows:  # a chunk of experience is many calls: `Fit` checks its final states
         bad[PARAMETERS] = jnp.where(finite(states), -1, stop - 1)
     count = jnp.maximum(stop - start, 1)
     return states, jax.tree.map(lambda s: s / count, sums), bad
@@ -229,13 +229,13 @@ def begin(learner: Any, specs: Sequence[Spec], roots: Key[Array, "lanes"], sight
         learner: see `learner.lift`.
         specs: of the log of each lane.
         roots: keys of the lanes.
-        sight: how pictures are seen, where there are any.
+        sight: settings for image observations.
 
     Raises:
         UserError: states of lanes differ in their sizes, as their logs do.
     """
-    # Not compiled as a whole: what draws a layer is compiled once a shape, and serves all lanes, agents and logs. One
-    # program an agent and log gives the same bits and takes half a second to ten seconds to compile.
+    # Not compiled as a whole: the initialisation of a layer is compiled once per shape, for all lanes, agents and logs. One
+    # program per agent and log would give the same bits and take half a second to ten seconds to compile.
     keys = [key_for(jax.random.wrap_key_data(root), "init") for root in np.asarray(jax.random.key_data(roots))]
     made = zip(unstack(learner, len(specs)), specs, keys)
     states = [pictures.first_state(own, spec, key, sight) for own, spec, key in made]
@@ -260,5 +260,5 @@ def finite(states: Any) -> Array:
 
 @jax.jit
 def choose(take_new: Array, new: Any, old: Any) -> Any:
-    """Of two stacks (lanes, ...) each lane from the one that (lanes,) says."""
+    """Each lane from `new` (lanes, ...) where `take_new` (lanes,) is true, else from `old`."""
     return jax.tree.map(lambda n, o: jnp.where(take_new.reshape(-1, *[1] * (n.ndim - 1)), n, o), new, old)

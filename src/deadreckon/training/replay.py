@@ -22,10 +22,10 @@ class Experience(Protocol):
     """Rows from the learners' own policies, collected alternately with updates.
 
     Attributes:
-        block: updates between two turns of acting; also the unit in which runs are paused and saved.
-        logged: rows of each batch that come from a log instead, which `extend` gives beside the lanes' own; 0 without one.
-        copies: of the environment in a lane; row r + copies is what followed row r.
-        metrics: numbers of its own, each (lanes,), that are told with those of the updates.
+        block: updates between two collections of rows; runs are paused and saved after whole blocks.
+        logged: rows of each batch that come from a log, which `extend` returns beside the lanes' own; 0 without a log.
+        copies: number of environments in a lane; row r + copies follows row r.
+        metrics: further metrics, each (lanes,), that are reported with those of the updates.
         needs, spec, view, fields: as of `TransitionSource`.
     """
 
@@ -40,7 +40,7 @@ class Experience(Protocol):
 
     @property
     def count(self) -> int:
-        """Rows to learn from, the same in every lane."""
+        """Number of rows to train on, the same in every lane."""
         ...
 
     @property
@@ -49,24 +49,24 @@ class Experience(Protocol):
         ...
 
     def extend(self, learner: Any, states: Any, roots: Key[Array, "lanes"], step: int) -> tuple[Any, dict[str, Array]]:
-        """Acts until the updates `step` .. `step + block - 1` have the rows they are due.
+        """Acts until there are the rows for the updates `step` .. `step + block - 1`.
 
         Returns:
-            The states, in which it may have put what it made of the rows, and all rows, lanes first; with a log also "logged",
-            its rows and their number.
+            The states, which it may have updated from the rows, and all rows, lanes first; with a log also "logged", its rows
+            and their number.
         """
         ...
 
     def flush(self) -> None:
-        """Puts what is not yet on disk there."""
+        """Writes rows that are not yet on disk."""
         ...
 
     def state(self) -> dict[str, np.ndarray]:
-        """What the future depends on beside the rows on disk."""
+        """The state, beside the rows on disk, on which later rows depend."""
         ...
 
     def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Goes on where `state` was taken; rows that came after it are forgotten."""
+        """Continues from a `state`; rows that were added after it are dropped."""
         ...
 
 
@@ -77,19 +77,19 @@ def _write(
     return jax.lax.dynamic_update_slice(buffer, rows, (0, at, column))
 
 
-AMENDED = 1024  # rows that are written at a time where columns are amended: one program for all numbers of them
+AMENDED = 1024  # rows that `amend` writes at a time, so that one compiled program serves any number of rows
 
 
 class Replay:
-    """Float32 rows of equal width for several lanes: on the device for learning, and in an append-only file per lane.
+    """Float32 rows of equal width for several lanes: on the device for training, and in an append-only file per lane.
 
     Args:
         width: numbers per row.
         capacity: most rows per lane.
-        lanes: how many.
-        learnable: makes of rows as they are kept what learners see.
+        lanes: number of lanes.
+        learnable: function from (lanes, k, width) rows as they are stored to rows as learners get them.
         paths: of the files, one per lane; none keeps nothing on disk.
-        learned: numbers per row as learners see it; None: as many.
+        learned: numbers per row as learners get it; None: `width`.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class Replay:
         self._waiting: list[np.ndarray] = []  # (lanes, k, width) blocks that are not on disk yet
 
     def append(self, rows: Float[np.ndarray, "lanes k w"]) -> None:
-        """Adds rows behind those that are there; they are on disk after the next `flush`."""
+        """Appends rows; they are on disk after the next `flush`."""
         assert self.count + rows.shape[1] <= self.buffer.shape[1], "the replay buffer is full"
         self.buffer = _write(self.buffer, self.learnable(rows), self.count)
         self.count += rows.shape[1]
@@ -115,11 +115,11 @@ class Replay:
             self._waiting.append(rows)
 
     def amend(self, first: int, columns: Float[np.ndarray, "lanes n c"]) -> None:
-        """Writes the last columns of the rows from `first` on anew, as learners see them; nothing of it goes to the files.
+        """Replaces the last columns of the rows from `first` on, as learners get them, but not in the files.
 
         Args:
-            first: row.
-            columns: of all rows, also of those that are not there yet.
+            first: first row.
+            columns: (lanes, capacity, c) of all rows, also of those that do not exist yet.
         """
         capacity, column = self.buffer.shape[1], self.buffer.shape[2] - columns.shape[-1]
         span = min(AMENDED, capacity)
@@ -128,11 +128,11 @@ class Replay:
             self.buffer = _write(self.buffer, columns[:, at : at + span], at, column)
 
     def set(self, lane: int, row: int, column: int, value: float) -> None:
-        """Changes one number of a row in the file, whose other rows stay, and which `restore` then reads."""
+        """Changes one number of a row in the file of a lane, which `restore` then reads."""
         write_at(self.paths[lane], (row * self.width + column) * 4, np.float32(value).data, cut=False)
 
     def flush(self) -> None:
-        """Appends to the files what was added since the last time, and sees it onto the disk.
+        """Appends the rows that were added since the last call to the files, and waits until they are on disk.
 
         Raises:
             UserError: a file cannot be written.
@@ -146,7 +146,7 @@ class Replay:
         self._waiting = []
 
     def restore(self, count: int) -> None:
-        """Takes up the first `count` rows of the files.
+        """Loads the first `count` rows of the files, in place of all others.
 
         Raises:
             UserError: a file is missing or too short.

@@ -1,4 +1,4 @@
-"""Revisions of the code that decides numbers: whoever changes the numbers raises the one that stands in that file."""
+"""Revisions of code that determines results: a change that alters the numbers must raise the revision in its file."""
 
 from typing import Any
 
@@ -7,8 +7,8 @@ from deadreckon.training import program
 
 
 def revisions(made: Any) -> list[int]:
-    """Of a method, a task or the like, or of its class: `revision` of each class that it inherits from and that has one of its
-    own, the nearest first, then those of what it holds, such as the critics of a doubly robust estimator.
+    """Revisions of a method, a task or the like, or of its class: `revision` of each of its classes that defines one, the most
+    derived first; then those of the objects in its fields, such as the critics of a doubly robust estimator.
     """
     kind = made if isinstance(made, type) else type(made)
     own = [vars(each)["revision"] for each in kind.__mro__ if "revision" in vars(each)]
@@ -17,5 +17,5 @@ def revisions(made: Any) -> list[int]:
 
 
 def of_learning() -> dict[str, int]:
-    """Of how rows become batches, and of the training loop."""
+    """Revisions of the making of batches from rows, and of the training loop."""
     return {"batches": batch.REVISION, "training": program.REVISION}

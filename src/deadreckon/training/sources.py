@@ -1,4 +1,4 @@
-"""Where the rows of batches come from: the device, the host, or experience that grows while learners learn."""
+"""Where the rows of batches come from: the device, the host, or experience that grows during training."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -17,20 +17,20 @@ from deadreckon.training.replay import Experience
 
 BLOCK = 65_536  # rows that are packed at a time
 FETCHED = 2**28  # bytes of batches that are fetched from the host at a time
-ROUNDED = 2**28  # bytes up to which a log's rows are rounded up
-RESIDENT_SHARE = 0.4  # of the device's memory that a log may take before its batches are streamed
+ROUNDED = 2**28  # bytes of a log up to which its number of rows is rounded up
+RESIDENT_SHARE = 0.4  # share of the device's memory that a log may take; batches of larger ones are streamed
 
 # Updates `start` .. `stop` - 1: (states, data, start, stop, rows) to states, means of metrics, and when one was not finite.
 Update = Callable[[Any, dict[str, Any], int, int, int], tuple[Any, dict[str, Any], dict[str, Any]]]
 
 
 class Source:
-    """Rows to learn from; entered where the walk begins, left where it ends.
+    """The rows to train on; a context manager that is entered when training begins and left when it ends.
 
     Attributes:
-        plan: what shapes the compiled program.
+        plan: settings of the compiled program.
         initial: columns of initial observations on the device, or None.
-        block: updates between two places where a chunk may end.
+        block: a chunk has a multiple of this number of updates.
     """
 
     plan: Plan
@@ -44,7 +44,7 @@ class Source:
         return None
 
     def advance(self, update: Update, learner: Any, states: Any, start: int, stop: int, end: int) -> tuple[Any, Any, Any]:
-        """The updates `start` .. `stop` - 1 of a walk to `end`.
+        """The updates `start` .. `stop` - 1 of a fit of `end` updates.
 
         Returns:
             States, means of metrics (lanes,), and the first step at which each was not finite (-1: none).
@@ -52,28 +52,28 @@ class Source:
         raise NotImplementedError
 
     def tree(self, states: Any) -> Any:
-        """What a checkpoint holds."""
+        """The pytree that a checkpoint holds."""
         return states
 
     def restore(self, tree: Any) -> Any:
-        """Goes on where a checkpoint was taken; gives its states.
+        """Continues from a checkpoint; returns its states.
 
         Raises:
-            UserError: rows that it counts are not there.
+            UserError: rows that it counts are missing.
         """
         return tree
 
     def flush(self) -> None:
-        """Puts rows that a checkpoint will count on disk."""
+        """Writes rows that the next checkpoint counts to disk."""
 
     @property
     def environment_steps(self) -> int | None:
-        """Steps in the environment so far, in every lane; None of a log."""
+        """Steps in the environment so far, in every lane; None for a log."""
         return None
 
 
 class Resident(Source):
-    """A log that lies on the device."""
+    """A log on the device."""
 
     def __init__(self, rows: BatchSource, plan: Plan):
         self.rows, self.plan = rows, plan
@@ -93,11 +93,11 @@ class Resident(Source):
 
 
 class ResidentLogs(Source):
-    """Logs of one shape, one after the other on the device: each lane draws from the rows of its own.
+    """Logs of one shape, one after the other on the device: each lane draws from the rows of its log.
 
     Args:
         rows: one a lane, the same object for lanes of the same log.
-        plan: what shapes the compiled program.
+        plan: settings of the compiled program.
     """
 
     def __init__(self, rows: Sequence[BatchSource], plan: Plan):
@@ -116,7 +116,7 @@ class ResidentLogs(Source):
 
     def advance(self, update, learner, states, start, stop, end):
         """See `Source`."""
-        return update(states, self.data, start, stop, 0)  # how many rows there are, the spans say for each lane
+        return update(states, self.data, start, stop, 0)  # the spans have the number of rows of each lane
 
 
 class Streamed(Source):
@@ -124,7 +124,7 @@ class Streamed(Source):
 
     def __init__(self, rows: BatchSource, plan: Plan, roots: Key[Array, "lanes"], chunk: int):
         self.rows, self.plan, self.roots = rows, plan, roots
-        # Of pictures the batches of a whole chunk would be gigabytes.
+        # Batches of images for a whole chunk would be gigabytes.
         update = len(roots) * plan.batch_size * max(plan.window, 1) * _row_bytes(rows)
         self.part = min(chunk, max(FETCHED // update, 1))  # updates whose batches are fetched at a time
         self.initial = None if rows.initial is None else jax.device_put(rows.initial)
@@ -139,7 +139,7 @@ class Streamed(Source):
         self.ahead = None
 
     def advance(self, update, learner, states, start, stop, end):
-        """See `Source`; the fetch of what follows is set going."""
+        """See `Source`; also starts to fetch the batches of the next part."""
         means, bad, counts = [], [], []
         for first in range(start, stop, self.part):
             last = min(first + self.part, stop)
@@ -159,13 +159,13 @@ class Streamed(Source):
         return states, mean, {name: _earliest([part[name] for part in bad]) for name in bad[0]}
 
     def _fetch(self, start: int) -> dict[str, Any]:
-        # Always as many draws, so that one compiled program serves the last, shorter part too.
+        # Always the same number of draws, so that the last, shorter part needs no further compilation.
         index = np.asarray(indices(self.plan, self.roots, jnp.int32(start), jnp.int32(self.rows.count), self.part))
         return pack(self.rows.take(index), self.plan.layout, index.ndim)
 
 
 class Growing(Source):
-    """Experience: acting and learning take turns, block by block."""
+    """Experience: acting and updates alternate, block by block."""
 
     def __init__(self, experience: Experience, plan: Plan, roots: Key[Array, "lanes"]):
         self.experience, self.plan, self.roots, self.block = experience, plan, roots, experience.block
@@ -183,7 +183,7 @@ class Growing(Source):
         return states, mean, {name: _earliest([part[name] for part in bad]) for name in bad[0]}
 
     def tree(self, states):
-        """The states and what the experience's future depends on."""
+        """The states of the learners and of the experience."""
         return {"learner": states, "experience": self.experience.state()}
 
     def restore(self, tree):
@@ -230,7 +230,7 @@ def source_of(
 
 
 def _several(rows: Sequence[BatchSource], stream: bool | None) -> Source:
-    """The source for lanes that learn from different logs.
+    """The source for lanes that are trained on different logs.
 
     Raises:
         UserError: the logs differ in the shape of their rows, draw initial observations, or do not fit on the device.
@@ -247,7 +247,7 @@ def _several(rows: Sequence[BatchSource], stream: bool | None) -> Source:
 
 
 def _room(logs: Sequence[BatchSource]) -> int:
-    """Rows of the arrays on the device: rounded up by an eighth at the most, so that logs of about one size share a program."""
+    """Rows of the arrays on the device: rounded up by at most an eighth, so that logs of similar sizes share a program."""
     count = sum(rows.count for rows in logs)
     if sum(rows.nbytes for rows in logs) > ROUNDED:
         return count
@@ -256,7 +256,7 @@ def _room(logs: Sequence[BatchSource]) -> int:
 
 
 def packed_rows(logs: Sequence[BatchSource], layout: tuple[Column, ...]) -> dict[str, np.ndarray]:
-    """All rows of one log after the other as `pack` gives them, made block by block: no second copy of them is in memory."""
+    """All rows of one log after the other as `pack` returns them, made block by block, so that memory holds no second copy."""
     out: dict[str, np.ndarray] = {}
     room, offset = _room(logs), 0
     for rows in logs:
@@ -276,7 +276,7 @@ def _row_bytes(rows: BatchSource) -> int:
 
 
 def _fits(size: int) -> bool:
-    """Whether so many bytes may lie on the device."""
+    """Whether so many bytes may be kept on the device."""
     stats = jax.devices()[0].memory_stats()
     if stats and "bytes_limit" in stats:
         return size < RESIDENT_SHARE * stats["bytes_limit"]
