@@ -1301,8 +1301,8 @@ MUTANTS = (
     ),
     Mutant(
         "greedy-beside-sampled", "runs/player.py",
-        "for folder in (self.owner, self.owner.parent, *records_beside(self.owner, ESTIMATES)):",
-        "for folder in (self.owner,):",
+        "for folder in (owner, owner.parent, *records_beside(owner, ESTIMATES)):",
+        "for folder in (owner,):",
         "a run whose sampled actions were evaluated beside it acts greedily without a word",
         ("cli/test_predict.py::test_a_run_whose_sampled_actions_were_evaluated_beside_it_is_not_used_greedily_without_a_word",),
     ),

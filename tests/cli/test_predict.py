@@ -16,6 +16,7 @@ from deadreckon.data.describe import describe_table
 from deadreckon.data.formats.any_table import read_rows
 from deadreckon.data.schema import Column, Schema
 from deadreckon.files import write_json
+from deadreckon.runs import player
 from deadreckon.runs.decision_record import saved_at
 from deadreckon.runs.train import train
 from tests.recorded import decision
@@ -194,6 +195,10 @@ def test_a_run_whose_sampled_actions_were_evaluated_beside_it_is_not_used_greedi
     assert capsys.readouterr().err == ""
     assert main([*words, "--sampled", "True"]) == 0
     assert "evaluated deterministic (greedy) actions of this policy, but these are sampled" in capsys.readouterr().err
+    file = tmp_path / "offers" / "policies" / "seed0.npz"
+    assert main(["predict", str(file), *words[2:], "--sampled", "True"]) == 0
+    assert "but these are sampled" in capsys.readouterr().err
+    assert not player._draws({"inner": {"kind": "Mixture", "members": [{"inner": {"kind": "Deterministic"}}]}})
 
 
 @pytest.mark.slow

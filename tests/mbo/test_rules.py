@@ -323,3 +323,15 @@ def test_networks_find_good_designs_on_a_grid_with_a_sum(name, more):
     grid = grid[np.abs(grid.sum(1) - 1) < 1e-9].astype(np.float32)
     best = np.sort(made.fitted.predict(grid)[0])[::-1]
     assert made.fitted.predict(made.x)[0] == pytest.approx(best[:4], abs=1e-5 * np.ptp(best))
+
+
+def test_a_number_that_no_rule_holds_stays_however_small_it_is():
+    """The solver's tolerance is 1e-6: values below it came back as others, on a log scale by decades."""
+    rng = np.random.default_rng(0)
+    frame = {"cat": 10 ** rng.uniform(-9, -3, 60), "b": rng.uniform(0, 8, 60), "t": rng.uniform(0, 8, 60)}
+    frame["y"] = rng.normal(size=60)
+    data = Designs.from_frame(frame, "y", logs=["cat"], forbidden=["b > 3.5 & t > 3"])
+    moved, good = data.repair.exact(data.x.astype(np.float64))
+    assert good.all()
+    assert (moved != data.x).any()
+    np.testing.assert_allclose(moved[:, 0], data.x[:, 0], rtol=1e-5)

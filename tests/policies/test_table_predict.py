@@ -42,6 +42,12 @@ def test_a_mixture_keeps_its_member_for_an_episode():
     one_by_one = [[policy.predict({"day": day, "x": 0.0}) for _ in range(4)] for day in (*range(9), 10.0)]
     np.testing.assert_array_equal(one_by_one, days[[*range(9), 10]])
     np.testing.assert_array_equal(policy.predict(frame, seed=2).reshape(50, 4), days)
+    times = pd.DataFrame({"day": pd.to_datetime(np.arange(200) // 4, unit="D"), "x": 0.0})
+    dated = Predictor(policy.player, noted(Dataset.from_frame(frame.assign(day=times["day"].astype(str)), episode="day")))
+    forms = [times, times.assign(day=times["day"].astype("datetime64[us]")), times.assign(day=times["day"].astype(str))]
+    found = [dated.predict(form) for form in forms]
+    np.testing.assert_array_equal(found[0], found[1])
+    np.testing.assert_array_equal(found[0], found[2])
     with pytest.raises(RowsError, match="one member of which acts in all rows of an episode: give the column day of"):
         policy.predict({"x": 0.0})
     told = policy.predict(frame, probabilities=True, greedy=False, seed=1)

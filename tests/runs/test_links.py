@@ -60,10 +60,15 @@ def test_the_links_of_a_tracker_are_left_alone(tmp_path):
         Folder(tmp_path / "run").drop_after(10)
     Run(tmp_path / "run", {}, [], [], []).save(tmp_path / "copy")
     assert [each.name for each in (tmp_path / "copy").iterdir()] == ["status.json"]
+    (tmp_path / "cross").mkdir()
+    (tmp_path / "run").rename(tmp_path / "cross" / "fold0")
+    (tmp_path / "cross" / "fold0" / "run.json").write_text("{}")
+    with Folder(tmp_path / "cross").alone():
+        Folder(tmp_path / "cross").drop_after(10)
     (tmp_path / "other" / "metrics" / "wandb").mkdir(parents=True)
     (tmp_path / "other" / "metrics" / "wandb" / "x").symlink_to(tmp_path / "log")
     (tmp_path / "linked").mkdir()
-    (tmp_path / "linked" / "wandb").symlink_to(tmp_path / "run")
+    (tmp_path / "linked" / "wandb").symlink_to(tmp_path / "cross")
     for path in ("other", "linked"):
         with pytest.raises(UserError, match="is a link, which is not followed"):
             Folder(tmp_path / path).drop_after(10)

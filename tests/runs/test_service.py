@@ -207,6 +207,12 @@ def test_several_actions_arrays_and_histories(tmp_path):
     document = json.loads(ask(found, "GET", "/openapi.json")[2])
     example = document["paths"]["/predict"]["post"]["requestBody"]["content"]["application/json"]["example"]
     assert post(found, example)[0] == 200
+    cross = dr.cross_fit(dr.agents.BC(**NETS), log, out=tmp_path / "cross", steps=3, folds=2, task=False)
+    found = app(Service(predictor(chosen(cross.path).file), "a mixture"))
+    predict = json.loads(ask(found, "GET", "/openapi.json")[2])["paths"]["/predict"]["post"]
+    body = predict["requestBody"]["content"]["application/json"]
+    assert "day" in body["schema"]["oneOf"][0]["required"]
+    assert post(found, body["example"])[0] == 200
     log = dr.Dataset.from_arrays(observations=np.eye(20, 3), actions=np.arange(20) % 2, rewards=np.zeros(20))
     run = train(dr.agents.BC(**NETS), log, out=tmp_path / "arrays", steps=3, task=False)
     found = app(Service(predictor(chosen(run.path).file), "a policy"))

@@ -31,7 +31,8 @@ class Predict:
     """whether to sample actions instead of taking the deterministic (greedy) ones; None: as the decision evaluated them, else
     no"""
     seed: int | None = None
-    """random seed of sampled actions and of the members of a mixture; None: another one each time, which is printed"""
+    """random seed of sampled actions, and of a mixture's members if the log has no column of the episode; None: another one
+    each time, which is printed"""
     outside: Literal["raise", "flag"] = "raise"
     """how to treat rows with unknown levels or values out of range: refuse the table (raise), or mark them (flag) in a column
     outside_the_log, together with those beyond the ranges of the log"""
@@ -88,7 +89,8 @@ def predict(args: Sequence[str]) -> None:
     _write(out, {**{column: _kept(table[column], text) for column, text in kept.items()}, **columns})
     rows, outside = table.num_rows, columns.get("outside_the_log")
     note = "" if outside is None else f", {int(outside.sum()):,} of them outside the log"
-    drawn = f", drawn by the seed {seed}" if sampled or policy.player.members else ""
+    unnamed = policy.player.members and policy.encoder.one.get("episode") is None  # else the name chooses the member
+    drawn = f", drawn by the seed {seed}" if sampled or unnamed else ""
     print(f"{found.words}: actions in {rows:,} rows{drawn}{note}, in {out}")
     if units := policy.encoder.units:
         print(f"units: {', '.join(f'{column} in {unit}' for column, unit in units.items())}")

@@ -27,7 +27,8 @@ class Serve:
     """whether requests that do not say greedy=true or false get sampled actions; None: as the decision evaluated them, else
     no"""
     seed: int | None = None
-    """random seed of sampled actions and of the members of a mixture; None: another one in each process"""
+    """random seed of sampled actions, and of a mixture's members if the log has no column of the episode; None: another one in
+    each process"""
     max_body: int = 1_000_000  # largest body of a request in bytes; a larger one is refused with status 413
     max_rows: int = 10_000  # largest number of rows in a request; more are refused with status 413
 

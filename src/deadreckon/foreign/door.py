@@ -61,13 +61,13 @@ def refuse_links(folder: Path | str, what: str, but: str | None = None) -> None:
     Args:
         folder: need not be there.
         what: the folder is, in words, for the error.
-        but: name of a folder directly in it that may hold links, and be none itself: nothing is read there, or written through
-            them.
+        but: name of a folder that may hold links, and be none itself, directly in it or beside a run.json, as in the folds of a
+            cross-fit: nothing is read there, or written through them.
     """
     for place, folders, names in os.walk(folder):
         for name in (*folders, *names):
             refuse_link(os.path.join(place, name), what)
-        if but in folders and Path(place) == Path(folder):
+        if but in folders and (Path(place) == Path(folder) or "run.json" in names):
             folders.remove(but)
 
 

@@ -184,7 +184,7 @@ def propose_front(
         qualities.append(quality and replace(quality, method=each.target))
     rows = np.flatnonzero(on_front(data))
     pool = candidates(data[0], tuple(processes), low, span, n, seed)
-    pool = pool if repeat else untried(data[0], pool, 2 * n)
+    pool = pool if repeat else untried(data[0], pool, n)
     gains = Gains(processes, pool, data[0].x[rows], point, seed)
     value = Scalarised(tuple(processes), np.ones(len(data)), low, span).mean
     order = gains.greedy(2 * n, value(pool), data[0].coordinates.place(pool), least_distance(data[0]))

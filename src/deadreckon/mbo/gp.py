@@ -52,7 +52,7 @@ class GP(Designer):
         for seed in setting.seeds:
             pool = search(setting.data, process, self.kappa, self.rounds, max(KEPT, 4 * setting.n), seed)
             if setting.distinct and not setting.repeat:
-                pool = untried(setting.data, pool, 2 * setting.n)
+                pool = untried(setting.data, pool, setting.n)
             order = greedy(process, pool, self.kappa, 2 * setting.n)
             if setting.distinct:
                 score = lambda x: sum_of(process, x, self.kappa)  # noqa: E731

@@ -156,6 +156,10 @@ class Program:
                 continue
             value, step = found[self.at[i]], self.steps[i]
             out[i] = value if step is None else round(value) * step.numerator / step.denominator
+        ruled = {column for row, _, _ in self.rows for column in row}
+        for i, v in enumerate(self.variables):  # numbers that no rule holds need not move, however small they are
+            if not v.leveled and self.steps[i] is None and self.at[i] not in ruled:
+                out[i] = np.clip(x[i], v.low, v.high)
         out[list(self.fixed)] = list(self.fixed.values())
         return out
 

@@ -12,11 +12,11 @@ import numpy as np
 
 if __package__:
     from deadreckon.policies.table_encoder import Encoded, TableEncoder, like
-    from deadreckon.policies.table_rows import RowsError, first, flags_of, is_missing, shown
+    from deadreckon.policies.table_rows import RowsError, first, flags_of, is_missing, shown, text_of
     from deadreckon.policies.table_times import times_of
 else:  # copied beside `portable.py`
     from table_encoder import Encoded, TableEncoder, like  # pyrefly: ignore[missing-import]
-    from table_rows import RowsError, first, flags_of, is_missing, shown  # pyrefly: ignore[missing-import]
+    from table_rows import RowsError, first, flags_of, is_missing, shown, text_of  # pyrefly: ignore[missing-import]
     from table_times import times_of  # pyrefly: ignore[missing-import]
 
 OUTSIDE = "outside_the_log"  # the column of a table of predictions
@@ -83,15 +83,21 @@ class Predictor:
         self.steps = max(each.steps for each in (player, *player.members))
         self.drawing = np.random.default_rng()
 
+    @property
+    def by_episode(self) -> bool:
+        """Whether what it does in a row depends on its episode: it acts on several steps, or is a mixture."""
+        return (self.steps > 1 or bool(self.player.members)) and not self.encoder.alone
+
     def predict(
         self, rows: Any, *, probabilities: bool = False, greedy: bool = True, seed: int | np.random.Generator | None = None,
         outside: str = "raise", legal: Any = None,
     ) -> Any:  # fmt: skip
         """The actions in rows of a table.
 
-        A policy on the last steps of episodes needs the log's column of the episode, if that has one, else those that say where
-        episodes end, and each episode's rows in order of time, from its first row on. Where the rows say what was done in
-        them, by the columns of the actions, that is taken for the past; else what the policy does itself.
+        A mixture, and a policy on the last steps of episodes, needs the log's column of the episode, if that has one, else for
+        several rows those that say where episodes end. A policy on the last steps also needs each episode's rows in order of
+        time, from its first row on. Where the rows say what was done in them, by the columns of the actions, that is taken for
+        the past; else what the policy does itself.
 
         Args:
             rows: a data frame (pandas, polars, Arrow), a dictionary of columns, a list of dictionaries or one dictionary, with
@@ -205,8 +211,8 @@ class _Episodes(NamedTuple):
         drawn = rng.integers(count, size=len(self.number))[self.number]
         if self.names is None:
             return drawn
-        texts = [str(int(name) if isinstance(name, float) and name.is_integer() else name) for name in self.names]
-        digests = [hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=8).digest() for text in texts]
+        texts = (text_of(name).encode("utf-8", "surrogatepass") for name in self.names)
+        digests = [hashlib.blake2b(text, digest_size=8).digest() for text in texts]
         return np.array([int.from_bytes(digest, "big") % count for digest in digests], int)[self.number]
 
     @classmethod
@@ -237,7 +243,7 @@ class _Episodes(NamedTuple):
             raise RowsError(f"{where}: give rows by the names of their columns, each episode's in order of time")
         if key is not None and key not in columns:
             raise RowsError(f"{where}: give the column {key} of the episode, and each episode's rows in order of time")
-        names = columns[key].tolist() if key is not None else [0] * rows
+        names = _names(columns[key]) if key is not None else [0] * rows
         ended = _ended(encoder, columns, rows, where, key is None and steps > 1) if steps > 1 or cut else np.zeros(rows, bool)
         moments, order = None, (encoder.schema or {}).get("table", {}).get("dates")
         if time is not None and time in columns and steps > 1:
@@ -280,6 +286,15 @@ class _Episodes(NamedTuple):
                 text = f"row {int(np.argmax(absent))} has no action, and its episode continues"
                 raise RowsError(f"{encoder.name}: {text}; give the action of every row but the last, or of none")
         return cls(number, position, logged, told)
+
+
+def _names(values: np.ndarray) -> list[Any]:
+    """Names of episodes as they are compared and hashed: times as texts, in whatever unit they are given."""
+    if values.dtype.kind != "M":
+        return values.tolist()
+    days = np.array_equal(values, values.astype("datetime64[D]").astype(values.dtype), equal_nan=True)
+    texts = np.datetime_as_string(values, unit="D" if days else "s").tolist()
+    return [None if text == "NaT" else text.replace("T", " ") for text in texts]
 
 
 def _ended(encoder: TableEncoder, columns: Mapping[str, np.ndarray], rows: int, where: str, alone: bool) -> np.ndarray:

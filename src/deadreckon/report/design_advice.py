@@ -102,7 +102,7 @@ def _compared(data: Designs, made: Proposals, chosen: int) -> str:
     if mean > data.y[best]:
         doubt = "" if np.isnan(worst) else f", but the interval reaches {below} it: one measurement of it may be no better"
         return f"{compared} It is {above} {score}{doubt}."
-    return f"{compared} It is not {above} {score}, of which a part may be a lucky measurement."
+    return f"{compared} It is not {above} {score}, part of which may be the noise of that measurement."
 
 
 def _tile(name: str, value: str, more: str | None) -> Markup:

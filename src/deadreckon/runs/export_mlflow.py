@@ -37,8 +37,9 @@ def write_mlflow(one: Subject, function: Pure, rows: Rows, folder: Path) -> list
     named = bool(encoder.observed) and not encoder.masked and function.history == 1
     given: Any = pandas.DataFrame(decoded(encoder, rows.observations)) if named else rows.observations
     episode = encoder.one.get("episode")
-    if named and function.members > 1 and episode is not None and not encoder.alone:  # by which one of the members acts
-        given[episode] = np.arange(len(given))
+    key = next(iter(encoder.ends), None) if episode is None else episode
+    if named and function.members > 1 and key is not None and not encoder.alone:  # one member acts to the end of an episode
+        given[key] = 0 if episode is None else np.arange(len(given))
     with tempfile.TemporaryDirectory() as place, warnings.catch_warnings():
         code, data = Path(place) / "code", Path(place) / "data"
         put_player(one, code, (*PLAYER, LOADER))

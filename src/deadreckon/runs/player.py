@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 from deadreckon.errors import UserError, reading
 from deadreckon.files import read_json
+from deadreckon.policies import portable
 from deadreckon.policies.file import fitting, numpy_player, read_policy
 from deadreckon.policies.table_predict import Predictor
 from deadreckon.runs.decision_record import file_of, is_same, read_results, records_beside
@@ -13,6 +14,7 @@ from deadreckon.runs.records import read_status
 
 ESTIMATES = "estimates.json"  # of `ope` and `recommend`, whose chosen policy is used
 CROSS_FIT = "crossfit.json"
+_CERTAIN = ("Deterministic", "UnboundedDeterministic", "GreedyActions", "ThresholdedPolicy")  # kinds that draw nothing
 
 
 class Chosen(NamedTuple):
@@ -35,16 +37,18 @@ class Chosen(NamedTuple):
     def doubts(self, sampled: bool) -> list[str]:
         """What to say where sampled (or else greedy) actions are to be used, and others were evaluated."""
         folder, judged = (self.decision, self.sampled) if self.decision is not None else self._evaluated()
-        if folder is None or judged == sampled:
+        if folder is None or judged == sampled or not _draws(read_policy(self.file)[0]["policy"]):
             return []
         used, other = ("sampled", "deterministic (greedy)") if sampled else ("deterministic (greedy)", "sampled")
         return [f"{folder} evaluated {other} actions of this policy, but these are {used} (--sampled {not sampled} changes it)"]
 
     def _evaluated(self) -> tuple[Path | None, bool]:
-        """The folder of the newest record in or beside the run's that holds estimates of this policy, and of which actions."""
-        if self.owner is None:
+        """The folder of a record that holds estimates of this policy, and of which actions: that of the run, the one above, or
+        the newest of those beside it."""
+        owner = self.owner or _owner(self.file)
+        if owner is None:
             return None, False
-        for folder in (self.owner, self.owner.parent, *records_beside(self.owner, ESTIMATES)):
+        for folder in (owner, owner.parent, *records_beside(owner, ESTIMATES)):
             try:
                 told = read_results(folder / ESTIMATES)
             except UserError:  # there is none, or one that is damaged or of another version and may be of other policies
@@ -146,6 +150,13 @@ def _decided(path: Path, results: dict[str, Any]) -> Chosen:
         raise UserError(f"{path}: the policy to deploy, {name}, is not at {judged.get('file')}; name its run")
     sampled = not (results.get("estimand") or {}).get("greedy", True)
     return Chosen(file, f"{name}, the policy to deploy by {path}", sampled, _owner(file), path)
+
+
+def _draws(policy: dict[str, Any]) -> bool:
+    """Whether sampled actions of a policy differ from its greedy ones, by its tree in a file."""
+    inner = policy["inner"]
+    parts = portable.parts_of(inner)
+    return any(map(_draws, parts)) if parts else inner["kind"] not in _CERTAIN
 
 
 def _owner(file: Path) -> Path | None:

@@ -104,7 +104,7 @@ def _row(policy: Predictor, told: dict[str, Any]) -> dict[str, Any]:
         names = {"enum": encoder.names}
         properties[key] = {"type": "boolean"} if "of" in column else {"type": "array", "items": names, "minItems": 1}
     required = list(properties)
-    if policy.steps > 1 and told["episode"] is not None:
+    if policy.by_episode and told["episode"] is not None:
         properties[told["episode"]] = {"type": ["string", "number"]}
         required.append(told["episode"])
     return {"type": "object", "properties": properties, "required": required}
@@ -142,7 +142,7 @@ def example(policy: Predictor) -> Any:
         row[key] = column["levels"][0] if column["kind"] == "category" else plain
     for key, column in encoder.allowed.columns.items():
         row[key] = True if column.get("of") is not None else encoder.names
-    if policy.steps > 1 and (key := encoder.one.get("episode")) is not None:
+    if policy.by_episode and (key := encoder.one.get("episode")) is not None:
         row[key] = "1"
     return row
 
