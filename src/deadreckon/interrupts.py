@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM: work ends where it can be gone on with, and leaves word of what it can be gone on from.
+"""SIGINT and SIGTERM: work ends where it can be resumed, and a message says from which files.
 
 Commands listen (`cli/main.py`, and the processes that `bench` begins). A program that imports the package keeps its own
 handlers, and Ctrl-C raises `KeyboardInterrupt` there as ever; nothing is lost by it beyond the chunk in flight.
@@ -19,7 +19,7 @@ _AGAIN = 1.0  # seconds: two signals within them are one, which a terminal and a
 
 _arrived: tuple[int, float] | None = None  # number and time of the first signal
 _held = 0  # chunks whose checkpoint is not yet on disk
-_kept: list[Path] = []  # what the work under way can be gone on from
+_kept: list[Path] = []  # files and folders from which the current work can be resumed
 _last: Callable[[int], Any] = print
 
 
@@ -88,7 +88,7 @@ def arrived() -> int | None:
 
 @contextlib.contextmanager
 def holding() -> Iterator[None]:
-    """A signal waits for the end of the body, which brings to disk what work goes on from; where it fails, for the next one.
+    """A signal waits for the end of the body, which writes what the work is resumed from; if it fails, for the next one.
 
     Raises:
         Interrupted: at the end, a signal has come; at the beginning, one came that something on its way has swallowed.
@@ -114,7 +114,7 @@ def _raise_arrived() -> None:
 
 @contextlib.contextmanager
 def resumable(*paths: Path) -> Iterator[None]:
-    """Says that the same command goes on from what is kept in these files or folders, where the body is interrupted.
+    """If the body is interrupted, a message says that the same command resumes from these files or folders.
 
     Args:
         paths: one that is there when the signal comes is enough.

@@ -225,7 +225,7 @@ def test_a_broken_newest_checkpoint_is_passed_over(tmp_path):
     newest = tmp_path / f"{30:010d}.npz"
     newest.write_bytes(newest.read_bytes()[:100])
     again = Fit([Collector()], rows, [0], 30, chunk=10, folder=tmp_path)
-    with pytest.warns(UserWarning, match=f"passed over, and update 20 is gone on from: {newest}: cannot be read"):
+    with pytest.warns(UserWarning, match=f"skipped, and training resumes from update 20: {newest}: cannot be read"):
         again.resume()
     assert again.step == 20
     for _ in again.chunks():

@@ -167,7 +167,7 @@ def _serve(pipe: Connection, cores: list[int], path: Path, work: Work, idle: boo
     warnings.formatwarning = lambda message, *_, **__: f"deadreckon: warning: {message}\n"  # as the command shows its own
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal's goes to the command too, which ends this process
     listening = interrupts.listening(lambda number: None, (signal.SIGTERM,))
-    # Nobody listens any more, or all shall end: what is on disk is gone on with.
+    # Nobody listens any more, or all shall end: it is resumed from what is on disk.
     try:
         with contextlib.suppress(EOFError, OSError, KeyboardInterrupt), listening:
             while True:

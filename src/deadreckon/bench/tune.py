@@ -88,7 +88,7 @@ def suite(
     agent: str, logs: Sequence[str], settings: Sequence[Mapping[str, Any]], *, by: By, steps: int, seeds: int = 3,
     rows: int | None = None, fixed: Mapping[str, Any] | None = None,
 ) -> Suite:  # fmt: skip
-    """The search as a suite, so that it is run, kept and gone on with as any other.
+    """The search as a suite, so that it is run, kept and resumed as any other.
 
     Args:
         agent: its name.

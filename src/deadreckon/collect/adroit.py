@@ -140,7 +140,7 @@ def cloned_policy(log: Dataset, seed: int = 0, folder: Path | None = None, updat
     Args:
         log: of the demonstrations.
         seed: of the training.
-        folder: of its checkpoints, which a killed collection goes on from.
+        folder: of its checkpoints, from which a killed collection resumes.
         updates: `UPDATES` if None.
     """
     agent = BC()

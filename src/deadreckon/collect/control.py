@@ -52,7 +52,7 @@ def collect_control(
         task: where.
         name: of the recipe, such as `walker-stand-full-replay-v0`.
         steps: rows of the log, a multiple of the 1,000 of an episode. The training is as long whatever they are.
-        scratch: folder of the training, which is gone on with after a kill.
+        scratch: folder of the training, which is resumed after a kill.
         seed: of the training.
         threads: to simulate with.
         progress: called with the environment steps done and those in all.

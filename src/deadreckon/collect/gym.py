@@ -107,7 +107,7 @@ def collect_replay(
         steps: environment steps, the random ones at the beginning included.
         seed: of the training.
         threads: to simulate with.
-        scratch: folder of the training, which is gone on with after a kill.
+        scratch: folder of the training, which is resumed after a kill.
         progress: called with rows done and rows in all.
     """
     run = library.about(task.name)["run"]

@@ -63,7 +63,7 @@ def collect_kitchen(
         task: where, and which kind.
         name: of the recipe, such as `kitchen-mixed-v0`.
         steps: rows; the last episode is cut where they are full, by a timeout.
-        scratch: folder of a collection under way, which is gone on with after a kill.
+        scratch: folder of a collection under way, which is resumed after a kill.
         seed: random seed.
         threads: to simulate with; all cores if None. The log does not depend on it.
         progress: called now and then with the rows done and `steps`.

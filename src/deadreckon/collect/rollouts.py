@@ -96,7 +96,7 @@ def collect_rollouts(
         seed: random seed.
         provenance: of the log.
         threads: to simulate with; all cores if None. The log does not depend on it.
-        scratch: a folder for what is done so far; one left by a killed collection of the same log is gone on with. The
+        scratch: a folder for what is done so far; one left by a killed collection of the same log is resumed. The
             log's columns are memory-mapped there.
         progress: called now and then with the rows done and the rows in all.
 

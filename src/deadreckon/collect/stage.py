@@ -13,7 +13,7 @@ from deadreckon.files import read_json, write_at, write_json
 from deadreckon.tasks.task import Task
 from deadreckon.versions import differences
 
-SCHEME = 1  # of how draws follow from the seed; a collection begun under another one is not gone on with
+SCHEME = 1  # of how draws follow from the seed; a collection begun under another one is not resumed
 FLUSH = 4096  # rows that are kept in memory before they go to the disk
 
 

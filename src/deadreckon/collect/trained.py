@@ -37,7 +37,7 @@ def train_for_rows(
         name: of the recipe, for messages.
         steps: environment steps, the random ones at the beginning included.
         seed: of the training.
-        folder: of the training, which is gone on with after a kill.
+        folder: of the training, which is resumed after a kill.
         provenance: of the log: a folder with the beginning of another is refused.
         threads: to simulate with.
         progress: called with rows done and rows in all.

@@ -92,7 +92,7 @@ class Trainer(eqx.Module):
             spec: of the observations and actions.
             columns: `observation`, `action`, `reward`, `next_observation` and `terminal` of some rows.
             seed: random seed.
-            start: an earlier ensemble, whose weights are gone on from.
+            start: an earlier ensemble, from whose weights the fit starts.
 
         Raises:
             UserError: too few rows.

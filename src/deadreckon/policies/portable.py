@@ -142,10 +142,10 @@ class NumpyPolicy:
     def __call__(self, observations, rng=None, greedy=True, first=None, legal=None):
         """Actions in the environment's bounds, if the policy knows these.
 
-        `rng` (a numpy Generator; without one, what goes on from call to call) is used where draws are needed. `first`: whether
-        an episode begins, for one observation, or (n,) for a batch. A mixture needs it: then it draws who acts, and keeps to
-        it. Without it, an episode begins with the first call and wherever a batch has another size. A policy that acts on the
-        last steps of an episode must be told it in every call. `legal`: (actions,) or (n, actions) truth values, the end of the
+        `rng`: NumPy generator for draws; without one, a generator that continues from call to call. `first`: whether an episode
+        begins, for one observation, or (n,) for a batch. A mixture needs it: it then draws which member acts, and keeps to it.
+        Without it, an episode begins with the first call and wherever a batch has another size. A policy that acts on the last
+        steps of an episode needs it in every call. `legal`: (actions,) or (n, actions) truth values, the end of the
         observations, where these lack it.
         """
         if self.behind is not None:

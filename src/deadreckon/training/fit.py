@@ -154,7 +154,8 @@ class Fit:
             self.step = int(meta["step"])
             self.failures = tuple(None if f is None else Failure(*f) for f in meta["failures"])
             if problem is not None:
-                warnings.warn(f"a checkpoint is passed over, and update {self.step:,} is gone on from: {problem}", stacklevel=2)
+                told = f"a damaged checkpoint is skipped, and training resumes from update {self.step:,}"
+                warnings.warn(f"{told}: {problem}", stacklevel=2)
             return
         if problem is not None:
             raise problem
