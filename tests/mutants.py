@@ -2456,7 +2456,7 @@ MUTANTS = (
     ),
     Mutant(
         "fault-told", "training/fit.py",
-        "if problem is not None:\n                warnings", "if problem is None:\n                warnings",
+        "if problem is not None:\n                told", "if problem is None:\n                told",
         "a broken checkpoint is passed over without a word", ("training/test_fit.py",),
     ),
     Mutant(
