@@ -87,15 +87,19 @@ def all_match(texts: Any, pattern: str) -> bool:
 
 def distinct(values: Any) -> int:
     """How many different values there are, missing ones aside."""
-    if pa.types.is_nested(values.type):  # pyarrow does not compare lists
-        return len(set(map(repr, values.drop_null().to_pylist())))
-    return len(values.drop_null().unique())
+    return len(_different(values))
+
+
+def _different(values: Any) -> Any:
+    """The different values, missing ones aside; of lists, which pyarrow does not compare, their texts."""
+    present = values.drop_null()
+    return set(map(repr, present.to_pylist())) if pa.types.is_nested(values.type) else present.unique()
 
 
 def few_values(values: Any, most: int = MOST_LEVELS) -> Any | None:
     """The different values, missing ones aside, where there are at most `most`; else None, mostly seen in the first block."""
     for part in (values.slice(0, BLOCK), values):  # telling many values apart takes much memory
-        found = part.drop_null().unique()
+        found = _different(part)
         if len(found) > most:
             return None
     return found

@@ -11,7 +11,6 @@ from deadreckon.data.arrow import (
     as_dates,
     compute,
     decoded,
-    distinct,
     few_values,
     is_category,
     is_text,
@@ -22,7 +21,6 @@ from deadreckon.data.legal_columns import is_list
 from deadreckon.data.likeness import FEW
 from deadreckon.data.placeholders import placeholder
 from deadreckon.data.schema import ALLOWED, KINDS, Kind, Role
-from deadreckon.data.scratch import BLOCK
 from deadreckon.errors import UserError, unknown
 
 _EXACT = 2**24  # up to which float32 holds every integer
@@ -84,7 +82,8 @@ def kind_of(column: str, values: Any, role: Role, alone: bool, asked: Kind | Non
 
 def _action(column: str, values: Any, kind: Kind, alone: bool) -> tuple[Kind, str, str]:
     """Whether an action is discrete or continuous."""
-    same = distinct(values.slice(0, BLOCK)) <= 1 and distinct(values) == 1  # telling many values apart takes much memory
+    only = few_values(values, 1)
+    same = only is not None and len(only) == 1
     constant = "is an action that never changes, so nothing is known of other actions" if same else ""
     if kind == "category":
         return kind, "texts", constant or _alike(values)

@@ -43,7 +43,7 @@ class Program:
         variables: of the designs.
         rules: that they must satisfy.
         steps: of the grids of the variables; None: there is none.
-        scale: (variables,) units in which distances are measured.
+        scale: (variables,) of the data, in which bounds of variables without any are assumed (`FURTHEST`).
     """
 
     def __init__(self, variables: Sequence[Variable], rules: Rules, steps: Sequence[Fraction | None], scale: np.ndarray):
@@ -126,14 +126,13 @@ class Program:
             self.rows.append(({self.at[i]: 1.0, out: -reach}, limit - reach, math.inf))
         return out
 
-    def nearest(self, x: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray | None:
+    def nearest(self, x: np.ndarray, scale: np.ndarray) -> np.ndarray | None:
         """(variables,) the nearest design to this one; None: there is none, or it was not found in time.
 
         Args:
             x: (variables,) the design.
-            scale: (variables,) units in which distances from it are measured; None: those of the program.
+            scale: (variables,) units in which distances from it are measured.
         """
-        scale = self.scale if scale is None else scale
         cost = np.zeros(len(self.lows))
         rows = list(self.rows)
         for i, v in enumerate(self.variables):

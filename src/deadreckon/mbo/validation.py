@@ -222,14 +222,9 @@ def unseen(
 
 
 def judged(
-    y: np.ndarray,
-    mean: np.ndarray,
-    std: np.ndarray,
-    fold: np.ndarray,
-    method: str,
-    scored: bool = True,
+    y: np.ndarray, mean: np.ndarray, std: np.ndarray, fold: np.ndarray, method: str, scored: bool = True,
     weight: np.ndarray | None = None,
-) -> Quality:
+) -> Quality:  # fmt: skip
     """The quality of out-of-fold predictions, from (rows,) scores, means, standard deviations, folds and weights; see
     `Quality`."""
     rank = spearman(y, mean)

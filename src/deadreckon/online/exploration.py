@@ -25,6 +25,8 @@ from deadreckon.randomness import key_for, sequence
 from deadreckon.tasks.task import Task
 from deadreckon.training.replay import Replay, read_rows
 
+LARGEST = 1e6  # size of an action of a policy that diverged, which stays finite in the units of the environment
+
 
 @eqx.filter_jit
 def _act(
@@ -42,9 +44,6 @@ def _act(
         return jnp.nan_to_num(action, posinf=LARGEST, neginf=-LARGEST), carry
 
     return jax.vmap(one)(learner, states, seen, carry, roots)
-
-
-LARGEST = 1e6  # size of an action of a policy that diverged, which stays finite in the units of the environment
 
 
 @eqx.filter_jit

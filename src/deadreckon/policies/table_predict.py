@@ -231,12 +231,13 @@ class _Episodes(NamedTuple):
         """
         rows, columns, key, time = len(found.observations), found.columns or {}, *map(encoder.one.get, ("episode", "time"))
         cut = key is None and any(each in columns for each in encoder.ends)  # flags of ends alone tell episodes apart
-        if encoder.alone or (steps == 1 and key not in columns and not cut):
-            needed = key if key is not None else next(iter(encoder.ends), None) if rows > 1 else None
-            if mixture and needed is not None and found.columns is not None and not encoder.alone:
-                what = "of the episode" if key is not None else "which says where one ends (0 where it continues)"
-                why = "this policy is a mixture, one member of which acts in all rows of an episode"
-                raise RowsError(f"{encoder.name}: {why}: give the column {needed} {what}")
+        apart = steps == 1 and key not in columns and not cut  # nothing says how the rows follow one another
+        needed = key if key is not None else next(iter(encoder.ends), None) if rows > 1 else None
+        if mixture and apart and not encoder.alone and needed is not None and found.columns is not None:
+            what = "of the episode" if key is not None else "which says where one ends (0 where it continues)"
+            why = "this policy is a mixture, one member of which acts in all rows of an episode"
+            raise RowsError(f"{encoder.name}: {why}: give the column {needed} {what}")
+        if encoder.alone or apart:
             return cls(np.arange(rows), np.zeros(rows, int), None)
         where = f"{encoder.name}: this policy acts on the last {steps} steps of an episode"
         if found.columns is None:
@@ -250,7 +251,6 @@ class _Episodes(NamedTuple):
             dates = encoder.times not in ("number", "integer")
             moments = times_of(time, columns[time], encoder.name, dates=dates, order=order)
         number, position = np.zeros(rows, int), np.zeros(rows, int)
-        told: list[Any] | None = None if key is None else []
         going: dict[Any, int] = {}  # by name the number of the episode that goes on
         last: list[int] = []  # by number the newest row of the episode
         for row, name in enumerate(names):
@@ -262,8 +262,6 @@ class _Episodes(NamedTuple):
             if before is None or ended[before]:
                 going[name], before = len(last), None
                 last.append(row)
-                if told is not None:
-                    told.append(name)
             number[row] = going[name]
             position[row] = 0 if before is None else position[before] + 1
             if moments is not None and before is not None and moments[before] > moments[row]:
@@ -275,6 +273,7 @@ class _Episodes(NamedTuple):
                 text = f"column {time} is empty in row {empty}; it orders the rows of an episode"
                 raise RowsError(f"{encoder.name}: {text}")
             last[going[name]] = row
+        told = None if key is None else [names[row] for row in np.flatnonzero(position == 0)]
         logged = encoder.logged(columns) if steps > 1 else None
         if logged is not None:
             unknown = (logged < 0)[:, None] if encoder.discrete else np.isnan(logged)
