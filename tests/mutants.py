@@ -1385,6 +1385,100 @@ MUTANTS = (
         ("report/test_design_page.py::test_variables_on_log_scales_that_vary_together_are_told",),
     ),
     Mutant(
+        "costs-that-vary-a-little", "ope/costs.py",
+        "ends[:, 2] += [shift for _, shift in rare]",
+        "ends[:, 2] += [0.0 for _ in rare]",
+        "rare costs that a policy's rows lack by chance count only where all other costs are equal",
+        ("ope/test_losses.py::test_rare_costs_are_added_to_the_upper_end_also_where_costs_vary",),
+    ),
+    Mutant(
+        "costs-of-the-lost", "ope/costs.py",
+        "reliable = doubted(told, support)[1]",
+        "reliable = np.ones(len(told.names), bool)",
+        "a candidate whose weights are lost widens the cost intervals of all",
+        ("ope/test_losses.py::test_a_cost_of_one_policy_does_not_depend_on_a_candidate_whose_weights_are_lost",),
+    ),
+    Mutant(
+        "confounding-of-the-lost", "ope/confounding.py",
+        "] if degenerate\n            else",
+        "] if False\n            else",
+        "bounds under confounding are stated for a policy without weights",
+        ("ope/test_demands.py::test_bounds_of_a_policy_do_not_depend_on_one_whose_weights_are_lost",),
+    ),
+    Mutant(
+        "converged-together", "ope/fits.py",
+        "settled, worst = change <= SETTLED",
+        "settled, worst = np.full(len(names), (change <= SETTLED).all())",
+        "one policy whose critics still change keeps all from being deployed",
+        ("ope/test_case.py::test_a_fit_has_converged_for_each_policy_by_itself",),
+    ),
+    Mutant(
+        "stopped-by-nothing", "ope/critics.py",
+        "jnp.where(known, rate * (loss - self.running), 0.0)",
+        "rate * (loss - self.running)",
+        "batches without rows of early stopping count as without loss",
+        ("ope/test_case.py::test_batches_without_rows_of_early_stopping_say_nothing_about_the_loss",),
+    ),
+    Mutant(
+        "stopped-by-few-rows", "ope/behavior.py",
+        "if rows[out].sum() >= CHECKED / 2 * total:",
+        "if True:",
+        "early stopping rests on a few rows where clusters are of unequal sizes",
+        ("ope/test_case.py::test_early_stopping_has_half_of_its_share_of_the_rows_where_clusters_are_of_unequal_sizes",),
+    ),
+    Mutant(
+        "episodes-of-a-second", "policies/table_predict.py",
+        "texts = np.datetime_as_string(moments).tolist()",
+        'texts = np.datetime_as_string(moments, unit="s").tolist()',
+        "episodes that begin within one second are one",
+        ("policies/test_table_predict.py::test_the_name_of_an_episode_is_the_whole_time_and_not_that_of_other_rows",),
+    ),
+    Mutant(
+        "words-for-true", "policies/table_columns.py",
+        'word_of_truth if self.places.keys() <= {"true", "false"} else str',
+        "str",
+        "a policy whose actions are yes and no cannot be used with legal actions",
+        ("data/test_legal.py::test_actions_that_are_words_for_true_and_false",),
+    ),
+    Mutant(
+        "constant-dimensions", "runs/explain.py",
+        "/ max(int(np.isfinite(scale).sum()), 1)",
+        "/ max(len(scale), 1)",
+        "the effect of a column is divided by actions that never change",
+        ("runs/test_explain.py::test_of_continuous_actions_it_is_the_share_of_their_variance",),
+    ),
+    Mutant(
+        "ticks-of-three-digits", "report/axes.py",
+        "max(3, _digits(tick, apart))",
+        "3",
+        "ticks of an axis are rounded to equal numbers",
+        ("report/test_picture.py::test_ticks_are_told_apart",),
+    ),
+    Mutant(
+        "alarm-in-a-closed-pipe", "cli/monitor.py",
+        "    outcome(found)  # before",
+        "    print(found, flush=True)  # before",
+        "a reader that has gone makes an alarm a success",
+        ("cli/test_monitor.py::test_a_reader_that_has_gone_does_not_change_the_exit_code",),
+    ),
+    Mutant(
+        "longer-but-finished", "runs/folder.py",
+        '| {"steps": config["steps"], "finished": False})',
+        '| {"steps": config["steps"]})',
+        "a run that was killed while it was made longer counts as finished",
+        ("runs/test_folder.py::test_what_follows_from_the_length_of_a_run_is_told_where_it_is_made_longer",),
+    ),
+    Mutant(
+        "mixture-lost", "runs/crossfit.py",
+        "        _begin(path, config, asked.resume)\n",
+        """        _begin(path, config, asked.resume)
+        for each in path.glob("mixture*.npz"):
+            each.unlink()
+""",
+        "settings that are refused remove a finished mixture",
+        ("runs/test_crossfit.py::test_what_is_refused_leaves_the_finished_mixture",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"
@@ -2699,8 +2793,8 @@ MUTANTS = (
         ("runs/test_recommend.py::test_a_share_alone_holds_out_whole_groups_as_training_does",),
     ),
     Mutant(
-        "cost-that-never-occurred", "ope/costs.py", "supported(told, support) & [not why for why in unknown]",
-        "supported(told, support)",
+        "cost-that-never-occurred", "ope/costs.py", "reliable & [not why for why in unknown]",
+        "reliable",
         "a cost that no judged episode had is certain to be rare", ("ope/test_costs.py",),
     ),
     Mutant(
@@ -3015,8 +3109,8 @@ MUTANTS = (
     ),
     Mutant(
         "costs-that-are-not-there", "ope/costs.py",
-        "alone = np.ptp(paid) == 0.0 and (1.0 - share) ** basis > alpha / 2 / len(rows)",
-        "alone = False",
+        "alike = np.ptp(costs[own]) == 0.0",
+        "alike = False",
         "a limit is met by a cost that a policy's few rows lack by chance",
         ("ope/test_losses.py::test_a_cost_that_the_rows_of_a_policy_lack_is_not_within_a_limit",),
     ),

@@ -11,6 +11,8 @@ from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.schema import Schema
 from deadreckon.data.spec import Discrete, action_space_from_json, action_space_to_json
 from deadreckon.errors import UserError
+from deadreckon.policies.table_encoder import TableEncoder
+from deadreckon.runs.reading import noted
 
 # Two episodes of three steps; the first ends, the second is cut off.
 SEEN = np.array([[0.1], [0.2], [0.3], [0.5], [0.6], [0.7]], np.float32)
@@ -225,3 +227,7 @@ def test_actions_that_are_words_for_true_and_false(tmp_path, words, legal):
         assert log.actions.tolist() == [0, 1] * 4
         np.testing.assert_array_equal(log.observations[:, -2:], [[1, 0], [1, 1]] * 4)
         assert read(tmp_path / file, schema=Schema.from_json(log.provenance.extra["schema"])).fingerprint == log.fingerprint
+        encoder = TableEncoder(noted(log))  # a policy in use understands the same words
+        assert encoder.allowed.strangers == []
+        cells = pd.read_csv(tmp_path / file, dtype=str).drop(columns=["action", "reward"]).astype({"x": float})
+        np.testing.assert_array_equal(encoder.encode(cells).observations, log.observations)

@@ -11,8 +11,10 @@ from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import init_opt
-from deadreckon.ope import FQE, LOGGED, BehaviorModel, DoublyRobust, ImportanceSampling, OPEInput
+from deadreckon.ope import FQE, LOGGED, BehaviorModel, DoublyRobust, ImportanceSampling, OPEInput, behavior
+from deadreckon.ope.critics import Best
 from deadreckon.ope.dice import DICE, Saddle
+from deadreckon.ope.fits import Fits
 from deadreckon.ope.fqe import Critics, Scale, State
 from deadreckon.ope.importance import log_ratios
 from deadreckon.ope.tables import NOISE
@@ -371,10 +373,39 @@ def test_a_fit_that_still_changes_is_told():
     table = tables(true, 1, 0.1)[0]
     log = true.log(table, 20, 50, np.random.default_rng(0))
     short = FQE(members=1, hidden=(), steps=200, lr=1e-2, tau=0.02).estimate(log, as_policy(table), discount=0.98)
-    assert any("fqe still changes: q by" in line for line in short.warnings)
+    assert any("fqe still changes: the values of policy 0 by" in line for line in short.warnings)
     long = FQE(members=1, hidden=(), steps=8000, lr=1e-2, tau=0.05).estimate(log, as_policy(table), discount=0.98)
     assert not any("still changes" in line for line in long.warnings)
     assert short.value[0] < 0.7 * long.value[0]
+
+
+def test_a_fit_has_converged_for_each_policy_by_itself():
+    """Relative to the size of the values, so that values around zero do not always change by much."""
+    fits = object.__new__(Fits)
+    metrics = lambda q, size: {f"q {i}": v for i, v in enumerate(q)} | {f"size {i}": v for i, v in enumerate(size)}  # noqa: E731
+    size = [10.0, 1.0, 2.0]
+    fits._metrics = {"fqe": {80: metrics([10.0, 1.0, 0.01], size), 100: metrics([10.1, 1.4, -0.03], size)}}
+    settled, (line,) = fits.convergence("fqe", ["a", "b", "c"])
+    assert settled.tolist() == [True, False, True]
+    assert line == "fqe still changes: the values of b by 40 % over its last fifth; more than 100 updates are needed"
+    assert fits.convergence("no", ["a"])[0].tolist() == [True]
+
+
+def test_batches_without_rows_of_early_stopping_say_nothing_about_the_loss():
+    best = Best.begin(jnp.zeros(2), (2,))
+    batches = [([0.0, 3.0], [False, True]), ([4.0, 1.0], [True, True]), ([0.0, 2.0], [False, True]), ([6.0, 2.0], [True, True])]
+    for step, (loss, known) in enumerate(batches):
+        best = best.look(jnp.full(2, float(step)), jnp.asarray(loss), jnp.asarray(known), jnp.asarray(50 * step), 0.0)
+    np.testing.assert_allclose(best.running, [5.0, 2.0])
+    np.testing.assert_allclose(best.loss, [4.0, 2.0])  # of the second batch, the first with such rows, or the mean of 3 and 1
+    assert best.params.tolist() == [1.0, 1.0]
+
+
+def test_early_stopping_has_half_of_its_share_of_the_rows_where_clusters_are_of_unequal_sizes():
+    draw = np.array([0.05, 0.5, 0.2, 0.3, 0.9])
+    assert behavior._stopping(draw, np.array([1.0, 400.0, 600.0, 100.0, 200.0])).tolist() == [True, False, True, False, False]
+    assert behavior._stopping(draw, np.array([1.0, 400.0, 900.0, 100.0, 200.0])).tolist() == [True, False, False, True, False]
+    assert behavior._stopping(draw, np.full(5, 100.0)).tolist() == [True, False, False, False, False]
 
 
 def test_rewards_beyond_float32_are_refused():

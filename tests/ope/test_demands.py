@@ -168,6 +168,18 @@ def test_bounds_for_confounding_hold_where_there_is_some():
     assert np.mean(tight) > 1.5 * np.mean(naive)
 
 
+def test_bounds_of_a_policy_do_not_depend_on_one_whose_weights_are_lost():
+    """Also the tipping point is told beside a deterministic candidate with continuous actions."""
+    both = case_of(trials(1000, np.random.default_rng(0)), [SECOND, as_policy(np.eye(2)[[0, 0]])])
+    both.__dict__["degenerate"] = np.array([False, True])
+    alone = case_of(trials(1000, np.random.default_rng(0)), [SECOND])
+    found = Confounding(both, MODEL)
+    assert found.lost[0] == []
+    assert found.lost[1] == ["its importance weights are degenerate, because it is deterministic with continuous actions"]
+    assert found.gain(1, 1.0) == (-np.inf, np.inf)
+    np.testing.assert_allclose(found.gain(0, 1.2), Confounding(alone, MODEL).gain(0, 1.2), rtol=1e-6)
+
+
 def test_no_confounding_is_the_gain_itself():
     """A factor of one gives the doubly robust gain, self-normalised, with the interval of gains; a larger one contains it."""
     true = garnet(states=3, actions=2, ending=0.3, noise=0.1)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.ope import OPEInput
+from deadreckon.ope import ImportanceSampling, OPEInput
 from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.costs import costs_of, totals
 from deadreckon.ope.decide import decide
 from deadreckon.ope.importance import counting
 from deadreckon.ope.losses import without_losses
@@ -85,6 +86,56 @@ def test_a_cost_that_the_rows_of_a_policy_lack_is_not_within_a_limit():
     )
     assert any("in every evaluated episode with a weight for it the total is" in line for line in found.choice.objections[0])
     assert found.more["costs"][0]["ends"][0][2] == np.inf
+
+
+def jittered(rows=600, most=0.2):
+    """A log whose costs vary a little everywhere, and are 100 in one of a hundred rows, of which the first arm has none."""
+    rng = np.random.default_rng(0)
+    log, policy, own = uniform(0, rows=rows, lucky=False)
+    cost = most * rng.random(rows) + 100.0 * (rng.random(rows) < 0.01)
+    cost[own] = most * rng.random(own.sum())
+    log = Dataset.from_arrays(
+        observations=log.observations, actions=log.actions, rewards=log.rewards, terminals=log.terminals,
+        behavior_log_probs=log.extras["behavior_log_probs"], cost=cost,
+    )  # fmt: skip
+    return log, policy, cost, own
+
+
+def test_rare_costs_are_added_to_the_upper_end_also_where_costs_vary():
+    log, policy, cost, own = jittered()
+    case = OPEInput(log, [policy], names=["first"], logged=True)
+    ends = [
+        costs_of(case, ImportanceSampling(), support(case, MODEL), {"cost": 0.8}, alpha, MODEL)[0].ends[0]
+        for alpha in (0.025, 0.9999999)  # at the second level the policy's rows are many enough
+    ]
+    assert ends[0][2] > 0.8
+    shift = np.maximum(cost - cost[own].max(), 0.0).mean()
+    assert shift > 0.5
+    told = ImportanceSampling().on(case.of_rewards(cost.astype(np.float32), ()))
+    np.testing.assert_allclose(ends[0][2], totals(told, 0.025, np.ones(2, bool))[0, 2] + shift, rtol=1e-5)
+    np.testing.assert_allclose(ends[1], totals(told, 0.9999999, np.ones(2, bool))[0], rtol=1e-5)
+
+
+def test_a_cost_of_one_policy_does_not_depend_on_a_candidate_whose_weights_are_lost():
+    """The second takes an arm that the log has three times; before, its weights widened the interval of the first."""
+    rng = np.random.default_rng(0)
+    actions = np.where(np.arange(900) < 3, 2, rng.integers(0, 2, 900))
+    chances = np.array([0.5 - 0.5 / 300, 0.5 - 0.5 / 300, 1 / 300])
+    log = Dataset.from_arrays(
+        observations=rng.normal(size=(900, 2)), actions=actions, rewards=rng.random(900), terminals=np.ones(900),
+        behavior_log_probs=np.log(chances[actions]), cost=rng.random(900),
+    )  # fmt: skip
+    take = lambda arm: BlackBoxPolicy(  # noqa: E731
+        lambda seen, rng: np.full(len(seen), arm), action_probs=lambda seen: np.tile(np.eye(3)[arm], (len(seen), 1))
+    )
+    found = {}
+    for names in (("well",), ("well", "lost")):
+        case = OPEInput(log, [take({"well": 0, "lost": 2}[name]) for name in names], names=names, logged=True)
+        told = costs_of(case, ImportanceSampling(), support(case, MODEL), {"cost": 0.8}, 0.025 * len(names), MODEL)
+        found[names] = told[0].ends
+    well, both = found.values()
+    assert np.isinf(both[1, 1:]).all()
+    assert both[0, 2] - both[0, 0] < 1.1 * (well[0, 2] - well[0, 0])
 
 
 def test_propensities_that_are_those_of_another_action_are_objected_to():

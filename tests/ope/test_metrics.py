@@ -95,7 +95,9 @@ def test_refusals():
         m.compare(np.arange(3), np.arange(3), k=4)
     with pytest.raises(UserError, match="same true value"):
         m.compare(np.arange(3), np.ones(3))
-    with pytest.raises(UserError, match="policy 1 is not finite"):
+    with pytest.raises(UserError, match="the true value of policy 1 is not finite"):
+        m.compare(np.arange(3), np.array([0.0, np.nan, 1.0]))
+    with pytest.raises(UserError, match="the estimate of policy 1 is not finite"):
         m.compare(np.array([0.0, np.inf, 1.0]), np.arange(3))
 
 

@@ -25,6 +25,7 @@ from deadreckon.ope import (
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.metrics import published
 from deadreckon.ope.registry import PUBLIC, as_estimator, with_fields
 from deadreckon.ope.select import gains, unbounded_where_unsupported
@@ -425,3 +426,13 @@ def test_published_values_stand_below_ours(tmp_path):
     assert f"| WDR | {best / truth[:5].std():.2f} | 1.00 | 0.83 |" in dope.risks([made])
     lost = dataclasses.replace(made, estimates=np.full(11, np.nan))
     assert np.isnan(dope.cells([lost], "regret")["hopper-medium-v2@dr1"]["WDR"].value)
+
+
+@pytest.mark.parametrize(
+    ("setting", "kind"),
+    [({"alive_only": True}, "switch"), ({"alive_only": True}, "marginal"), ({"behavior": "logged"}, "marginal"),
+     ({"log_ratio_range": (-6.0, 2.0)}, "marginal")],
+)  # fmt: skip
+def test_settings_that_a_kind_does_not_use_are_refused(setting, kind):
+    with pytest.raises(UserError, match=f"DoublyRobust.{next(iter(setting))} is not used with kind='{kind}'; leave it out"):
+        DoublyRobust(kind=kind, fqe=LinearFQE(), **setting).check_settings()

@@ -9,7 +9,7 @@ import pytest
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.nets.mlp import MLP
-from deadreckon.policies import EnvPolicy, portable, store
+from deadreckon.policies import EnvPolicy, portable, store, table_predict
 from deadreckon.policies.candidates import GreedyActions, ThresholdedPolicy
 from deadreckon.policies.kinds import Categorical
 from deadreckon.policies.table_predict import Predictor
@@ -60,6 +60,17 @@ def test_a_mixture_keeps_its_member_for_an_episode():
     alone = bandit.predict({"x": [0.0] * 200}, probabilities=True, greedy=False).probabilities
     assert 70 < bandit.predict({"x": [0.0] * 200}, seed=2).sum() < 130
     np.testing.assert_array_equal([alone[0], alone[1]], np.full((2, 200), 0.5))
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+def test_the_name_of_an_episode_is_the_whole_time_and_not_that_of_other_rows(unit):
+    stamps = ["2024-01-01", "2024-01-02T12:00:00", "2024-01-02T12:00:00.1", "2024-01-02T12:00:00.9"]
+    names = ["2024-01-01", "2024-01-02 12:00:00", "2024-01-02 12:00:00.1", "2024-01-02 12:00:00.9"]
+    count = 2 if unit == "s" else 4
+    times = np.array(stamps[:count], f"datetime64[{unit}]")
+    assert table_predict._names(times) == names[:count]
+    assert [table_predict._names(times[[i]])[0] for i in range(count)] == names[:count]
+    assert table_predict._names(np.array(["2024-01-01", "NaT"], "datetime64[D]")) == ["2024-01-01", None]
 
 
 class Fair(Constant):

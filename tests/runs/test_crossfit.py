@@ -12,7 +12,7 @@ from deadreckon.cli.ope import use
 from deadreckon.collect import generate
 from deadreckon.data.spec import Box
 from deadreckon.data.split import folds
-from deadreckon.errors import UserError
+from deadreckon.errors import DivergedError, UserError
 from deadreckon.files import read_json
 from deadreckon.policies import portable, store
 from deadreckon.policies.deployed import Mixture
@@ -128,7 +128,7 @@ def test_a_failed_seed_is_left_out_and_a_failed_fold_is_told(log, tmp_path):
     found = dr.cross_fit([BC, bad], log, out=tmp_path / "one", seeds=2, **OPTIONS)
     assert [run.failures[1] is None for run in found.runs] == [False] * 3
     assert found.config["members"] == [[0, 0], [1, 0], [2, 0]]
-    with pytest.raises(UserError, match="fold0 failed: .* was not finite at update"):
+    with pytest.raises(DivergedError, match="fold0 failed: .* was not finite at update"):
         dr.cross_fit(bad, log, out=tmp_path / "all", **OPTIONS)
 
 
@@ -164,6 +164,16 @@ def test_what_does_not_fit_is_told_before_anything_is_written(log, tmp_path):
         dr.cross_fit(BC, log, out=tmp_path / "mine", **OPTIONS)
     with pytest.raises(UserError, match="holds no cross-fit"):
         dr.load_cross_fit(tmp_path / "mine")
+
+
+def test_what_is_refused_leaves_the_finished_mixture(log, tmp_path):
+    found = dr.cross_fit(BC, log, out=tmp_path / "c", folds=2, steps=2, chunk=2, evaluate_every=2)
+    before = {path: path.read_bytes() for path in (found.policy_path, found.path / "crossfit.json")}
+    other = dr.agents.BC(hidden=(8,), batch_size=8, lr=0.5)
+    with pytest.raises(UserError, match="fold0 holds another run: .*lr"):
+        dr.cross_fit(other, log, out=found.path, folds=2, steps=2, chunk=2, evaluate_every=2, resume=True)
+    assert {path: path.read_bytes() for path in before} == before
+    dr.load_cross_fit(found.path)
 
 
 def test_the_command(log, tmp_path, monkeypatch, capsys):

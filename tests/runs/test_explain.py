@@ -100,6 +100,13 @@ def test_of_continuous_actions_it_is_the_share_of_their_variance(tmp_path):
     assert found.constant == 0.0
     # Two independent signs differ in half of all rows, by two standard deviations: the root of 4 / 2.
     assert found.columns[0].change == pytest.approx(np.sqrt(2), abs=0.15)
+    wider = Deterministic(MLP((jnp.asarray([[50.0, 0.0], [0.0, 0.0]]),), (jnp.zeros(2),)))  # a second action that never changes
+    both = dr.Dataset.from_arrays(
+        observations=data.observations, actions=rng.uniform(-1, 1, (ROWS, 2)), rewards=np.zeros(ROWS),
+        terminals=np.ones(ROWS, bool), action_space=Box((-5.0, -5.0), (5.0, 5.0)),
+    )  # fmt: skip
+    store.save(tmp_path / "two.npz", EnvPolicy(wider, None, None, jnp.full(2, -5.0), jnp.full(2, 5.0)))
+    assert explain(tmp_path / "two.npz", both).columns[0].change == pytest.approx(found.columns[0].change, rel=1e-5)
 
 
 def test_what_it_needs_is_said(log, tmp_path):

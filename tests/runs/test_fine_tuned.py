@@ -278,7 +278,7 @@ def test_from_the_command_line(tmp_path, home, capsys):
     turns = ["--copies", "4", "--block", "16", "--updates-per-step", "0.5", "--evaluate-every", "16", "--threads", "1"]
     words = ["train", "--from", str(tmp_path / "a"), "--online", "--task", "hopper", "--steps", "32", "--episodes", "1", *turns]
     capsys.readouterr()
-    assert main([*words, "--agent.lr", "0.002", "--out", str(tmp_path / "b")]) == 0
+    assert main([*words, "--agent", agent, "--agent.lr", "0.002", "--out", str(tmp_path / "b")]) == 0
     assert "32 environment steps per seed in training" in capsys.readouterr().out
     config = read_json(tmp_path / "b" / "run.json")
     fields = config["agent"]["fields"]

@@ -1,5 +1,6 @@
 """Run folders: damaged parts are told by their names, and what keeps a run from being made longer is told with its remedy."""
 
+import json
 from dataclasses import fields, replace
 
 import pytest
@@ -9,6 +10,7 @@ from deadreckon.agents import AGENTS, agent_class
 from deadreckon.bench.store import Store
 from deadreckon.data.spec import Box, Spec
 from deadreckon.errors import UserError
+from deadreckon.files import read_json
 from deadreckon.runs.folder import Folder
 from deadreckon.temporaries import SUFFIX, beside
 
@@ -26,9 +28,16 @@ def test_what_follows_from_the_length_of_a_run_is_told_where_it_is_made_longer(t
     with pytest.raises(UserError, match=longer):
         folder.check(config(6), resume=True)
     assert folder.check(config(6, actor_decay_steps=3.0), resume=True) == []
+    status = {"step": 3, "steps": 3, "finished": True, "failures": [None]}
+    (tmp_path / "r" / "status.json").write_text(json.dumps(status))
+    folder.lengthen(config(3, actor_decay_steps=3.0))
+    assert read_json(tmp_path / "r" / "status.json") == status
     for other in (config(6, beta=1.0), config(3, actor_decay_steps=6.0)):
         with pytest.raises(UserError, match=r"actor_decay_steps was 3.0, now 6.0; choose another --out"):
             folder.check(other, resume=True)
+    folder.lengthen(config(6, actor_decay_steps=3.0))
+    assert read_json(tmp_path / "r" / "status.json") == status | {"steps": 6, "finished": False}
+    assert read_json(tmp_path / "r" / "run.json")["steps"] == 6
 
 
 def test_what_dead_processes_left_is_forgotten_and_what_others_write_is_not(tmp_path, monkeypatch):

@@ -66,6 +66,9 @@ def test_the_check_in_words():
     assert limited.endswith("of all; its time limit leaves 37 % of the discounted time out, which the estimates include")
     told["truth"]["apart"] = [[0.0, 0.1, 0.2], [0.1, 0.0, 0.3], [0.2, 0.3, 0.0]]
     assert "a regret of 1.00 (standard error 0.30), 33 % of the range" in checked(told)
+    small = told | {"truth": told["truth"] | {"mean": [0.001, 0.004, 0.003], "error": [1e-4, 1e-4, 2e-4]}}
+    assert "c has 0.0030 (standard error 0.0002)" in checked(small)
+    assert "a regret of 0.0010" in checked(small)
     behind = checked(told | {"choice": {"name": "b"}})
     assert behind.endswith("the best of 3; the next, c, is lower by 1.00 (standard error 0.30)")
 

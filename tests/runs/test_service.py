@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 
 import deadreckon as dr
+from deadreckon.policies import store
 from deadreckon.runs import service as services
 from deadreckon.runs.player import chosen, predictor
 from deadreckon.runs.service import Limits, Service, app
@@ -56,6 +57,14 @@ def test_rows_get_the_actions_that_predict_gives(service, run):
         expected = [want.probabilities[key][row] for key in told["probabilities"][row]]
         np.testing.assert_allclose(list(told["probabilities"][row].values()), expected, atol=1e-6)
     assert list(post(service, rows(new)[0], "probabilities=true&outside=flag")[1]) == ["action", "probabilities", "outside"]
+
+
+def test_a_flat_list_of_numbers_is_one_encoded_row(service, run):
+    size = next(iter(store.meta(chosen(run.path).file)["log"]["observation_shape"]))
+    status, told = post(service, [0.0] * size)
+    assert status == 200
+    assert told["action"]["offer"] in ("call", "mail", "none")
+    assert post(service, [0.0] * (size + 1))[0] == 422
 
 
 def test_sampled_actions_differ_from_request_to_request_unless_a_seed_is_named(service, run):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from deadreckon.cli.lines import Lines
+from deadreckon.cli.lines import Lines, outcome
 from deadreckon.cli.parse import parse
 from deadreckon.errors import UserError
 from deadreckon.imports import trust
@@ -152,15 +152,15 @@ def _run(options: Bench) -> None:
     for suite in suites:
         own = [job for job in jobs if job.suite == suite.name]
         if len(suites) == 1:
-            print("\n" + rendered(tables(suite, own, store)))
+            outcome("\n" + rendered(tables(suite, own, store)))
         elif (seconds is not None and suite.name not in found) or not store.of(own).num_rows:
             continue  # of a queue that has not come to it, or had no time for more
         if page := _page(suite, own, store, options.full):
-            print(page)
+            outcome(page)
     if left := store.undone(jobs):
         waits = sum(store.failure(job, seed) is None for job in left for seed in job.seeds)
         if seconds is not None and waits:
-            print(f"{waits:,} cell{'s are' if waits != 1 else ' is'} left; the same command continues with them")
+            outcome(f"{waits:,} cell{'s are' if waits != 1 else ' is'} left; the same command continues with them")
         raise SystemExit(1)
 
 

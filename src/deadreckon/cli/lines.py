@@ -1,4 +1,16 @@
-"""Lines that tell what happens to programs of suites."""
+"""Lines that tell what happens to programs of suites, and the results at the end of a command."""
+
+import os
+import sys
+
+
+def outcome(text: object) -> None:
+    """Prints the result of a command whose exit code tells it too, and which a reader that has gone (`| head`) must not change.
+    """
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 class Lines:

@@ -17,7 +17,7 @@ from typing import TextIO, cast
 
 from deadreckon import interrupts
 from deadreckon._version import __version__
-from deadreckon.errors import UserError, printable, unknown
+from deadreckon.errors import DivergedError, UserError, printable, unknown
 from deadreckon.names import Terminal
 
 # name: (module, function, one line)
@@ -112,7 +112,7 @@ def _run(given: list[str]) -> int:
         if debug:
             raise
         print(f"deadreckon: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+        return 1 if isinstance(error, DivergedError) else 2
     except BrokenPipeError:  # `deadreckon data info x | head`: the reader has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

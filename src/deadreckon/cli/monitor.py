@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from deadreckon.cli.lines import outcome
 from deadreckon.cli.parse import parse, with_policy_seed
 from deadreckon.errors import as_one_line
 
@@ -50,13 +51,13 @@ def monitor(args: Sequence[str]) -> int:
         options.run, options.log, reference=options.reference, made_by=options.made_by, estimates=options.estimates,
         return_range=options.return_range, seed=options.policy_seed, greedy=options.greedy, alpha=options.alpha,
     )  # fmt: skip
-    print(found, flush=True)  # before the page, which a full disk or a kill may prevent
+    outcome(found)  # before the page, which a full disk or a kill may prevent
     if options.html is not None:
         from deadreckon.report.monitored import write_monitored
 
         try:
             write_monitored(found, options.html)
-            print(f"page: {options.html}")
+            outcome(f"page: {options.html}")
         except Exception as error:
             if not found.alarm:
                 raise

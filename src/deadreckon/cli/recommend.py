@@ -3,6 +3,7 @@
 import time
 from collections.abc import Sequence
 
+from deadreckon.cli.lines import outcome
 from deadreckon.cli.ope import usage
 from deadreckon.cli.parse import parse
 from deadreckon.cli.progress import Watch
@@ -29,7 +30,7 @@ def recommend(args: Sequence[str]) -> None:
                 "columns": columns_of(options.map, settings.holdout_by),
             },
         )  # fmt: skip
-    print(f"\n{result}\n{usage(result.results, [])}")
-    print(f"took {in_words(result.seconds)} of {options.budget}; report: {result.path / recommended.PAGE}")
+    outcome(f"\n{result}\n{usage(result.results, [])}")
+    outcome(f"took {in_words(result.seconds)} of {options.budget}; report: {result.path / recommended.PAGE}")
     if result.failed:
         raise SystemExit(1)

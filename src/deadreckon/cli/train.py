@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from deadreckon.cli.data import Mapping, advise, mapping_options
+from deadreckon.cli.lines import outcome
 from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar
 from deadreckon.errors import UserError
@@ -45,7 +46,7 @@ def train(args: Sequence[str]) -> None:
     finished = _train_online(name, parsed, judged_in) if online else _train(name, parsed, own)
     from deadreckon.runs.train import Run
 
-    print(summary(finished) if isinstance(finished, Run) else finished)
+    outcome(summary(finished) if isinstance(finished, Run) else finished)
     if isinstance(finished, Run) and all(finished.failures):  # a cross-fit refuses such itself
         raise SystemExit(1)
 
@@ -61,12 +62,13 @@ def _begun(args: Sequence[str], name: str | None, online: bool) -> tuple[str, An
         return None
     if not online:
         raise UserError("--from continues an offline run in a simulator: add --online --task TASK")
-    from deadreckon.agents import agent_name
+    from deadreckon.agents import agent_class, agent_name
     from deadreckon.runs.started import start_of
 
+    asked = None if name is None else agent_class(name)  # of a user's own, whose module a run's folder does not import
     start = start_of(given)
     first, *others = (agent.going_on() for agent in start.agents)
-    if name is not None and name.lower().replace("-", "_") != agent_name(first):
+    if asked is not None and asked is not type(first):
         raise UserError(f"{given} is a run of {agent_name(first)}, {name} cannot continue it; leave --agent out")
     if any(vars(other) != vars(first) for other in others):
         raise UserError(f"the seeds of {given} have settings of their own; dr.train_online(start={given!r}) continues them")

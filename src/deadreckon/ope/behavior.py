@@ -73,7 +73,8 @@ class Folds(eqx.Module):
 
         grads, checked = jax.grad(loss, has_aux=True)(state.nets)
         nets, opt = apply_gradients(state.nets, grads, state.opt, self.model.lr)
-        best = tuple(best.look(own, seen, step, 0.0) for best, own, seen in zip(state.best, nets, checked))
+        known = check.sum(-1) > 0
+        best = tuple(best.look(own, seen, known, step, 0.0) for best, own, seen in zip(state.best, nets, checked))
         return State(nets, opt, best), {"behavior_nll": jnp.stack(checked).min(0).mean()}
 
 
@@ -106,17 +107,36 @@ def masks(case: OPEInput, fold: np.ndarray, whole: OPEInput) -> tuple[np.ndarray
     """(episodes of the whole log, folds) of 0 and 1: the training episodes of each fold's model, and those of its early
     stopping.
 
-    Clusters stay whole. With few clusters, the training episodes also decide when to stop.
+    Clusters stay whole. With few clusters, the training episodes also decide when to stop. Where those of early stopping have
+    less than half of their share of the rows, because clusters are of unequal sizes, further ones are added.
     """
     count = int(fold.max()) + 1
     of_all = np.full(whole.data.episodes, -1)
     of_all[case.held] = fold
     weight = (of_all[:, None] != np.arange(count)).astype(np.float32)
     clusters = whole.clusters
-    some = generator(case.seed, "check").random((int(clusters.max()) + 1, count))[clusters] < CHECKED
+    draw = generator(case.seed, "check").random((int(clusters.max()) + 1, count))
+    rows = np.stack([np.bincount(clusters, own * whole.data.lengths, len(draw)) for own in weight.T], 1)
+    some = np.stack([_stopping(u, own) for u, own in zip(draw.T, rows.T)], 1)[clusters]
     check = weight * some
     alone = (check.sum(0) == 0) | (weight.sum(0) < 20)
     return np.where(alone, weight, weight * ~some), np.where(alone, weight, check)
+
+
+def _stopping(draw: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """(clusters,) bool, those of early stopping: a random share, at least half of it by rows, and at most half of all rows.
+
+    Args:
+        draw: (clusters,) uniform random numbers.
+        rows: (clusters,) numbers of training rows.
+    """
+    out, total = draw < CHECKED, rows.sum()
+    for each in np.argsort(draw).tolist():
+        if rows[out].sum() >= CHECKED / 2 * total:
+            break
+        if not out[each] and rows[out].sum() + rows[each] <= total / 2:
+            out[each] = True
+    return out
 
 
 def _fit(case: OPEInput, model: BehaviorModel, folds: int) -> Behavior:

@@ -40,7 +40,7 @@ class Confounding:
             phrase each.
 
     Raises:
-        UserError: degenerate weights, or episodes that are cut off at different steps.
+        UserError: degenerate weights of all policies, or episodes that are cut off at different steps.
     """
 
     def __init__(self, case: OPEInput, model: BehaviorModel, alpha: float = ALPHA, wider: float = 0.0):
@@ -55,10 +55,14 @@ class Confounding:
         else:
             self.outcomes, self.baseline = (np.broadcast_to(x, (case.count, len(returns))) for x in (returns, -returns))
         every, whole = range(len(case.policies)), np.ones(case.data.episodes, bool)
-        self.lost = [Basis.of_weights(case, row, whole, whole=True).lost for row in self.ratios]
+        self.lost = [
+            ["its importance weights are degenerate, because it is deterministic with continuous actions"] if degenerate
+            else Basis.of_weights(case, row, whole, whole=True).lost
+            for row, degenerate in zip(self.ratios, case.degenerate)
+        ]  # fmt: skip
         # Simultaneous, like the intervals of the gains: one factor for all policies, from their bounds without confounding.
         influence = np.stack([self._one(i, 1.0)[1][0] for i in every], 1)
-        known = influence.std(0) > 0
+        known = (influence.std(0) > 0) & [not lost for lost in self.lost]  # a lost policy must not widen those of others
         self.factor = inference.simultaneous(influence[:, known], alpha, case.seed)
 
     def gain(self, which: int, gamma: float) -> tuple[float, float]:
@@ -95,9 +99,9 @@ def possible(case: OPEInput) -> None:
     """Refuses cases without bounds.
 
     Raises:
-        UserError: degenerate weights, or episodes that are cut off at different steps.
+        UserError: degenerate weights of all policies, or episodes that are cut off at different steps.
     """
-    if case.degenerate.any():
+    if case.degenerate.all():
         raise UserError(f"bounds for confounding {WEIGHTLESS}")
     if not case.complete:
         raise UserError(f"{case.data.name}: bounds for confounding need whole episodes; give a horizon that all reach")

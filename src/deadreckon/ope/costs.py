@@ -6,7 +6,8 @@ the same episodes. Models that do not depend on rewards, such as propensities, a
 Intervals hold for all policies and all costs at once (Bonferroni over costs), at the level of the decision. A policy whose
 upper end is above a limit is not deployed. So the probability of deploying one that costs more than its limit is at most
 alpha / 2, beside the probability alpha / 2 of deploying one that is no gain. A total that is the same in every episode has no
-upper end: if a cost never occurred, the log shows neither how rare nor how large it is.
+upper end: if a cost never occurred, the log shows neither how rare nor how large it is. In logs of single steps, large costs of
+the log that are missing from a policy's rows by chance are added to its upper end.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,12 +25,13 @@ from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.importance import counting, log_ratios
-from deadreckon.ope.select import gains, supported
+from deadreckon.ope.select import doubted, gains
 from deadreckon.ope.support import Support
 from deadreckon.stats.interval import level_in_words
 
 NAMES = ("cost", "costs")  # extra columns that are costs by their name alone, as in DSRL
 ROUNDING = 1e-9  # relative size of rounding errors in an influence function that is zero
+ALIKE = "in every evaluated episode with a weight for it the total is {:.4g}; how rare other totals are is not known"
 _SHARED = ("propensities", "behavior", "behavior policy", "coverage", "features", "next", "initial", "current", "final")
 
 
@@ -147,36 +149,65 @@ def costs_of(
     for column, limit in limits.items():
         own = _with_cost(case, column)
         told = estimator.on(own)
-        unknown = _unknown(told, own, model, alpha / len(limits))
-        ends = totals(told, alpha / len(limits), supported(told, support) & [not why for why in unknown])
+        share = alpha / len(limits)
+        reliable = doubted(told, support)[1]
+        unknown = _unknown(told, own)
+        rare = _rare(told, own, model, share, [known and not why for known, why in zip(reliable, unknown)])
+        unknown = tuple(why or other for why, (other, _) in zip(unknown, rare))
+        ends = totals(told, share, reliable & [not why for why in unknown])
+        ends[:, 2] += [shift for _, shift in rare]
         discount = case.estimand.discount if case.given.lengths.max() > 1 and case.estimand.horizon != 1 else 1.0
         found.append(Cost(column, limit, ends, told.warnings, discount, unknown))
     return found
 
 
-def _unknown(found: Estimates, case: OPEInput, model: BehaviorModel, alpha: float) -> tuple[str, ...]:
+def _unknown(found: Estimates, case: OPEInput) -> tuple[str, ...]:
     """For each policy the reason why its total has no interval, a phrase; empty if it has one."""
-    same = np.full(len(found.names), np.ptp(case.data.returns(case.discount)) == 0.0)
+    returns = case.data.returns(case.discount)
+    same = np.full(len(found.names), np.ptp(returns) == 0.0)
     if found.influence is not None:  # a policy's weighted episodes may all be without the cost
         with np.errstate(over="ignore", invalid="ignore"):  # products of weights may overflow; then nothing is known
-            spread = found.influence.std(0)
-            same |= spread <= ROUNDING * np.maximum(spread.max(), np.abs(found.value).max())
-    total = found.value.copy()
-    if case.data.lengths.max() == 1 and found.ess is not None and not case.degenerate.any():
-        rows = counting(log_ratios(case, "auto", model, None)[: len(same)])
-        for i in np.flatnonzero(rows.any(1)).tolist():  # whatever the critics predict
-            paid, basis = case.data.rewards[rows[i]], Basis.of(found, i).rest[0]
-            share = float((case.data.rewards > paid.max()).mean())
-            alone = np.ptp(paid) == 0.0 and (1.0 - share) ** basis > alpha / 2 / len(rows)
-            same[i], total[i] = same[i] or alone, float(paid[0]) if alone else total[i]
+            same |= found.influence.std(0) <= ROUNDING * np.maximum(np.abs(found.value), np.abs(returns).max())
     if found.ess is not None:  # a policy without any weight has that as its reason
         same &= found.ess > 0
     settled = found.diagnostics.get("settled", np.ones(len(found.names)))
-    alike = "in every evaluated episode with a weight for it the total is {:.4g}; how rare other totals are is not known"
     return tuple(
-        alike.format(value) if alone else "" if known >= 1 else "the fit of its estimate has not converged"
-        for value, alone, known in zip(total, same, settled)
+        ALIKE.format(value) if alone else "" if known >= 1 else "the fit of its estimate has not converged"
+        for value, alone, known in zip(found.value, same, settled)
     )
+
+
+def _rare(
+    found: Estimates, case: OPEInput, model: BehaviorModel, alpha: float, known: Sequence[bool]
+) -> list[tuple[str, float]]:
+    """For each policy, of logs of single steps, what costs mean that are missing from its rows by chance; see `losses`.
+
+    The reason why its total is not known, if all of its rows have the same cost; else how much is added to the upper end: the
+    mean of what the log's costs have above the largest of the policy's rows.
+
+    Args:
+        found: the estimates.
+        case: log and policies, with the cost as reward.
+        model: settings of the behaviour model, if propensities were not logged.
+        alpha: share of logs for which one of the intervals may miss.
+        known: for each policy whether it has an interval otherwise.
+    """
+    out = [("", 0.0)] * len(found.names)
+    if case.data.lengths.max() > 1 or found.ess is None:
+        return out
+    costs = np.asarray(case.data.rewards, np.float64)
+    rows = counting(log_ratios(case, "auto", model, None)[: len(case.policies)])
+    places = [i for i, name in enumerate(found.names) if name != LOGGED]
+    for own, i, degenerate in zip(rows, places, case.degenerate):
+        if degenerate or not known[i] or not own.any():
+            continue
+        most, count = costs[own].max(), Basis.of(found, i).rest[0]
+        share = float((costs > most).mean())
+        if (1.0 - share) ** count <= alpha / 2 / len(rows) or (share == 0.0 and np.ptp(costs[own]) > 0.0):
+            continue
+        alike = np.ptp(costs[own]) == 0.0
+        out[i] = (ALIKE.format(most), 0.0) if alike else ("", float(np.maximum(costs - most, 0.0).mean()))
+    return out
 
 
 def totals(found: Estimates, alpha: float, known: np.ndarray) -> np.ndarray:

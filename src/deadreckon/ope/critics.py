@@ -58,6 +58,14 @@ def expected(
     return jax.vmap(lambda member: jax.vmap(one, (0, 1))(member, table))(critics)
 
 
+def sizes(q: Float[Array, "m p b"]) -> dict[str, Array]:
+    """Metrics of a fit by which `Fits.convergence` tells whether it has ended: of each policy the mean of the values and their
+    root mean square."""
+    means, squares = q.mean((0, 2)), jnp.square(q).mean((0, 2))
+    each = {f"q {i}": means[i] for i in range(len(means))}
+    return each | {f"size {i}": jnp.sqrt(squares[i]) for i in range(len(squares))}
+
+
 def where_known(error: Float[Array, "m p b"], extra: dict[str, Array]) -> Float[Array, "m p b"]:
     """Errors of critics, 0 where it is not known what the policy does next; see `OPEInput.known_next`."""
     return error * extra["known"].T if "known" in extra else error
@@ -77,25 +85,37 @@ class Best(NamedTuple):
         params: (lanes..., *) the best so far; lanes are the separate fits, such as folds.
         loss: (lanes...,) their loss.
         running: (lanes...,) running mean of the current loss.
+        looks: (lanes...,) updates whose batch had rows to compute it from.
     """
 
     params: Any
     loss: Array
     running: Array
+    looks: Array
 
     @classmethod
     def begin(cls, params: Any, lanes: tuple[int, ...]) -> "Best":
         """Before the first update."""
-        return cls(jax.tree.map(jnp.copy, params), jnp.full(lanes, NONE_YET), jnp.zeros(lanes))
+        return cls(jax.tree.map(jnp.copy, params), jnp.full(lanes, NONE_YET), jnp.zeros(lanes), jnp.zeros(lanes))
 
-    def look(self, params: Any, loss: Array, step: Array, first: Any) -> "Best":
-        """After an update with this `loss`; from update `first` on the parameters of every 50th may be kept."""
-        rate = jnp.maximum(LOOK_RATE, 1.0 / (step + 1))
-        running = self.running + rate * (loss - self.running)
-        better = (running < self.loss) & (step >= first) & (step % LOOK_EVERY == 0)
+    def look(self, params: Any, loss: Array, known: Array, step: Array, first: Any) -> "Best":
+        """After an update; from update `first` on the parameters of every 50th may be kept.
+
+        Args:
+            params: after it.
+            loss: (lanes...,) on the batch's rows of early stopping.
+            known: whether the batch has such rows, of the loss's first axes; otherwise the loss says nothing.
+            step: number of the update.
+            first: see above.
+        """
+        known = jnp.broadcast_to(known.reshape(*known.shape, *[1] * (loss.ndim - known.ndim)), loss.shape)
+        rate = jnp.maximum(LOOK_RATE, 1.0 / (self.looks + 1))
+        running = self.running + jnp.where(known, rate * (loss - self.running), 0.0)
+        looks = self.looks + known
+        better = (running < self.loss) & (looks > 0) & (step >= first) & (step % LOOK_EVERY == 0)
         keep = lambda new, old: jnp.where(better.reshape(*better.shape, *[1] * (new.ndim - better.ndim)), new, old)  # noqa: E731
         params = jax.lax.cond(better.any(), lambda: jax.tree.map(keep, params, self.params), lambda: self.params)
-        return Best(params, jnp.where(better, running, self.loss), running)
+        return Best(params, jnp.where(better, running, self.loss), running, looks)
 
 
 class Fitted(NamedTuple):

@@ -152,7 +152,7 @@ def _wider(case: OPEInput, first: Estimates, checked: Support, model: BehaviorMo
     """How much is added to intervals by products of weights, because learned propensities may be wrong: as much as to the gains
     or, if the estimator that decides does not use such weights, as to those by `dr-linear`."""
     depends = "normalising" in first.diagnostics
-    if depends or not learns(case, "auto") or case.degenerate.any() or case.data.successors is not None:
+    if depends or not learns(case, "auto") or case.degenerate.all() or case.data.successors is not None:
         return choice.wider
     plain = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model).on(case)
     reliable = [name == LOGGED or not Basis.of(plain, i).unreliable for i, name in enumerate(plain.names)]
@@ -176,7 +176,8 @@ def _confounded(
         return values, alone
     if lost := "; ".join(bounds.lost[which]):
         words = f"its gain with wrong odds of logged actions is not known: by whole episodes {lost}"
-        return values, alone if gamma is None else _demanded(alone, -np.inf, words)
+        told = replace(choice, evidence=(*choice.evidence, f"{UNSEEN}; {words}"))
+        return values, told if gamma is None else _demanded(alone, -np.inf, words)
     tipping = bounds.tipping(which) if np.isfinite(choice.low) else np.nan
     values["tipping"] = None if np.isnan(tipping) else min(tipping, MOST)
     undone = f"its gain is no longer significant if the odds of logged actions are wrong by a factor of {tipping:.3g}"

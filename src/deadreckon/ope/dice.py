@@ -24,10 +24,9 @@ from deadreckon.data.batch import Batch, BatchSpec, TransitionSource
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.ope.case import OPEInput
-from deadreckon.ope.critics import Fitted, create, expected, taken
+from deadreckon.ope.critics import Fitted, create, expected, sizes, taken
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
-from deadreckon.ope.fits import settled
 from deadreckon.ope.fqe import Scale
 from deadreckon.ope.weights import effective, few
 from deadreckon.randomness import keys
@@ -109,7 +108,7 @@ class Saddle(eqx.Module):
             inside = inside - zeta * multiplier[..., None] * mass(batch.terminal, self.discount)
         value = (1.0 - self.discount) * (initial_weight * first).mean(-1) + (weight * inside).mean(-1)
         value = value + multiplier if settings.norm else value
-        return value.sum(), {"lagrangian": value.mean(), "ratio": zeta.mean(), "q": q.mean()}
+        return value.sum(), {"lagrangian": value.mean(), "ratio": zeta.mean(), **sizes(q)}
 
 
 class DICE(Estimator):
@@ -154,7 +153,7 @@ class DICE(Estimator):
         """Logged rewards weighted by the ratios."""
         ratios = self.ratios(case)
         found = weighted(case, ratios, case.data.rewards) / (1.0 - case.discount)
-        return estimates(case, self.label, ratios, found, case.convergence_warnings("dice", "q"))
+        return estimates(case, self.label, ratios, found, *case.convergence("dice", case.names))
 
     @property
     def label(self) -> str:
@@ -163,8 +162,11 @@ class DICE(Estimator):
         return next((f"{name.capitalize()}DICE" for name, preset in PRESETS.items() if preset == fields), "DICE")
 
 
-def estimates(case: OPEInput, label: str, ratios: np.ndarray, found: np.ndarray, warnings: list[str]) -> Estimates:
-    """Estimates from (members, policies, rows) ratios and the (members, policies) values by them, with warnings of the fit.
+def estimates(
+    case: OPEInput, label: str, ratios: np.ndarray, found: np.ndarray, settled: np.ndarray, warnings: list[str]
+) -> Estimates:
+    """Estimates from (members, policies, rows) ratios and the (members, policies) values by them, with (policies,) whether the
+    fit has converged, and its warnings.
 
     An episode's weight is the sum of its rows' ratios, averaged over members.
     """
@@ -174,7 +176,7 @@ def estimates(case: OPEInput, label: str, ratios: np.ndarray, found: np.ndarray,
     ess = effective(weight)
     return Estimates(
         label, case.names, found.mean(0), low, high, case.estimand, bootstrap=found, ess=ess,
-        warnings=(*few(case.names, ess, case.data.episodes), *warnings), diagnostics=settled(case.count, warnings),
+        warnings=(*few(case.names, ess, case.data.episodes), *warnings), diagnostics={"settled": settled.astype(float)},
     )  # fmt: skip
 
 

@@ -69,9 +69,16 @@ class DoublyRobust(Estimator):
     confidence: UnitInterval = 0.5  # level of the interval that biases are measured from, with kind="magic"
 
     def check_settings(self) -> None:
-        """Refuses settings out of range."""
+        """Refuses settings out of range, and those that the kind does not use."""
         super().check_settings()
         check_range(self.log_ratio_range)
+        unused = {
+            "alive_only": self.alive_only and self.kind in ("marginal", "switch", "dros"),
+            "log_ratio_range": self.log_ratio_range is not None and self.kind == "marginal",
+            "behavior": self.behavior != "auto" and self.kind == "marginal",
+        }
+        for name in (name for name, given in unused.items() if given):
+            raise UserError(f"DoublyRobust.{name} is not used with kind={self.kind!r}; leave it out")
 
     @property
     def takes_crossed(self) -> bool:  # pyrefly: ignore[bad-override] - it is never set
@@ -261,7 +268,7 @@ class DoublyRobust(Estimator):
                 f"the critics of {case.names[worst]} overfit: their error is {residual[worst]:.2g} reward standard deviations "
                 f"out of fold and {fitted[worst]:.2g} on the training rows; estimates remain valid, but intervals are wide"
             )
-        return found + self._network_warnings(case)
+        return found + self._network(case)[1]
 
     @staticmethod
     def _residuals(case: OPEInput, nuisances: OutOfFold) -> tuple[np.ndarray, np.ndarray]:
@@ -271,13 +278,14 @@ class DoublyRobust(Estimator):
         return np.sqrt(np.square(nuisances.errors).mean(1)) / scale, np.sqrt(nuisances.fitted) / scale
 
     def _diagnostics(self, case: OPEInput, nuisances: OutOfFold) -> dict[str, np.ndarray]:
-        settled = nuisances.settled & (not self._network_warnings(case))
+        settled = nuisances.settled & self._network(case)[0]
         residual, fitted = self._residuals(case, nuisances)
         return {"residual": residual, "training residual": fitted, "settled": settled.astype(float)}
 
-    def _network_warnings(self, case: OPEInput) -> list[str]:
+    def _network(self, case: OPEInput) -> tuple[np.ndarray, list[str]]:
+        """Whether each policy's networks have converged, and a warning if not; of linear critics all have."""
         what = "fqe by folds" if self.folds > 1 else "fqe"
-        return self.fqe.convergence_warnings(case, what) if isinstance(self.fqe, FQE) else []
+        return self.fqe.convergence(case, what) if isinstance(self.fqe, FQE) else (np.ones(case.count, bool), [])
 
     def _marginal(self, case: OPEInput) -> Estimates:
         """Estimates by ratios of occupancies; of the behaviour policy, the mean return if a terminal ends every episode."""

@@ -20,6 +20,7 @@ from deadreckon.training.learner import lane_of
 
 BLOCK = 65_536  # rows at a time
 SETTLED = 0.05  # relative change of a fit's metric over its last fifth above which a warning is given
+REVISION = 2  # of the metrics that a finished fit keeps; checkpoints of another one are not taken up
 
 
 class _Kept(TypedDict):
@@ -84,6 +85,29 @@ class Fits:
         complete(job, what, told)
         return lane_of(job.states, 0)
 
+    def convergence(self, what: str, names: Sequence[str]) -> tuple[np.ndarray, list[str]]:
+        """Whether each policy's critics have converged, (policies,), and a warning if one's have not.
+
+        They have where their mean value changed over the last fifth of the fit by at most 5 % of their root mean square, by
+        `critics.sizes`; values around zero have no relative change.
+
+        Args:
+            what: the fit.
+            names: of its policies.
+        """
+        seen = self._metrics.get(what, {})
+        last = max(seen, default=0)
+        early = max((step for step in seen if step <= 0.8 * last), default=None)
+        if early is None:
+            return np.ones(len(names), bool), []
+        of = lambda step, metric: np.array([seen[step][f"{metric} {i}"] for i in range(len(names))])  # noqa: E731
+        change = np.abs(of(last, "q") - of(early, "q")) / np.maximum(of(last, "size"), 1e-12)
+        settled, worst = change <= SETTLED, int(change.argmax())
+        if settled.all():
+            return settled, []
+        found = f"the values of {names[worst]} by {100 * change[worst]:.0f} % over its last fifth"
+        return settled, [f"{what} still changes: {found}; more than {last:,} updates are needed"]
+
     def convergence_warnings(self, what: str, metric: str) -> list[str]:
         """A warning if a metric of a fit still changed by more than 5 % over its last fifth, else nothing."""
         seen = self._metrics.get(what, {})
@@ -105,14 +129,9 @@ class Fits:
         columns = {name: _digest(column) for name, column in {**rows.extra, **(rows.initial or {})}.items()}
         asked = {
             "learner": described(on_device(learner)), "steps": steps, "log": rows.log.fingerprint, "policies": self.manner,
-            "columns": columns, "estimand": self.estimand.as_json(), "seed": self.seed,
+            "columns": columns, "estimand": self.estimand.as_json(), "seed": self.seed, "revision": REVISION,
         }  # fmt: skip
         return folder_of(self.out, what, asked)
-
-
-def settled(policies: int, warnings: Sequence[str]) -> dict[str, np.ndarray]:
-    """The diagnostic `settled` of estimates by one fit, for each of `policies`: 1 without `convergence_warnings`, else 0."""
-    return {"settled": np.full(policies, float(not warnings))}
 
 
 def _digest(column: np.ndarray) -> str:

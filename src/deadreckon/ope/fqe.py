@@ -23,10 +23,9 @@ from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, polyak_update
 from deadreckon.ope.behavior import masks
 from deadreckon.ope.case import OPEInput
-from deadreckon.ope.critics import Best, Fitted, OutOfFold, create, expected, taken, where_known
+from deadreckon.ope.critics import Best, Fitted, OutOfFold, create, expected, sizes, taken, where_known
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
-from deadreckon.ope.fits import settled
 from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitInterval, host, static
 
@@ -108,7 +107,7 @@ class Critics(eqx.Module):
         grads, (metrics, checked) = jax.grad(self.loss, has_aux=True)(state.critics, batch, target)
         critics, opt = apply_gradients(state.critics, grads, state.opt, self.settings.lr, self.settings.weight_decay)
         targets = polyak_update(state.targets, critics, self.settings.tau)
-        best = None if state.best is None else state.best.look(targets, checked, step, self.first)
+        best = None if state.best is None else state.best.look(targets, checked[0], checked[1], step, self.first)
         return State(critics, targets, opt, best), metrics
 
     def loss(self, critics: MLP, batch: Batch, target: Float[Array, "m p b"]):
@@ -117,11 +116,11 @@ class Critics(eqx.Module):
         q = taken(critics, batch.observation, batch.action)
         square = where_known(jnp.square(q - target), batch.extra)
         error = square * batch.extra["weight"].T[:, None, :]
-        checked = jnp.zeros(())
+        checked = jnp.zeros(()), jnp.zeros((), bool)
         if self.stops:
             check = batch.extra["check"].T[:, None, :]
-            checked = (square * check).sum(-1) / jnp.maximum(check.sum(-1), 1e-6)
-        return error.mean(-1).sum(), ({"loss": error.mean(), "q": q.mean()}, checked)
+            checked = (square * check).sum(-1) / jnp.maximum(check.sum(-1), 1e-6), check.sum((-1, -2)) > 0
+        return error.mean(-1).sum(), ({"loss": error.mean()} | sizes(q), checked)
 
 
 class FQE(Estimator):
@@ -222,12 +221,12 @@ class FQE(Estimator):
         weight = case.redrawn(self.members).T
         found = (values * weight[:, None]).sum(-1) / weight.sum(-1)[:, None]
         low, high = ensemble_interval(found)
-        warnings = self.convergence_warnings(case)
+        settled, warnings = self.convergence(case)
         return Estimates(
             self.label, case.names, found.mean(0), low, high, case.estimand, bootstrap=found, warnings=tuple(warnings),
-            diagnostics=settled(case.count, warnings),
+            diagnostics={"settled": settled.astype(float)},
         )  # fmt: skip
 
-    def convergence_warnings(self, case: OPEInput, what: str = "fqe") -> list[str]:
-        """A warning if the fit has not converged."""
-        return case.convergence_warnings(what, "q")
+    def convergence(self, case: OPEInput, what: str = "fqe") -> tuple[np.ndarray, list[str]]:
+        """Whether each policy's critics have converged, (policies,), and a warning if one's have not."""
+        return case.convergence(what, case.names)

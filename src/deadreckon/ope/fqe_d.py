@@ -19,10 +19,9 @@ from deadreckon.nets.mlp import ensemble
 from deadreckon.nets.optim import apply_gradients, copy, init_opt, renewed
 from deadreckon.nets.return_distributions import cross_entropy, mean, project, support
 from deadreckon.ope.case import OPEInput
-from deadreckon.ope.critics import in_blocks, where_known
+from deadreckon.ope.critics import in_blocks, sizes, where_known
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
-from deadreckon.ope.fits import settled
 from deadreckon.ope.fqe import Scale
 from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, TwoOrMore, host, static
@@ -106,7 +105,7 @@ class Distributions(eqx.Module):
         assert batch.extra is not None
         logits = self.logits(critics, batch.observation, batch.action)
         error, q = where_known(cross_entropy(logits, target), batch.extra), mean(logits, self.support)
-        return (error * batch.extra["weight"].T[:, None, :]).mean(-1).sum(), {"loss": error.mean(), "q": q.mean()}
+        return (error * batch.extra["weight"].T[:, None, :]).mean(-1).sum(), {"loss": error.mean()} | sizes(q)
 
 
 @eqx.filter_jit
@@ -155,8 +154,8 @@ class FQED(Estimator):
         values = learner.scale.unit * in_blocks(of, first, case.initial_actions(self.initial_samples))
         found = (values * redrawn.T[:, None]).sum(-1) / redrawn.sum(0)[:, None]
         low, high = ensemble_interval(found)
-        warnings = case.convergence_warnings("fqe-d", "q")
+        settled, warnings = case.convergence("fqe-d", case.names)
         return Estimates(
             self.label, case.names, found.mean(0), low, high, case.estimand, bootstrap=found, warnings=tuple(warnings),
-            diagnostics=settled(case.count, warnings),
+            diagnostics={"settled": settled.astype(float)},
         )  # fmt: skip

@@ -111,7 +111,7 @@ def compare(
         seed: of the bootstrap.
 
     Raises:
-        UserError: different numbers of true values and estimates, too few policies, or estimates that are not finite.
+        UserError: different numbers of true values and estimates, too few policies, or values that are not finite.
     """
     estimates, truth = np.asarray(estimates, float), np.asarray(truth, float)
     if estimates.shape != truth.shape or estimates.ndim != 1:
@@ -122,8 +122,9 @@ def compare(
         raise UserError(f"resamples must be 1 or more, got {resamples}")
     if not 0 <= seed < 2**32:
         raise UserError(f"seed must be 0 .. 2^32 - 1, got {seed}")
-    if not np.isfinite(estimates).all():
-        raise UserError(f"the estimate of policy {int(np.flatnonzero(~np.isfinite(estimates))[0])} is not finite")
+    for what, values in (("estimate", estimates), ("true value", truth)):
+        if not np.isfinite(values).all():
+            raise UserError(f"the {what} of policy {int(np.flatnonzero(~np.isfinite(values))[0])} is not finite")
     if normalised:
         estimates, truth = normalise(estimates, truth), normalise(truth, truth)
     if clip is not None:
@@ -149,7 +150,8 @@ def _mean_and_spread(values: np.ndarray) -> tuple[float, float]:
 def sharpe_ratio(estimates: np.ndarray, truth: np.ndarray, behavior: float, k: int) -> float:
     """(best true value among the k with the highest estimates - the logged policy's) / their standard deviation.
 
-    SharpeRatio@k (Kiyohara et al. 2024): the gain of trying these k, relative to its risk. NaN for a deviation of zero.
+    SharpeRatio@k (Kiyohara et al. 2024): the gain of trying these k, relative to its risk. NaN for a deviation of zero. Of
+    equal estimates, those of the first policies count.
     """
     top = np.asarray(truth, float)[np.argsort(-np.asarray(estimates), kind="stable")[:k]]
     return float((top.max() - behavior) / top.std()) if top.std() > 0 else float("nan")

@@ -147,8 +147,7 @@ def select(
         raise UserError(f"seen must have an entry for each of {len(names)} policies, got {len(seen)}")
     unknown, known = doubted(first, support)
     every = gains(first, alpha, known)
-    shown = supported(first, support)
-    found = [every, *(gains(each, alpha, shown) for each in estimates[1:])]
+    found = [every, *(gains(each, alpha, doubted(each, support)[1]) for each in estimates[1:])]
     objections = []
     for i in range(len(names)):
         own = [] if seen is None or seen[i] is None else [str(seen[i])]

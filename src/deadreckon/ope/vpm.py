@@ -129,4 +129,5 @@ class VPM(Estimator):
         data, ratios = case.data, self.ratios(case)
         masses = weighted(case, ratios, mass(np.asarray(data.terminals, np.float64), case.discount))
         found = weighted(case, ratios, data.rewards) / (1.0 - case.discount) / masses
-        return estimates(case, self.label, ratios, found, case.convergence_warnings("vpm", "mass"))
+        warnings = case.convergence_warnings("vpm", "mass")
+        return estimates(case, self.label, ratios, found, np.full(case.count, not warnings), warnings)

@@ -24,6 +24,7 @@ if __package__:
         numbers_of,
         shown,
         text_of,
+        word_of_truth,
     )
 else:  # copied beside `portable.py`
     from table_rows import (  # pyrefly: ignore[missing-import]
@@ -38,6 +39,7 @@ else:  # copied beside `portable.py`
         numbers_of,
         shown,
         text_of,
+        word_of_truth,
     )
 
 _SEPARATORS = ("|", ";", ",", " ")  # of the actions in a text
@@ -159,12 +161,13 @@ class Legal:
     def __init__(self, columns: Mapping[str, Mapping[str, Any]], actions: Sequence[Any]):
         self.columns, self.actions = columns, [text_of(action) for action in actions]
         self.places = {action: place for place, action in enumerate(self.actions)}
+        self.words = word_of_truth if self.places.keys() <= {"true", "false"} else str  # as `data.legal_columns` reads them
 
     @property
     def strangers(self) -> list[str]:
         """The columns that are for an action which there is not."""
         given = {key: column.get("of") for key, column in self.columns.items()}
-        return [key for key, of in given.items() if of is not None and text_of(of) not in self.places]
+        return [key for key, of in given.items() if of is not None and self._named(of) not in self.places]
 
     def of(self, columns: Mapping[str, np.ndarray], count: int, name: str) -> np.ndarray:
         """(rows, actions) float32, 1 where an action is legal, by the columns of `count` rows."""
@@ -179,11 +182,15 @@ class Legal:
                 values = flags_of(key, columns[key], name)
                 if np.isnan(values).any():
                     raise RowsError(f"{name}: column {key} is empty in row {first(np.isnan(values))}, 0 or 1 is needed")
-                mask[:, self.places[text_of(of)]] = values
+                mask[:, self.places[self._named(of)]] = values
                 continue
             for row, cell in enumerate(columns[key].tolist()):
                 mask[row, [self.places[action] for action in self._listed(key, cell, row, name)]] = 1.0
         return some_legal(mask, name)
+
+    def _named(self, action: Any) -> str:
+        """The text of an action, as `actions` has it."""
+        return self.words(text_of(action))
 
     def _listed(self, key: str, cell: Any, row: int, name: str) -> list[str]:
         """The actions that a cell lists, as texts."""
@@ -192,10 +199,10 @@ class Legal:
         found = _unwrapped(cell) if isinstance(cell, str) else cell
         if isinstance(found, str):
             ways = [[found], *(found.split(mark) for mark in _SEPARATORS)]
-            ways = [[_bare(part.strip()) for part in parts if part.strip()] for parts in ways]
+            ways = [[self.words(_bare(part.strip())) for part in parts if part.strip()] for parts in ways]
             parts = next((parts for parts in ways if all(part in self.places for part in parts)), max(ways, key=len))
         else:
-            parts = [text_of(each) for each in (found if isinstance(found, list | tuple | np.ndarray) else [found])]
+            parts = [self._named(each) for each in (found if isinstance(found, list | tuple | np.ndarray) else [found])]
         for part in parts:
             if part not in self.places:
                 close = near(part, self.actions, "actions")

@@ -288,12 +288,16 @@ class _Episodes(NamedTuple):
 
 
 def _names(values: np.ndarray) -> list[Any]:
-    """Names of episodes as they are compared and hashed: times as texts, in whatever unit they are given."""
+    """Names of episodes as they are compared and hashed: times as texts, in whatever unit they are given.
+
+    The text of a time does not depend on the other rows: a day without a time of day, and seconds without zeros behind them.
+    """
     if values.dtype.kind != "M":
         return values.tolist()
-    days = np.array_equal(values, values.astype("datetime64[D]").astype(values.dtype), equal_nan=True)
-    texts = np.datetime_as_string(values, unit="D" if days else "s").tolist()
-    return [None if text == "NaT" else text.replace("T", " ") for text in texts]
+    moments = values.astype("datetime64[s]") if np.datetime_data(values.dtype)[0] in ("Y", "M", "W", "D", "h", "m") else values
+    texts = np.datetime_as_string(moments).tolist()
+    texts = [text.rstrip("0").removesuffix(".") if "." in text else text for text in texts]
+    return [None if text == "NaT" else text.removesuffix("T00:00:00").replace("T", " ") for text in texts]
 
 
 def _ended(encoder: TableEncoder, columns: Mapping[str, np.ndarray], rows: int, where: str, alone: bool) -> np.ndarray:

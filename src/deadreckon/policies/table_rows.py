@@ -170,6 +170,11 @@ def _truth(text: str) -> Any:
     return None if text in _MISSING else _TRUTHS.get(text.lower(), text)
 
 
+def word_of_truth(text: str) -> str:
+    """"true" or "false" for a text such as yes or off, which says the same in a file; any other text as it is."""
+    return text if (found := _TRUTHS.get(text.lower())) is None else str(found).lower()
+
+
 def _no_value(column: str, value: Any, row: int, name: str, needed: str) -> RowsError:
     return RowsError(f"{name}: column {column} has {shown(value)} in row {row}, {needed}")
 

@@ -28,6 +28,11 @@ class Axis:
         if len(self.ticks) < 2:  # of one alone no scale is read
             self.ticks = _nice(low, high, most)
 
+    def label(self, tick: float) -> str:
+        """A tick as a number, with as many digits as tell it from its neighbours."""
+        apart = min((b - a for a, b in zip(self.ticks, self.ticks[1:])), default=0.0)
+        return short(tick, 3 if self.symlog or not apart or not tick else max(3, _digits(tick, apart)))
+
     def _bend(self, value: np.ndarray | float) -> np.ndarray:
         value = np.asarray(value, float)
         return np.sign(value) * np.log10(1 + np.abs(value)) if self.symlog else value
@@ -54,12 +59,17 @@ def _decades(low: float, high: float) -> list[float]:
     return [t for t in [*(-s for s in reversed(sizes)), 0.0, *sizes] if low <= t <= high]
 
 
-def short(value: float) -> str:
-    """A number as a tick has it."""
+def _digits(value: float, step: float) -> int:
+    """Significant digits of a multiple of a step that has two, such as 2.5 or 1."""
+    return math.floor(math.log10(abs(value))) - math.floor(math.log10(step * (1 + 1e-9))) + 2
+
+
+def short(value: float, digits: int) -> str:
+    """A number of so many significant digits as a tick has it."""
     for size, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if size <= abs(value) < 1e12:
-            return f"{value / size:g}{unit}".replace("-", "\N{MINUS SIGN}")
-    return f"{value:.3g}".replace("-", "\N{MINUS SIGN}").replace("e+", "e")
+            return f"{value / size:.{max(digits, 6)}g}{unit}".replace("-", "\N{MINUS SIGN}")
+    return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}").replace("e+", "e")
 
 
 def cut(name: str) -> str:
@@ -83,5 +93,5 @@ def columns(x: Axis, top: float, height: float) -> list[Markup]:
     parts = []
     for t in x.ticks:
         parts.append(tag("line", x1=f"{x(t):.1f}", x2=f"{x(t):.1f}", y1=top - 4, y2=height - 24, class_="grid"))
-        parts.append(tag("text", short(t), x=f"{x(t):.1f}", y=height - 8, class_="tick mid"))
+        parts.append(tag("text", x.label(t), x=f"{x(t):.1f}", y=height - 8, class_="tick mid"))
     return parts

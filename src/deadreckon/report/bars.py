@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deadreckon.report.axes import Axis, short
+from deadreckon.report.axes import Axis
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.text import number
 
@@ -31,13 +31,13 @@ def histogram(values: np.ndarray, title: str, unit: str = "rows") -> Markup:
     x, y = Axis(float(edges[0]), float(edges[-1]), left, right), Axis(0.0, float(counts.max()), bottom, top, most=3)
     parts = [tag("title", title), tag("text", unit, x=2, y=12, class_="axis")]
     parts += [tag("line", x1=left, x2=right, y1=f"{y(t):.1f}", y2=f"{y(t):.1f}", class_="grid") for t in y.ticks]
-    parts += [tag("text", short(t), x=left - 5, y=f"{y(t) + 4:.1f}", class_="tick end") for t in y.ticks]
+    parts += [tag("text", y.label(t), x=left - 5, y=f"{y(t) + 4:.1f}", class_="tick end") for t in y.ticks]
     for count, low, high in zip(counts.tolist(), edges, edges[1:]):
         said = tag("title", f"{number(float(low))} to {number(float(high))}: {count:,} {unit}")
         a, b, up = float(x(low)), float(x(high)), float(y(count))
         size = {"width": f"{max(b - a - 1, 0.5):.1f}", "height": f"{bottom - up:.1f}"}
         parts.append(tag("rect", said, x=f"{a + 0.5:.1f}", y=f"{up:.1f}", class_="bar", **size))
-    parts += [tag("text", short(t), x=f"{x(t):.1f}", y=bottom + 18, class_="tick mid") for t in x.ticks]
+    parts += [tag("text", x.label(t), x=f"{x(t):.1f}", y=bottom + 18, class_="tick mid") for t in x.ticks]
     return _drawing(parts, width, height, title)
 
 
@@ -72,8 +72,8 @@ def density(x: np.ndarray, y: np.ndarray, across: str, up: str) -> Markup:
     parts = [tag("title", title)]
     for t in over.ticks:
         parts.append(tag("line", x1=left, x2=right, y1=f"{over(t):.1f}", y2=f"{over(t):.1f}", class_="grid"))
-        parts.append(tag("text", short(t), x=left - 7, y=f"{over(t) + 4:.1f}", class_="tick end"))
-    parts += [tag("text", short(t), x=f"{at(t):.1f}", y=bottom + 19, class_="tick mid") for t in at.ticks]
+        parts.append(tag("text", over.label(t), x=left - 7, y=f"{over(t) + 4:.1f}", class_="tick end"))
+    parts += [tag("text", at.label(t), x=f"{at(t):.1f}", y=bottom + 19, class_="tick mid") for t in at.ticks]
     parts += [tag("text", across, x=right, y=bottom + 36, class_="axis end"), tag("text", up, x=4, y=14, class_="axis")]
     for i, j in np.argwhere(counts > 0).tolist():
         a, b, low, high = float(at(xs[i])), float(at(xs[i + 1])), float(over(ys[j])), float(over(ys[j + 1]))

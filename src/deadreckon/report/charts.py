@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadreckon.report.axes import LABEL, POINTS, Axis, cut, path, short
+from deadreckon.report.axes import LABEL, POINTS, Axis, cut, path
 from deadreckon.report.forest import marker, robust, whisker
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.text import number
@@ -92,11 +92,11 @@ def lines(
     parts += [
         join(
             tag("line", x1=left, x2=right, y1=f"{y(t):.1f}", y2=f"{y(t):.1f}", class_="grid"),
-            tag("text", short(t), x=left - 7, y=f"{y(t) + 4:.1f}", class_="tick end"),
+            tag("text", y.label(t), x=left - 7, y=f"{y(t) + 4:.1f}", class_="tick end"),
         )
         for t in y.ticks
     ]
-    parts += [tag("text", short(t), x=f"{x(t):.1f}", y=bottom + 19, class_="tick mid") for t in x.ticks]
+    parts += [tag("text", x.label(t), x=f"{x(t):.1f}", y=bottom + 19, class_="tick mid") for t in x.ticks]
     parts.append(tag("text", across, x=right, y=bottom + 34, class_="axis end"))
     parts.append(
         tag("text", ", ".join(filter(None, (unit, "symmetric log scale" if symlog else ""))), x=4, y=14, class_="axis")
@@ -112,8 +112,10 @@ def lines(
         px, py = x(s.x), y(s.y)
         inner = []
         if s.low is not None and s.high is not None:
-            good = np.isfinite(s.low) & np.isfinite(s.high)
-            around = np.concatenate([px[good], px[good][::-1]]), np.concatenate([y(s.high[good]), y(s.low[good])[::-1]])
+            good = (np.isfinite(s.low) | np.isfinite(s.high)) & ~np.isnan(s.low) & ~np.isnan(s.high)
+            ends = np.concatenate([y(s.high[good]), y(s.low[good])[::-1]])
+            # An infinite end lies beyond the chart: the band is drawn to its edge.
+            around = np.concatenate([px[good], px[good][::-1]]), np.clip(ends, top, bottom)
             inner.append(tag("path", d=path(*around, closed=True), class_="band"))
         inner.append(tag("path", d=path(px, py), class_="line dashed" if s.dashed else "line"))
         good = np.flatnonzero(np.isfinite(py))
@@ -195,8 +197,8 @@ def scatter(
     parts = [tag("title", f"{unit} against {across}")]
     for t in y.ticks:
         parts.append(tag("line", x1=left, x2=right, y1=f"{y(t):.1f}", y2=f"{y(t):.1f}", class_="grid"))
-        parts.append(tag("text", short(t), x=left - 7, y=f"{y(t) + 4:.1f}", class_="tick end"))
-    parts += [tag("text", short(t), x=f"{x(t):.1f}", y=bottom + 19, class_="tick mid") for t in x.ticks]
+        parts.append(tag("text", y.label(t), x=left - 7, y=f"{y(t) + 4:.1f}", class_="tick end"))
+    parts += [tag("text", x.label(t), x=f"{x(t):.1f}", y=bottom + 19, class_="tick mid") for t in x.ticks]
     parts.append(tag("text", across, x=right, y=bottom + 34, class_="axis end"))
     parts.append(tag("text", unit, x=4, y=14, class_="axis"))
     both = max(x.low, y.low), min(x.high, y.high)

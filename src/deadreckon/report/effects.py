@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadreckon.report.axes import Axis, path, short
+from deadreckon.report.axes import Axis, path
 from deadreckon.report.forest import marker, whisker
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.text import number
@@ -63,9 +63,9 @@ def _curve(of: Panel) -> Markup:
     parts = [tag("title", f"{of.unit} by {of.name}")]
     for t in y.ticks:
         parts.append(tag("line", x1=LEFT, x2=RIGHT, y1=f"{y(t):.1f}", y2=f"{y(t):.1f}", class_="grid"))
-        parts.append(tag("text", short(t), x=LEFT - 5, y=f"{y(t) + 4:.1f}", class_="tick end"))
+        parts.append(tag("text", y.label(t), x=LEFT - 5, y=f"{y(t) + 4:.1f}", class_="tick end"))
     for t in _ticks_of_log(of.values) if of.log else x.ticks:
-        parts.append(tag("text", short(t), x=f"{x(at(t)):.1f}", y=BOTTOM + 22, class_="tick mid"))
+        parts.append(tag("text", x.label(t), x=f"{x(at(t)):.1f}", y=BOTTOM + 22, class_="tick mid"))
     if of.rows is not None:
         some = np.unique(of.rows)
         some = some[np.unique(np.linspace(0, len(some) - 1, min(len(some), _MARKS)).astype(int))]
@@ -107,7 +107,7 @@ def _points(of: Panel) -> Markup:
     parts = [tag("title", f"{of.unit} by {of.name}")]
     for t in x.ticks:
         parts.append(tag("line", x1=f"{x(t):.1f}", x2=f"{x(t):.1f}", y1=TOP - 4, y2=height - 22, class_="grid"))
-        parts.append(tag("text", short(t), x=f"{x(t):.1f}", y=height - 6, class_="tick mid"))
+        parts.append(tag("text", x.label(t), x=f"{x(t):.1f}", y=height - 6, class_="tick mid"))
     if of.reference is not None and x.low <= of.reference <= x.high:
         at = f"{x(of.reference):.1f}"
         parts.append(tag("line", x1=at, x2=at, y1=TOP - 4, y2=height - 22, class_="reference"))

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deadreckon.report.axes import POINTS, Axis, columns, path, short
+from deadreckon.report.axes import POINTS, Axis, columns, path
 from deadreckon.report.markup import Markup, tag
 
 SPEEDS = 0.5, 2.0, 5.0, 10.0  # m/s, between one colour of `spacetime` and the next
@@ -41,7 +41,7 @@ def spacetime(
         for colour in range(len(drawn)):
             drawn[colour] += [path(*part) for part in _runs(px, py[:, car], ahead, colours == colour)]
     parts = [tag("title", title), *columns(x, top, bottom + 24)]
-    parts += [tag("text", short(t), x=left - 7, y=f"{y(t) + 4:.1f}", class_="tick end") for t in y.ticks]
+    parts += [tag("text", y.label(t), x=left - 7, y=f"{y(t) + 4:.1f}", class_="tick end") for t in y.ticks]
     parts.append(tag("text", "m", x=4, y=14, class_="axis"))
     parts.append(tag("text", "s", x=right, y=bottom + 34, class_="axis end"))
     names = [f"< {limit:g}" for limit in SPEEDS] + [f"{SPEEDS[-1]:g} m/s and more"]

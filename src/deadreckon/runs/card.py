@@ -35,7 +35,8 @@ def card(
         checked: number of rows on which it was checked.
     """
     # Text from files is escaped, so that it cannot pass for text of the card.
-    one, estimates = replace(one, name=in_markdown(one.name), config=in_markdown(one.config)), in_markdown(estimates)
+    told = {"name": in_markdown(one.name), "config": in_markdown(one.config), "made": in_markdown(one.made)}
+    one, estimates = replace(one, **told), in_markdown(estimates)
     parts = [
         ("", [f"A policy exported by deadreckon {__version__} on {datetime.date.today().isoformat()}, as {format}."]),
         ("Use", [*use, "", f"Checked against the policy on {checked:,} rows of {in_markdown(log.name)}."]),
@@ -88,13 +89,18 @@ def _number(value: Any) -> float:
 
 
 def _log(one: Subject, log: Dataset) -> list[str]:
-    data = (one.config or {}).get("data", {})
-    facts = [
-        ("name", data.get("name", in_markdown(log.name))), ("fingerprint", data.get("fingerprint", log.fingerprint)),
-        ("rows", f"{data.get('rows', len(log)):,}"), ("episodes", f"{data.get('episodes', log.episodes):,}"),
-        ("actions", _actions(log)),
-    ]  # fmt: skip
-    if (held := data.get("holdout")) is not None:
+    data = one.data
+    known = {name: data[name] for name in ("name", "fingerprint", "rows", "episodes") if name in data}
+    if not known:
+        known = {"name": in_markdown(log.name), "fingerprint": log.fingerprint, "rows": len(log), "episodes": log.episodes}
+    facts = [(name, f"{value:,}" if isinstance(value, int) else value) for name, value in known.items()]
+    facts.append(("actions", _actions(log)))
+    if not data:
+        facts.append(("origin", "the log of the check; the policy's file does not say which log it was trained on"))
+    held = data.get("holdout")
+    if held is not None and one.config is None:
+        facts.append(("held out", f"each episode by one of the {held['folds']} folds, by {held['by']}"))
+    elif held is not None:
         facts.append(("held out", f"{held['held']:,} of {held['held'] + held['learning']:,} episodes, by {held['by']}"))
     return [*(f"- {name}: {value}" for name, value in facts), *(f"- warning: {line}" for line in data.get("warnings", ()))]
 
@@ -108,13 +114,14 @@ def _actions(log: Dataset) -> str:
 
 
 def _agent(one: Subject) -> list[str]:
-    config = one.config
+    config = one.made
     kind = type(one.policy.inner)
     told = " ".join((inspect.getdoc(kind) or "").partition("\n\n")[0].split())
     policy = f"The policy has the type `{kind.__name__}`{': ' * bool(told)}{told}"
-    if config is None:
+    if not config:
         return [policy, "", "No run says how it was made."]
-    head = f"{config['agent']['name']}, seed {one.seed}, {config['steps']:,} updates."
+    seed = "" if one.seed is None else f", seed {one.seed}"
+    head = f"{config['agent']['name']}{seed}, {config['steps']:,} updates{' in each fold' if one.config is None else ''}."
     fields = [f"| {name} | {value} |" for name, value in config["agent"].get("fields", {}).items()]
     if seen := seen_by(config):
         head += f" Pictures: {seen}."
@@ -162,6 +169,6 @@ def _limits(one: Subject, log: Dataset, estimates: tuple[dict[str, Any], int] | 
 
 
 def _versions(one: Subject) -> list[str]:
-    known = (one.config or {}).get("versions", {})
+    known = one.made.get("versions", {})
     lines = [f"- {name}: {value}" for name, value in known.items() if name != "lanes"]
     return [*lines, f"- exported with deadreckon: {__version__}"]

@@ -19,7 +19,7 @@ from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.split import RANDOM, Fold, group_of
 from deadreckon.data.split import folds as dealt
-from deadreckon.errors import UserError, unknown
+from deadreckon.errors import DivergedError, UserError, unknown
 from deadreckon.files import write_json
 from deadreckon.interrupts import resumable
 from deadreckon.names import file_part
@@ -125,7 +125,8 @@ def cross_fit(
             `deliver` may be different.
 
     Raises:
-        UserError: invalid input, in which case nothing is written, or a fold in which every seed failed; in one line.
+        UserError: invalid input, in which case nothing is written, and results of an earlier call stay.
+        DivergedError: every seed of a fold failed.
     """
     if (holdout := settings.get("holdout")) is not None:
         raise UserError(f"cross_fit holds every fold out in turn: leave holdout out, got {holdout}")
@@ -158,15 +159,19 @@ def cross_fit(
 def _cross_fit(agent: Any, log: Dataset, path: Path, config: dict[str, Any], shared: dict[str, Any]) -> CrossFit:
     """The cross-fit in the folder `path`, which has begun; `shared` are options of `train`."""
     folds, by, seed = config["folds"], config["by"], config["seed"]
-    runs = [
-        train(agent, log, out=path / f"fold{each}", holdout=Fold(each, folds, by, seed), **shared) for each in range(folds)
-    ]
+    runs = []
+    for each in range(folds):
+        runs.append(train(agent, log, out=path / f"fold{each}", holdout=Fold(each, folds, by, seed), **shared))
+        if not each:  # the settings are accepted; the folds may be trained for longer, so mixtures are made again
+            for mixture in path.glob("mixture*.npz"):
+                mixture.unlink()
+            write_json(path / NAME, config)
     healthy = [[i for i, failure in enumerate(run.failures) if failure is None] for run in runs]
     each = min(map(len, healthy))  # as many of each fold, so that the mixture's value is the mean of the folds'
     if not each:
         failed = [not own for own in healthy].index(True)
         failure = next(f for f in runs[failed].failures if f is not None)
-        raise UserError(f"{path / f'fold{failed}'} failed: {failure.metric} was not finite at update {failure.step}")
+        raise DivergedError(f"{path / f'fold{failed}'} failed: {failure.metric} was not finite at update {failure.step}")
     if config["deliver"] == "mixture":
         picked = [(k, i) for k, own in enumerate(healthy) for i in own[:each]]
         config["members"] = [[k, runs[k].seeds[i]] for k, i in picked]
@@ -203,7 +208,7 @@ def load_cross_fit(path: Path | str) -> CrossFit:
 
 
 def _begin(path: Path, config: dict[str, Any], resume: bool) -> None:
-    """Writes the settings of a cross-fit, unless the folder holds something else.
+    """Writes the settings of a new cross-fit; of an earlier one, checks that it is the same.
 
     Raises:
         UserError: it does, or `resume` is needed.
@@ -216,6 +221,5 @@ def _begin(path: Path, config: dict[str, Any], resume: bool) -> None:
             raise UserError(f"{path} holds another cross-fit: {different[0]}; choose another --out")
     elif path.exists() and not (path.is_dir() and all(p.suffix == ".tmp" for p in path.iterdir())):
         raise UserError(f"{path} exists and is not a cross-fit; choose another --out")
-    for mixture in path.glob("mixture*.npz"):
-        mixture.unlink()  # the folds may be trained for longer; mixtures are then made again
-    write_json(path / NAME, config)
+    else:
+        write_json(path / NAME, config)

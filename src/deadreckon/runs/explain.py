@@ -159,10 +159,7 @@ def _explained(name: str, function: Pure, data: Dataset, steps: int) -> Explaine
     scale = np.where(scale > 1e-9, scale, np.inf)  # a constant action has no error
 
     def loss(guess: np.ndarray, part: np.ndarray) -> np.ndarray:
-        if discrete:
-            return (guess != done[part]).astype(float)
-        varies = max(int(np.isfinite(scale).sum()), 1)
-        return np.square((guess.reshape(len(guess), -1) - done[part]) / scale).sum(1) / varies
+        return _apart(guess if discrete else guess.reshape(len(guess), -1), done[part], scale, discrete)
 
     base: Any = np.bincount(done[first]).argmax() if discrete else done[first].mean(0)
     constant = lambda part: np.broadcast_to(base, done[part].shape)  # noqa: E731
@@ -183,6 +180,19 @@ def _explained(name: str, function: Pure, data: Dataset, steps: int) -> Explaine
     matters = _matters(again, x[fresh], done[fresh], unit[fresh], _groups(data, steps), scale, discrete, rng)
     ends = fidelity.value, fidelity.low, fidelity.high
     return Explained(name, data.name, discrete, len(own), depth, *ends, still, bool(explains), tree, matters)
+
+
+def _apart(one: np.ndarray, other: np.ndarray, scale: np.ndarray, discrete: bool) -> np.ndarray:
+    """(rows,) difference of actions: 1 where discrete ones differ, else the mean square over the dimensions that vary.
+
+    Args:
+        one, other: the actions.
+        scale: of each dimension, infinite where the policy's action is constant.
+        discrete: whether actions are codes.
+    """
+    if discrete:
+        return (one != other).astype(float)
+    return np.square((one - other) / scale).sum(1) / max(int(np.isfinite(scale).sum()), 1)
 
 
 def _asker(function: Pure) -> Any:
@@ -321,8 +331,7 @@ def _matters(
         for _ in range(EXCHANGES):
             other = x.copy()
             other[:, dimensions] = x[rng.permutation(len(x))][:, dimensions]
-            now = ask(other)
-            change += (now != done) if discrete else np.square((now - done) / scale).mean(1)
+            change += _apart(ask(other), done, scale, discrete)
         mean = _mean(change / EXCHANGES, unit)
         ends = (mean.value, max(mean.low, 0.0), mean.high)
         value, low, high = ends if discrete else np.sqrt(np.maximum(ends, 0.0)).tolist()

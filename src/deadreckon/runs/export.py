@@ -119,7 +119,13 @@ def _numpy(one: Subject, function: Pure, rows: Rows, folder: Path) -> list[str]:
     play = portable.load(folder / "policy.npz")
     check("the numpy player", rows, played(play, rows))
     use = 'play.predict({"column": value, ...})   # or a data frame, or a list of dictionaries'
-    use = use if TableEncoder(one.told).observed else "play(observations)"
+    encoder = TableEncoder(one.told)
+    if not encoder.observed:
+        begins = history_of(one.policy) > 1 or MEMBER in function.inputs
+        more = [*(["first=first"] if begins else []), *(["legal=legal"] if encoder.masked else [])]
+        use = f"play({', '.join(['observations', *more])})"
+        use += "   # first: (rows,), true where an episode begins; every call continues with the same rows" if begins else ""
+        use += "   # legal: (rows, actions) truth values" if encoder.masked else ""
     return [
         "numpy alone is needed, and the files of this folder:", "",
         "```python", "import portable", "", 'play = portable.load("policy.npz")', use, "```",

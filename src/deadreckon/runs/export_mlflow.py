@@ -34,6 +34,9 @@ def write_mlflow(one: Subject, function: Pure, rows: Rows, folder: Path) -> list
         text = f"the format mlflow needs mlflow-skinny and pandas ({error}): {extra('mlflow')}"
         raise UserError(text) from error
     encoder = TableEncoder(one.told)
+    if function.history > 1 and not encoder.observed:
+        text = "a model of MLflow is given rows and not where episodes begin"
+        raise UserError(f"{one.name} acts on the last {function.history} observations of arrays: {text}; the format numpy is")
     named = bool(encoder.observed) and not encoder.masked and function.history == 1
     given: Any = pandas.DataFrame(decoded(encoder, rows.observations)) if named else rows.observations
     episode = encoder.one.get("episode")
@@ -56,16 +59,20 @@ def write_mlflow(one: Subject, function: Pure, rows: Rows, folder: Path) -> list
             path=str(folder), loader_module=Path(LOADER).stem, data_path=str(data),
             code_paths=[str(code / name) for name in (*PLAYER, LOADER)], pip_requirements=["numpy>=2.1", "pandas>=2.2"], **sign,
         )  # fmt: skip
-    if named and function.members == 1:
+    plain = not encoder.observed and rows.observations.ndim == 2
+    if (named or plain) and function.members == 1:
         again = mlflow.pyfunc.load_model(str(folder)).predict(given)
         check("the MLflow model", rows, _coded(encoder, again))
-    return ["`mlflow.pyfunc.load_model(FOLDER).predict(frame)` takes a data frame with the columns of the table."]
+    takes = "a data frame with the columns of the table" if encoder.observed else "an array of observations, a row for each"
+    return [f"`mlflow.pyfunc.load_model(FOLDER).predict({'frame' if encoder.observed else 'observations'})` takes {takes}."]
 
 
 def _coded(encoder: TableEncoder, actions: Any) -> np.ndarray:
     """Named actions of a data frame in the policy's encoding."""
     if not encoder.discrete:
         return actions.to_numpy(np.float64)
+    if not encoder.actions:  # codes, of arrays
+        return actions["action"].to_numpy()
     found = encoder.logged({key: actions[key].to_numpy() for key in encoder.actions})
     assert found is not None
     return found

@@ -22,7 +22,7 @@ from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.groups import Groups
 from deadreckon.ope.registry import Function, as_estimators, fits_name, titled
-from deadreckon.ope.select import Choice, gains, supported
+from deadreckon.ope.select import Choice, doubted, gains
 from deadreckon.ope.settings import DecisionSettings, EstimateSettings
 from deadreckon.provided import provided
 from deadreckon.runs.decision_record import read_results, saved_at, write_results
@@ -185,7 +185,7 @@ def _with_fits_apart(settings: JudgeSettings) -> JudgeSettings:
 def _decision_as_json(decision: Decision, alpha: float) -> dict[str, Any]:
     """Support, estimates with their gains, and choice."""
     choice, support = decision.choice, decision.support
-    every = [gains(each, alpha, supported(each, support)) for each in decision.estimates]
+    every = [gains(each, alpha, doubted(each, support)[1]) for each in decision.estimates]
     every[0][: len(choice.gains)] = choice.gains  # these take objections to intervals into account
     return {
         "support": {"missing": _known(support.missing), "ratio": _known(support.ratio),
@@ -261,17 +261,18 @@ def checked(results: dict[str, Any]) -> str:
     if "beyond" in truth:
         limit = f"; its time limit leaves {100 * truth['beyond']:.0f} % of the discounted time out, which the estimates include"
     rank = int((means > means[chosen]).sum()) + 1
-    said = lambda error: f" (standard error {error:.2f})"  # noqa: E731 - in words: a bare ± could be an interval
-    words = f"in the simulator {names[chosen]} has {means[chosen]:.2f}{said(truth['error'][chosen])} and is "
+    d = decimals(*means)
+    said = lambda error: f" (standard error {fixed(error, d)})"  # noqa: E731 - in words: a bare ± could be an interval
+    words = f"in the simulator {names[chosen]} has {fixed(means[chosen], d)}{said(truth['error'][chosen])} and is "
     error = lambda other: said(truth["apart"][chosen][other]) if "apart" in truth else ""  # noqa: E731
     if rank == 1:
         others = [i for i in np.argsort(-means, kind="stable").tolist() if i != chosen]
-        behind = [f"; the next, {names[i]}, is lower by {means[chosen] - means[i]:.2f}{error(i)}" for i in others[:1]]
+        behind = [f"; the next, {names[i]}, is lower by {fixed(means[chosen] - means[i], d)}{error(i)}" for i in others[:1]]
         return f"{words}the best of {len(names)}{''.join(behind)}{limit}"
     best = int(means.argmax())
     return (
-        f"{words}in place {rank} of {len(names)}; the best, {names[best]}, has {means[best]:.2f}: a regret of "
-        f"{lost:.2f}{error(best)}{share}{limit}"
+        f"{words}in place {rank} of {len(names)}; the best, {names[best]}, has {fixed(means[best], d)}: a regret of "
+        f"{fixed(lost, d)}{error(best)}{share}{limit}"
     )
 
 

@@ -9,7 +9,7 @@ import math
 import shlex
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Unpack
@@ -146,7 +146,7 @@ def recommend(
             shutil.rmtree(out, ignore_errors=True)
             raise UserError(found.refused)
         name = data.name if isinstance(data, Dataset) else found.state.get("log", str(data))
-        again = None if isinstance(data, Dataset) or columns else str(data)
+        again = () if isinstance(data, Dataset) or columns else ("--data", str(data), *_options(settings))
         told = _written(out, name, again, found, clock)
         if page is not None:
             page(out, True)
@@ -161,7 +161,17 @@ def recommend(
 # ---- the card ---------------------------------------------------------------------------------------------------------
 
 
-def _written(out: Path, log: str, again: str | None, found: Found, clock: Clock) -> dict[str, Any]:
+def _options(settings: RecommendSettings) -> list[str]:
+    """The options of `deadreckon ope` for the same decision."""
+    limits = settings.cost_limit
+    named = [f"{key}={limit}" for key, limit in limits.items()] if isinstance(limits, Mapping) else limits
+    named = [str(named)] if isinstance(named, int | float) else list(named or ())
+    options = ["--discount", str(settings.discount), "--seed", str(settings.seed)]
+    options += ["--cost-limit", *named] if named else []
+    return options + (["--accept-model-based", "True"] if settings.accept_model_based else [])
+
+
+def _written(out: Path, log: str, again: Sequence[str], found: Found, clock: Clock) -> dict[str, Any]:
     """Writes `estimates.json`: the estimates, or the reason why there are none, and the candidates that were tried."""
     path = out / NAME
     state = found.state
@@ -181,7 +191,7 @@ def _written(out: Path, log: str, again: str | None, found: Found, clock: Clock)
     return told
 
 
-def _unjudged(out: Path, log: str, again: str | None, found: Found, clock: Clock) -> dict[str, Any]:
+def _unjudged(out: Path, log: str, again: Sequence[str], found: Found, clock: Clock) -> dict[str, Any]:
     """The card if no policy was evaluated: do not deploy, the reason, the progress, and a budget that should suffice."""
     state, stage = found.state, found.state.get("stage", "starting")
     candidates = state.get("candidates", [])
@@ -201,8 +211,8 @@ def _unjudged(out: Path, log: str, again: str | None, found: Found, clock: Clock
         evidence.append(f"still to be done: {', '.join(_rest(stage, bool(candidates)))}")
         evidence.append(f"a budget of {_enough(state, clock)} should be sufficient")
     learned = [each for each in candidates if each["state"] == "learned"]
-    if learned and again is not None:
-        words = ["deadreckon", "ope", "--data", again, "--policies", *(str(out / each["name"]) for each in learned), "--select"]
+    if learned and again:
+        words = ["deadreckon", "ope", *again, "--policies", *(str(out / each["name"]) for each in learned), "--select"]
         evidence.append(f"this evaluates the trained candidates: {shlex.join(words)}")
     choice = {
         "name": None, "deploy": False, "gain": [None, None, None], "level": None, "reason": reason, "evidence": evidence,

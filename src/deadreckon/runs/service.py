@@ -92,8 +92,8 @@ class Service:
         rows = _parsed(body)
         if not isinstance(rows, dict | list):
             raise Refused(422, "the body must be a row {column: value}, or a list of rows")
-        plain = self.policy.encoder.schema is None  # then a row is a list of numbers
-        single = isinstance(rows, dict) or (plain and bool(rows) and _depth(rows) <= len(self.policy.encoder.shape or (1,)))
+        plain = bool(rows) and not isinstance(rows, dict) and not isinstance(rows[0], dict)  # then a row is a list of numbers
+        single = isinstance(rows, dict) or (plain and _depth(rows) <= len(self.policy.encoder.shape or (1,)))
         given = [rows] if single else rows  # so that a dictionary is a row, and never one of columns
         if not given:
             raise Refused(422, "the list of rows is empty")

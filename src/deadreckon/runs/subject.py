@@ -46,7 +46,7 @@ class Subject:
         read: how its training log was read.
         told: the record of its log in the policy's file, by which `policies.table_encoder` encodes rows.
         config: `run.json`; None for policies without a run.
-        data: the part of `run.json` about the log, of a cross-fit that of its first run; empty for a single file.
+        made: `run.json`, of a cross-fit that of its first run; empty for a single file.
         folder: of the run or cross-fit; None for a single file.
         decision: folder of the decision that chose it; None if there is none.
         taught: (episodes,) uint64 `episode_ids` of its training episodes; None if not known.
@@ -60,10 +60,15 @@ class Subject:
     read: Read
     told: Mapping[str, Any]
     config: Mapping[str, Any] | None = None
-    data: Mapping[str, Any] = field(default_factory=dict)
+    made: Mapping[str, Any] = field(default_factory=dict)
     folder: Path | None = None
     decision: Path | None = None
     taught: np.ndarray | None = None
+
+    @property
+    def data(self) -> Mapping[str, Any]:
+        """The part of `run.json` about the log; empty for a single file."""
+        return self.made.get("data", {})
 
     @property
     def schema(self) -> Schema | None:
@@ -206,9 +211,9 @@ def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
         file = owner / MIXTURE  # of all seeds, with the record of the same log
     told = store.meta(file).get("log", {})
     config = None if run is None else run.config
-    data = config or (load(owner / FIRST).config if owner is not None and (owner / FIRST / "run.json").exists() else {})
+    made = config or (load(owner / FIRST).config if owner is not None and (owner / FIRST / "run.json").exists() else {})
     return Subject(
-        one.name, one.acting, one.run, one.seed, one.file, one.read, told, config, data.get("data", {}), owner, decision,
+        one.name, one.acting, one.run, one.seed, one.file, one.read, told, config, made, owner, decision,
         one.taught,
     )
 
