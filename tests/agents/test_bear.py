@@ -169,8 +169,15 @@ def test_warm_start_and_defaults_come_from_the_run():
         BEAR(behavior="vae", constraint="kl").resolve(SPEC, 10)
     with pytest.raises(UserError, match=r"BEAR.actor_samples \(9\) must not exceed policy_samples \(4\)"):
         BEAR(actor_samples=9).resolve(SPEC, 10)
-    with pytest.raises(UserError, match=r"ISBEAR.actor_samples \(19\)"):
-        ISBEAR(actor_samples=19).resolve(SPEC, 10)
+    with pytest.raises(UserError, match="ISBEAR has no use for actor_samples; leave it out, got 2"):
+        ISBEAR(actor_samples=2).resolve(SPEC, 10)
+    with pytest.raises(UserError, match="BEAR.mixture needs at least one bandwidth"):
+        BEAR(kernel="mixture", mixture=()).resolve(SPEC, 10)
+    unbiased = {"mmd_estimate": "unbiased", "policy_samples": 1}
+    with pytest.raises(UserError, match="mmd_estimate='unbiased' needs policy_samples"):
+        BEAR(**unbiased).resolve(SPEC, 10)
+    BEAR(constraint="kl", **unbiased).resolve(SPEC, 10)  # which has no MMD
+    assert BEAR(behavior_hidden=()).resolve(SPEC, 10).behavior_hidden == ()
     with pytest.raises(UserError, match="ISBEAR: ratio_min must be below ratio_max, got 3 and 2"):
         ISBEAR(ratio_min=3.0).resolve(SPEC, 10)
     with pytest.raises(UserError, match=r"BEAR.multiplier_min \(2\) must not exceed multiplier_max \(1\)"):

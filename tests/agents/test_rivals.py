@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from deadreckon.agents import AWR, FQL, REM, AlgaeDICE, DQfD, KLControl
+from deadreckon.agents import AWR, FQL, IQL, REM, XQL, AlgaeDICE, DQfD, KLControl
 from deadreckon.agents.agent import traced_advantage
 from deadreckon.agents.rem import simplex
 from deadreckon.data.batch import Batch
@@ -359,3 +359,9 @@ def test_fql_acts_from_the_middle_of_the_noise_when_it_is_greedy():
     found = act(True)
     np.testing.assert_allclose(np.tanh(found), np.broadcast_to(np.clip(expected, -1, 1), (7, 5, 1)), atol=1e-5)
     assert float(act(False).std(0).min()) > 0
+
+
+def test_xql_refuses_an_expectile_which_it_has_no_use_for():
+    with pytest.raises(UserError, match="XQL has no expectile but loss_temperature; leave it out, got 0.9"):
+        XQL(expectile=0.9).resolve(SPEC, 10)
+    assert XQL().resolve(SPEC, 10).expectile == IQL().expectile

@@ -52,9 +52,10 @@ def test_standardised_rewards_have_mean_zero_and_deviation_one():
 
 
 def test_what_cannot_be_is_refused_in_one_line():
-    with pytest.raises(UserError, match="IQL takes reward_scale or normalized_return_range, got both"):
+    both = "IQL takes reward_scale or normalized_return_range, got both; reward_scale=None leaves the scale to the other"
+    with pytest.raises(UserError, match=both):
         IQL(reward_scale=2.0, normalized_return_range=5.0).resolve(LOG.spec, 10)
-    with pytest.raises(UserError, match="standardise_rewards sets the scale and the shift of rewards: leave out reward_scale"):
+    with pytest.raises(UserError, match="standardise_rewards sets the scale .* of rewards: .* and set reward_scale to None"):
         IQL(standardise_rewards=True, reward_scale=2.0).resolve(LOG.spec, 10)
     with pytest.raises(UserError, match="IQL.standardise_rewards needs a log, whose rewards it standardises"):
         IQL(standardise_rewards=True).resolve(Spec.empty((1,), Box((-1.0,), (1.0,)), "online"), 10)

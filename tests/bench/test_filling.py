@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import os
+import re
 from itertools import pairwise
 from pathlib import Path
 
@@ -86,6 +87,24 @@ def test_other_suites_share_it_too_and_what_depends_on_more_of_a_log_does_not(su
     for name in ("algae_dice", "decision_transformer"):  # initial observations, the length of episodes
         (alone := tmp_path / "alone.toml").write_text(head + f'[methods]\nalone = {{ agent = "{name}" }}\n')
         assert [each.lanes for each in programs(plan_across([read(alone)]))] == [2, 2, 2], name
+
+
+@pytest.mark.parametrize(("method", "lanes"), [
+    ('agent = "mopo"', [2, 2]),  # a robot's own rule ends episodes in the model
+    ('agent = "mopo", fields = { termination = "learned" }', [4]), ('agent = "td3_bc"', [4]),
+])  # fmt: skip
+def test_robots_of_one_shape_share_a_program_where_their_ends_have_no_part(method, lanes, tmp_path):
+    head = re.sub(r"logs = .*", 'logs = ["halfcheetah-medium-v2", "walker2d-medium-v2"]', SUITE.partition("[methods]")[0])
+    (path := tmp_path / "robots.toml").write_text(f"{head}[methods]\none = {{ {method} }}\n")
+    assert [each.lanes for each in programs(plan_across([read(path)]))] == lanes
+
+
+@pytest.mark.parametrize(("agent", "lanes"), [("cal_ql", [2, 2]), ("cql", [4])])
+def test_settings_share_a_program_unless_their_batches_have_discounts_of_their_own(agent, lanes, tmp_path):
+    head = re.sub(r"logs = .*", 'logs = ["hopper-medium-v2"]', SUITE.partition("[methods]")[0])
+    methods = "".join(f'"{d}" = {{ agent = "{agent}", fields = {{ discount = {d} }} }}\n' for d in (0.99, 0.995))
+    (path := tmp_path / "discounts.toml").write_text(f"{head}[methods]\n{methods}")
+    assert [each.lanes for each in programs(plan_across([read(path)]))] == lanes
 
 
 # ---- rates ---------------------------------------------------------------------------------------------------------

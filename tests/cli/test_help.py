@@ -83,3 +83,13 @@ def test_the_command_line_shows_it(words, text, capsys):
         main([*words, "--help"])
     shown = " ".join(re.sub(r"[│╭╮╰╯─]", " ", capsys.readouterr().out).split())
     assert text in shown
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "words"),
+    [("rlpd", "target_entropy", "minus half"), ("mbpo", "target_entropy", "Table B.1"), ("edac", "critics", "hopper 50)"),
+     ("sac_n", "critics", "hopper 500)"), ("bear_is", "target_samples", "mean value"),
+     ("bear", "target_samples", "best value")],
+)  # fmt: skip
+def test_helps_of_inherited_fields_say_what_this_agent_does(name, field, words):
+    assert words in texts(agent_class(name))[field]

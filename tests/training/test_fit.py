@@ -141,6 +141,18 @@ def test_phases_run_first_and_at_every_refresh_however_chunks_fall(stream):
     np.testing.assert_array_equal(result.states["prepared"], [3.0, 3.0])  # before updates 0, 10 and 20
 
 
+def test_a_damaged_file_of_a_prepared_lane_is_made_again(tmp_path):
+    rows = TransitionSource(LOG, BatchSpec())
+    job = lambda folder: Fit([Phased(refresh=10)], rows, [0], 5, chunk=5, folder=folder)  # noqa: E731
+    list(job(tmp_path / "whole").chunks())
+    (tmp_path / "again").mkdir()
+    (tmp_path / "again" / "prepared-0.npz").write_bytes(b"damaged")
+    again = job(tmp_path / "again")
+    with pytest.warns(UserWarning, match="a damaged file is skipped, and the lane is prepared again"):
+        list(again.chunks())
+    np.testing.assert_array_equal(again.states["prepared"], [1.0])
+
+
 @pytest.mark.slow
 def test_a_kill_while_preparing_loses_one_lane_alone(tmp_path, monkeypatch):
     rows, asked = TransitionSource(LOG, BatchSpec()), []

@@ -65,9 +65,12 @@ def fitted(agents, seeds, steps, log=LOG, **options):
 
 def test_which_agents_see():
     assert set(SEEING) == {"bc", "td3", "td3_bc", "sac", "iql", "cql", "bear"}
-    said = "ReBRAC takes flat observations, or images .* where its class says supports_images = True; spots has shape"
-    with pytest.raises(UserError, match=said):
+    with pytest.raises(UserError, match="ReBRAC needs flat observations, spots has shape"):  # as for AWAC, which sees nothing
         agent_class("rebrac")().resolve(LOG.spec, 10)
+    mine = type("Mine", (agent_class("td3_bc"),), {"__module__": "mine"})
+    said = "Mine takes flat observations, or images .* where its class says supports_images = True; spots has shape"
+    with pytest.raises(UserError, match=said):
+        mine().resolve(LOG.spec, 10)
 
 
 @pytest.mark.parametrize("name", one_fast(SEEING, "bc"))

@@ -114,9 +114,11 @@ class Agent(eqx.Module):
         if len(spec.observation_shape) != 1 and not (vars(type(self)).get("supports_images") and of_pictures(spec)):
             seen = f"{spec.name} has shape {spec.observation_shape} of {spec.observation_dtype}"
             if self.supports_images:
-                may = "" if vars(type(self)).get("supports_images") else " where its class says supports_images = True"
+                own = bool(vars(type(self)).get("supports_images"))
+                may = "" if own else " where its class says supports_images = True"
                 kinds = f"flat observations, or images (height, width, channels) of uint8{may}"
-                raise UserError(f"{type(self).__name__} takes {kinds}; {seen}")
+                if own or not type(self).__module__.startswith("deadreckon."):
+                    raise UserError(f"{type(self).__name__} takes {kinds}; {seen}")
             raise UserError(f"{type(self).__name__} needs flat observations, {seen}")
         return self
 

@@ -101,7 +101,8 @@ class BEAR(Agent):
             f"{name} needs densities: behavior='gaussian', got {self.behavior!r}":
                 (self.constraint != "mmd" or self.density_weighting) and self.behavior != "gaussian",
             "mmd_estimate='unbiased' needs policy_samples and behavior_samples of 2 or more, with mmd_reference='model'":
-                self.mmd_estimate == "unbiased" and draws < 2,
+                (self.constraint, self.mmd_estimate) == ("mmd", "unbiased") and draws < 2,
+            "mixture needs at least one bandwidth": (self.constraint, self.kernel, self.mixture) == ("mmd", "mixture", ()),
             f"actor_samples ({self.actor_samples}) must not exceed policy_samples ({self.policy_samples})":
                 self.actor_samples > self.policy_samples,
             f"multiplier_min ({self.multiplier_min:g}) must not exceed multiplier_max ({self.multiplier_max:g})":
@@ -115,8 +116,13 @@ class BEAR(Agent):
         return agent.replace(
             threshold=threshold if self.threshold is None else self.threshold,
             warm_start=self.warm_start if self.warm_start is not None else min(WARM_STEPS, int(WARM_SHARE * steps)),
-            behavior_hidden=self.behavior_hidden or ((750, 750) if self.behavior == "vae" else self.hidden),
+            behavior_hidden=self.width if self.behavior_hidden is None else self.behavior_hidden,
         )
+
+    @property
+    def width(self) -> tuple[int, ...]:
+        """Hidden layers of the behaviour model, if none are given."""
+        return (750, 750) if self.behavior == "vae" else self.hidden
 
     def needs(self, spec):
         """Transitions."""
@@ -127,7 +133,7 @@ class BEAR(Agent):
         ka, kc, kb = keys(key, "actor", "critics", "behavior")
         actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
         critics = create_critics(spec, self.hidden, self.critics, kc)
-        model = models.create(self.behavior, spec, self.behavior_hidden or self.hidden, kb)
+        model = models.create(self.behavior, spec, self.width if self.behavior_hidden is None else self.behavior_hidden, kb)
         # A multiplier of zero is the unconstrained actor; logarithms must stay finite to be of a healthy state.
         log_multiplier, log_temperature = (jnp.log(jnp.maximum(x, 1e-30)) for x in (self.multiplier, self.temperature))
         trained = dict(actor=actor, critics=critics, behavior=model, multiplier=log_multiplier, temperature=log_temperature)

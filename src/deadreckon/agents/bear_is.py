@@ -45,11 +45,14 @@ class ISBEAR(bear.BEAR):
     ratio_min: NonNegative = 0.5  # lower clip of the importance ratio (beta_1); undeclared in the thesis
     ratio_max: NonNegative = 2.0  # upper clip of the importance ratio (beta_2); undeclared in the thesis
     policy_samples: Count = static(10)  # actions of the set policy (m); n << m, line 7
+    target_samples: Count = static(10)  # actions sampled from the target actor (p), of which the mean value is the target
 
     def resolve(self, spec, steps):
         """As BEAR's; the algorithm has no entropy, and importance ratios need a range."""
         if self.base != "td3":
             raise UserError(f"ISBEAR.base takes 'td3' only, got {self.base!r}")
+        if self.actor_samples != 1:
+            raise UserError(f"ISBEAR has no use for actor_samples; leave it out, got {self.actor_samples}")
         agent = super().resolve(spec, steps)
         if not self.ratio_min < self.ratio_max:
             raise UserError(f"ISBEAR: ratio_min must be below ratio_max, got {self.ratio_min:g} and {self.ratio_max:g}")

@@ -89,7 +89,8 @@ class CQL(ScaledRewards, SAC):
 
     def first_critics(self, spec, key):
         """Fresh Q-networks."""
-        return create_critics(spec, self.critic_hidden or self.hidden, self.critics, key, init=self.critic_init)
+        hidden = self.hidden if self.critic_hidden is None else self.critic_hidden
+        return create_critics(spec, hidden, self.critics, key, init=self.critic_init)
 
     def target(self, state, batch, key):
         """SAC's, or r + discount max_i (min_j Q'_j(s', a_i) + bonus), a_i of the policy."""

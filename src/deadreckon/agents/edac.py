@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from deadreckon.agents.sac_n import SACN
 from deadreckon.data.batch import Batch
 from deadreckon.nets.mlp import MLP, q_values
-from deadreckon.training.hyperparameters import NonNegative
+from deadreckon.training.hyperparameters import Count, NonNegative, static
 
 
 class EDAC(SACN):
@@ -23,6 +23,8 @@ class EDAC(SACN):
     revision: ClassVar[int] = 2
     other_names: ClassVar[dict[str, str]] = {"eta": "diversity"}
 
+    critics: Count = static(10)
+    """number of Q-networks, of which the minimum is used (published: halfcheetah and walker2d 10, hopper 50)"""
     diversity: NonNegative = 1.0
     """weight of the similarity of the critics' gradients (eta; published: 0 to 5 in Gym-MuJoCo, by log)"""
 

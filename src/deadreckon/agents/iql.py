@@ -51,7 +51,7 @@ class IQL(ScaledRewards):
     tau: UnitInterval = 0.005  # Polyak rate of the target critics, per update
     expectile: Fraction = 0.7  # expectile of the values: 0.5 is the mean over logged actions, 1 the maximum (AntMaze: 0.9)
     beta: NonNegative = 3.0
-    """inverse temperature of the advantage weights: 0 is imitation (AntMaze: 10, with rewards lowered by 1)"""
+    """inverse temperature of the advantage weights: 0 is imitation (AntMaze: 10)"""
     max_weight: Positive = 100.0  # largest weight of a transition in the loss of the actor
     likelihood: Likelihood = static("normal")
     """likelihood of logged actions: normal around tanh of a network, as in public code, or tanh-normal"""

@@ -14,7 +14,7 @@ from deadreckon.dynamics.ensemble import check_sizes
 from deadreckon.dynamics.rollout import Ends
 from deadreckon.errors import UserError
 from deadreckon.randomness import key_for
-from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, Weights, static
+from deadreckon.training.hyperparameters import Count, NonNegative, Number, Sizes, Weights, static
 from deadreckon.training.later_fields import later
 
 # Table B.1 and the public code's target entropies. Of the two columns with G = 40 only HalfCheetah is sure in the
@@ -66,7 +66,8 @@ class ModelBasedAgent(Agent):
             raise UserError(f"termination={ends!r}: its observations are {shape}, {spec.name} has {spec.observation_shape}")
         if ends != LEARNED and getattr(self, "standardise", False):
             why = f"the rule that ends episodes of {ends} reads observations as they are"
-            raise UserError(f"{type(self).__name__}.standardise: {why}; leave it out, or let the model learn ends, {LEARNED!r}")
+            learned = f", or let the model learn ends, {LEARNED!r}" if spec.rows else ""  # online nothing is standardised
+            raise UserError(f"{type(self).__name__}.standardise: {why}; leave it out{learned}")
         agent = super(ModelBasedAgent, self.replace(**missing, termination=ends)).resolve(spec, steps)
         assert agent.model_hidden is not None
         check_sizes(type(self).__name__, agent.members, agent.elites, agent.model_hidden, agent.model_weight_decay)
@@ -122,3 +123,5 @@ class ModelBasedSAC(OnlineModelBasedAgent, SAC):
 
     revision: ClassVar[int] = 1
     supports_discrete: ClassVar[bool] = False
+
+    target_entropy: Number | None = None  # target entropy in nats; None: the task's (Table B.1), or minus the action dimensions

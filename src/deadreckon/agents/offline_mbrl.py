@@ -17,6 +17,7 @@ from deadreckon.agents.model_based import ModelBasedAgent
 from deadreckon.agents.sac import SAC, State
 from deadreckon.data.batch import Batch, TransitionSource
 from deadreckon.dynamics import Branch, Ensemble, branches, packed
+from deadreckon.dynamics.ensemble import FEWEST
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.nets.optim import cosine_decay
 from deadreckon.randomness import generator, keys
@@ -62,6 +63,10 @@ class OfflineMBRL(ModelBasedAgent, SAC):
         if self.real_batch_size >= self.batch_size:
             name = f"{type(self).__name__}.real_batch_size"
             raise UserError(f"{name} must be fewer than a batch has, {self.batch_size}, got {self.real_batch_size}")
+        rows = spec.rows if self.model_rows is None else min(self.model_rows, spec.rows)
+        if spec.rows and rows < FEWEST:
+            what = f"the model of {type(self).__name__} needs {FEWEST} or more transitions"
+            raise UserError(f"{what}, {spec.name} has {spec.rows} (model_rows {self.model_rows})")
         return agent if self.actor_decay_steps is not None else agent.replace(actor_decay_steps=float(steps))
 
     def actor_rate(self, step: Array) -> Any:

@@ -20,7 +20,7 @@ from deadreckon.errors import UserError
 from deadreckon.nets.mlp import FirstWeights, minimum
 from deadreckon.nets.optim import polyak_update
 from deadreckon.randomness import keys
-from deadreckon.training.hyperparameters import Count, static
+from deadreckon.training.hyperparameters import Count, Number, static
 from deadreckon.training.later_fields import later
 
 
@@ -34,6 +34,7 @@ class RLPD(ScaledRewards, SAC):
     critics: Count = static(10)  # number of Q-networks
     subset: Count = static(2)  # number of target networks drawn for each update, whose minimum is the target (AntMaze: 1)
     layer_norm: bool = static(True)  # whether the critics use layer normalisation
+    target_entropy: Number | None = None  # target entropy in nats; None: minus half the action dimensions
     policy_freq: Count = static(20)  # critic updates per update of actor and temperature
     first_weights: FirstWeights = later("glorot")  # initial weights: "uniform", "glorot", "orthogonal" or "rlkit"
 

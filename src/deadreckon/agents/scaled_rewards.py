@@ -36,7 +36,7 @@ class ScaledRewards(Agent):
         wanted, name = self.normalized_return_range, type(self).__name__
         if self.standardise_rewards:
             if wanted is not None or self.reward_scale is not None or self.reward_shift != 0.0:
-                rest = "leave out reward_scale, reward_shift and normalized_return_range"
+                rest = "leave out reward_shift and normalized_return_range (0 and None), and set reward_scale to None"
                 raise UserError(f"{name}.standardise_rewards sets the scale and the shift of rewards: {rest}")
             if not spec.rows:
                 raise UserError(f"{name}.standardise_rewards needs a log, whose rewards it standardises; leave it out online")
@@ -49,7 +49,8 @@ class ScaledRewards(Agent):
         if wanted is None:
             return agent.replace(reward_scale=1.0 if self.reward_scale is None else self.reward_scale)
         if self.reward_scale is not None:
-            raise UserError(f"{name} takes reward_scale or normalized_return_range, got both")
+            both = f"{name} takes reward_scale or normalized_return_range, got both"
+            raise UserError(f"{both}; reward_scale=None leaves the scale to the other")
         low, high = spec.returns
         if not high > low:
             raise UserError(

@@ -6,19 +6,29 @@ import jax
 import jax.numpy as jnp
 
 from deadreckon.agents.iql import IQL
-from deadreckon.training.hyperparameters import NonNegative, Positive, static
+from deadreckon.errors import UserError
+from deadreckon.training.hyperparameters import Fraction, NonNegative, Positive, static
+
+EXPECTILE = 0.7  # of IQL
 
 
 class XQL(IQL):
-    """IQL with the Gumbel loss instead of expectiles (the field `expectile` has no part in it)."""
+    """IQL with the Gumbel loss instead of expectiles."""
 
     revision: ClassVar[int] = 2
     other_names: ClassVar[dict[str, str]] = {"temperature": "loss_temperature", "most_gap": "max_clip"}
 
+    expectile: Fraction = EXPECTILE  # not used: the Gumbel loss takes its place, with loss_temperature
     layer_norm: bool = static(True)  # whether the value network uses layer normalisation
     loss_temperature: Positive = 2.0
     """temperature of the Gumbel loss, beta in the paper: large is the mean, small the maximum (published: 0.55 to 10)"""
     max_clip: NonNegative = 7.0  # largest (Q - V) / loss_temperature in the loss; its gradient is 0 beyond
+
+    def resolve(self, spec, steps):
+        """IQL's; an expectile would have no effect."""
+        if self.expectile != EXPECTILE:
+            raise UserError(f"XQL has no expectile but loss_temperature; leave it out, got {self.expectile:g}")
+        return super().resolve(spec, steps)
 
     def value_loss(self, value, batch, q):
         """E[ e^z - z - 1 ], z = (Q - V) / temperature, cut above; its minimum is temperature log E[ e^(Q / temperature) ].

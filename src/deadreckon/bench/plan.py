@@ -119,19 +119,25 @@ def _shape(job: Job, across: bool) -> str | None:
     # A number left to the agent (None) may leave a term out, so it is not the same program as one that is given.
     given = [(f, job.settings[f.name]) for f in told(agent)]
     fixed = {f.name: value for f, value in given if f.metadata.get("static") or value is None}
-    log = (across and _log_shape(agent, job)) or [job.on, job.data]
-    return json.dumps([job.agent, fixed, log, job.options, job.seeds])
+    log, gamma = _log_shape(agent, job)
+    return json.dumps([job.agent, fixed, (across and log) or [job.on, job.data], gamma, job.options, job.seeds])
 
 
-def _log_shape(agent: Any, job: Job) -> list[Any] | None:
-    """Sizes of observations and actions of a job's log; None where it shares a program with no other log's."""
+def _log_shape(agent: Any, job: Job) -> tuple[list[Any] | None, float | None]:
+    """Sizes of observations and actions of a job's log, and for agents whose model ends episodes by a rule also which rule;
+    None where it shares a program with no other log's. Also the discount of its batches, which all lanes share."""
     from deadreckon.data.spec import Spec
+    from deadreckon.data.terminations import of_log as rule_of
     from deadreckon.tasks.registry import of_log
 
     task = of_log(job.on)
-    if task is None or agent.one_log or agent.needs(Spec.empty(task.observation_shape, task.action_space, "any")).initial:
-        return None
-    return [*task.observation_shape, repr(task.action_space)]
+    if task is None:
+        return None, getattr(agent, "discount", None)
+    needs = agent.needs(Spec.empty(task.observation_shape, task.action_space, "any"))
+    if agent.one_log or needs.initial:
+        return None, needs.gamma
+    rule = rule_of(job.on) if getattr(agent, "termination", "") is None else None
+    return [*task.observation_shape, repr(task.action_space), None if rule is None else rule.name], needs.gamma
 
 
 def _fields(made: Any) -> dict[str, Any]:

@@ -73,7 +73,12 @@ def of_spec(spec: Spec) -> Termination | None:
     """
     if not spec.rows:
         return _KNOWN.get(spec.name)
-    entry = ENTRIES.get(spec.name.split("@")[0])
+    return of_log(spec.name)
+
+
+def of_log(name: str) -> Termination | None:
+    """The rule for a log of the catalogue; None where observations do not tell, and for other logs."""
+    entry = ENTRIES.get(name.split("@")[0])
     return None if entry is None else _KNOWN.get(entry.task or "")
 
 

@@ -109,7 +109,8 @@ class Exploration:
             raise UserError(f"{type(agent).__name__} does not {self._learning}")
         if needs.standardise and self._as_it_is:
             why = "observations are standardised by those of a log, and nothing is known of a task"
-            raise UserError(f"{type(agent).__name__}.standardise: {why}; leave it out, or go on from a run on a log")
+            how = ", or continue a run on a log" if agent.fine_tunes else ""
+            raise UserError(f"{type(agent).__name__}.standardise: {why}; leave it out{how}")
         self.view = Normalizer.of(self.spec, needs.standardise)
         self.block = settings.updates_per_block
         self.copies = settings.copies

@@ -234,8 +234,9 @@ class Fit:
             kept = self.folder / f"prepared-{i}.npz" if self.folder is not None and self.step == 0 else None
             if failures[i] is None:
                 try:
-                    if kept is not None and kept.exists():
-                        state = load_tree(kept, state)[0]
+                    prepared = None if kept is None or not kept.exists() else self._prepared(kept, state)
+                    if prepared is not None:
+                        state = prepared
                     else:
                         state = learner.prepare(state, own, key, partial(inner, own))
                         if kept is not None:
@@ -245,6 +246,15 @@ class Fit:
             lanes.append(state)
         self.failures = tuple(failures)
         self.states = stack(lanes)
+
+    @staticmethod
+    def _prepared(path: Path, state: Any) -> Any:
+        """The state of a lane that was prepared before an interruption; None where its file is damaged."""
+        try:
+            return load_tree(path, state)[0]
+        except UserError as error:
+            warnings.warn(f"a damaged file is skipped, and the lane is prepared again: {error}", stacklevel=2)
+            return None
 
     def save(self) -> None:
         """Writes a checkpoint, where there is a folder."""
