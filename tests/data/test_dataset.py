@@ -6,6 +6,7 @@ from small_logs import images, logs, make_log, quick, same
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.episodes import returns_to_go
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 
@@ -153,7 +154,6 @@ def _with(column, place, value):
         ({"goal": np.array(list("abcd"))}, "log: column goal holds <U1, numbers are needed"),
         ({"actions": np.zeros((0, 1))}, "log: the log has no rows"),
         ({"actions": np.float32(1)}, "log: the log has no rows"),
-        ({"actions": np.full((4, 1), 1e20)}, "log: action bounds must satisfy low < high"),
         ({"final_observations": np.zeros((2, 2))}, r"final_observations have shape \(2, 2\), \(1, 2\) is needed"),
         ({"final_observations": np.full((1, 2), np.nan)}, "final_observations has nan in row 0"),
         ({"final_observations": np.zeros((1, 2)), "final_known": [1, 1]}, "final_known has 2 values, 1 episodes"),
@@ -219,3 +219,13 @@ def test_probabilities_are_not_taken_for_their_logarithms(tmp_path):
         convert(tmp_path / "log.npz", tmp_path / "out")
     table = {"action": [0, 1, 0], "reward": [0.0] * 3, "x": [0.0] * 3, "p": [0.5, 0.25, 0.5]}
     assert Dataset.from_frame(table, action="action", reward="reward", propensity="p").extras["behavior_log_probs"].max() < 0
+
+
+@pytest.mark.parametrize("constant", [0.0, 2.5e7, -1e20])
+def test_an_action_that_never_moves_has_bounds_that_float32_holds(constant):
+    """A pressure of 25 MPa in Pa: bounds of one more and one less were the same numbers, and normalised actions NaN."""
+    actions = np.stack([np.linspace(-1, 1, 4), np.full(4, constant)], 1)
+    log = Dataset.from_arrays(observations=np.zeros((4, 1)), actions=actions, rewards=np.zeros(4), terminals=np.ones(4))
+    unit = np.asarray(Normalizer.of(log.spec, False).to_unit(log.actions))
+    assert np.isfinite(unit).all()
+    np.testing.assert_allclose(unit[:, 1], 0.0, atol=0.1)

@@ -149,6 +149,21 @@ def test_a_gap_behind_an_end_is_none():
     assert not [text for text in log.warnings if "skip" in text or "start" in text]
 
 
+@pytest.mark.parametrize("kind", ["texts of dates", "texts", "empty"])
+def test_of_several_times_the_first_that_is_none_of_texts_orders_the_rows(kind):
+    order = [2, 0, 1, 4, 5, 3]
+    dates, texts = [f"2024-01-0{i + 1}T10:00" for i in order], [f"t{i}" for i in order]
+    times = {"texts of dates": dates, "texts": texts, "empty": [None] * 6}
+    table = {"episode": [0] * 3 + [1] * 3, "time": pa.array(times[kind]), "step": order, "ts": order[::-1],
+             "x": order, "action": [0, 1] * 3, "reward": [1.0] * 6}  # fmt: skip
+    log = Dataset.from_frame(pa.table(table))
+    assert log.observations.tolist() == [[0], [1], [2], [3], [4], [5]]
+    assert "column step is read as the time within an episode (--time)" in log.warnings
+    for other in ("time", "ts"):
+        told = f"column {other} is named like the time, as step is, and is left out"
+        assert any(line.startswith(told) for line in log.warnings)
+
+
 def test_without_time_rows_of_an_episode_keep_their_order():
     log = Dataset.from_frame({"e": ["z", "a", "z", "a"], "x": [1, 2, 3, 4], "a": [0, 1, 0, 1], "r": [0] * 4},
                      episode="e", action="a", reward="r")  # fmt: skip

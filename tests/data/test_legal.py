@@ -181,6 +181,16 @@ def test_next_legal_columns():
     log = Dataset.from_frame(table)
     assert log.usable.all()
     assert log.final_observations[1].tolist() == [np.float32(0.8), 1, 1, 0]
+    # Nothing is legal, or known to be, where nothing follows or what follows is not known.
+    gone = {"next_x": [*AFTER[:-1, 0], np.nan], "next_legal": ["b", "a", None, "b", "a", None]}
+    last = Dataset.from_frame(table | gone, next_legal="next_legal")
+    assert last.final_known.tolist() == [True, False]
+    np.testing.assert_array_equal(last.next_observations[[0, 1, 3, 4]], log.next_observations[[0, 1, 3, 4]])
+    with pytest.raises(UserError, match="column next_legal is empty in row 1"):
+        Dataset.from_frame(table | gone | {"next_legal": ["b", None, "c", "b", "a", None]}, next_legal="next_legal")
+    flags = {f"next_legal_{a}": [float(a in cell) for cell in after[:-1]] + [np.nan] for a in "abc"}
+    with pytest.raises(UserError, match="column next_legal_a is empty in row 5"):
+        Dataset.from_frame({key: value for key, value in table.items() if key != "next_legal"} | flags)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@
 
 import datetime as dt
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pandas as pd
@@ -9,7 +11,9 @@ import pyarrow as pa
 import pyarrow.parquet
 import pytest
 
+from deadreckon.data import arrow
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.describe import describe_table
 from deadreckon.data.formats.io import read
 from deadreckon.data.formats.totals import of_totals
 from deadreckon.data.frame import ALONE
@@ -714,3 +718,71 @@ def test_next_times_and_ends_in_other_spellings_are_of_the_next_row():
     log = Dataset.from_frame(table | nexts)
     assert named(log) == ["x"]
     np.testing.assert_array_equal(log.next_observations[:, 0], np.roll(X, -1).astype(np.float32))
+
+
+def test_times_in_nanoseconds_need_no_package(tmp_path):
+    """As robots' logs have them; Python's own times have microseconds, and Arrow asks for pandas."""
+    lines = [f"2024-01-01T10:00:{i:02d}.123456789,{i % 5},{i % 2},{i % 3}" for i in range(N // 2)]
+    (tmp_path / "log.csv").write_text("\n".join(["stamp,x,action,reward", *lines]) + "\n")
+    code = (
+        "import sys; sys.modules['pandas'] = None\n"
+        "import deadreckon as dr\n"
+        "from deadreckon.cli.main import main\n"
+        "print(len(dr.read('log.csv', time='stamp')))\n"
+        "sys.exit(main(['data', 'describe', 'log.csv']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f"{N // 2}\n")
+    assert "2024-01-01 10:00:00.123456789 .. 2024-01-01 10:00:59.123456789" in done.stdout
+    texts = [line.partition(",")[0] for line in lines]
+    frame = {"stamp": texts[::-1], "x": X[: N // 2], "action": [0, 1] * (N // 4), "reward": R[: N // 2]}
+    log = Dataset.from_frame(frame, time="stamp")
+    np.testing.assert_allclose(log.rewards, R[: N // 2][::-1], rtol=1e-6)
+
+
+def test_durations_are_described(tmp_path):
+    table = pa.table({"stay": pa.array(range(N), pa.duration("s")), "x": X, "action": [0, 1] * (N // 2), "reward": R})
+    pa.parquet.write_table(table, tmp_path / "log.parquet")
+    (line,) = [line for line in str(describe_table(tmp_path / "log.parquet")).splitlines() if "stay" in line and ".." in line]
+    assert "0:00:00 .. 0:01:59" in line
+
+
+def test_texts_of_more_bytes_than_offsets_reach_are_one_column(monkeypatch):
+    monkeypatch.setattr(arrow, "OFFSETS", 100)
+    table = pa.table({"id": pa.chunked_array([[f"{i:036d}" for i in range(5)]] * 2, pa.string()), "few": ["a"] * 10})
+    assert arrow.flat(table, "id").type == pa.large_string()
+    assert arrow.flat(table, "id").to_pylist() == table["id"].to_pylist()
+    assert arrow.flat(table, "few").type == pa.string()
+
+
+def test_categories_that_are_numbers_may_be_times_numbers_and_rewards():
+    day = pd.Categorical(EPISODE * 2)
+    frame = pd.DataFrame({"day": day, "x": X, "action": [0, 1] * (N // 2), "reward": pd.Categorical(np.arange(N) % 3)})
+    plain = frame.assign(day=EPISODE * 2, reward=np.arange(N) % 3)
+    for options in ({"kinds": {"day": "number"}}, {"time": "day"}):
+        log, same = (Dataset.from_frame(each, **options) for each in (frame, plain))
+        np.testing.assert_array_equal(log.observations, same.observations)
+        np.testing.assert_array_equal(log.rewards, same.rewards)
+    assert "day=4" in named(Dataset.from_frame(frame))  # as they are given
+
+
+def test_categories_of_codes_may_be_missing_and_have_64_bits():
+    codes = {"zone": np.array([1.0, 2.0, np.nan] * 40), "action": [0, 1] * (N // 2), "reward": R}
+    log = Dataset.from_frame(codes, kinds={"zone": "category"})
+    assert named(log) == ["zone=1", "zone=2", "zone_missing"]
+    np.testing.assert_array_equal(log.observations[:3], np.eye(3))
+    hashed = codes | {"zone": np.array([2**63, 2**64 - 1] * (N // 2), np.uint64)}
+    words = r"column zone holds 18446744073709551615, a category needs whole numbers below 2 \*\* 63, or texts"
+    with pytest.raises(UserError, match=words):
+        Dataset.from_frame(hashed, kinds={"zone": "category"})
+
+
+def test_what_is_ignored_may_be_of_any_type(tmp_path):
+    number = pa.array([bytes([i] * 16) for i in range(12)], pa.binary(16))
+    table = pa.table({"id": pa.ExtensionArray.from_storage(pa.uuid(), number), "x": X[:12], "action": [0, 1] * 6,
+                      "reward": R[:12], "e": [0, 1] * 6})  # fmt: skip
+    pa.parquet.write_table(table, tmp_path / "log.parquet")
+    assert "id" in str(describe_table(tmp_path / "log.parquet", ignore="id"))
+    log = Dataset.from_frame(table, ignore="id", episode="e")
+    assert told(log, "rows of an episode are not together")

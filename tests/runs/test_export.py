@@ -1,5 +1,6 @@
 """Exports do what the policy does, with the encoding of its table, and nothing is kept that does not."""
 
+import dataclasses
 import json
 import os
 import re
@@ -346,3 +347,30 @@ def test_the_code_on_a_stablehlo_card_runs_as_it_stands(tmp_path):
         code = code.replace(", legal=[[True, ...], ...]", mask).replace('{"column": [value, ...], ...}', '{"x": [0.0, 1.0]}')
         done = subprocess.run([sys.executable, "-c", code], cwd=out, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+def test_a_mixture_of_arrays_says_how_it_is_called_and_what_it_was_trained_on(tmp_path):
+    rng = np.random.default_rng(0)
+    log = dr.Dataset.from_arrays(
+        observations=rng.normal(size=(40, 3)), actions=rng.uniform(-1, 1, (40, 2)), rewards=np.zeros(40),
+        terminals=np.arange(40) % 4 == 3, name="mine",
+    )  # fmt: skip
+    agent, short = dr.agents.BC(hidden=(4,), batch_size=8), {"steps": 2, "task": False}
+    cross = dr.cross_fit(agent, log, out=tmp_path / "cross", folds=2, **short)
+    other = dataclasses.replace(log, name="other", rewards=log.rewards + 1.0)
+    folder = export(cross.path, "numpy", tmp_path / "numpy", log=other)
+    card = (folder / "card.md").read_text()
+    assert "play(observations, first=first)   # first: (rows,), true where an episode begins" in card
+    assert f"- name: mine\n- fingerprint: {log.fingerprint}\n- rows: 40\n- episodes: 10\n" in card
+    assert "- held out: each episode by one of the 2 folds, by random" in card
+    assert "bc, seed 0, 2 updates in each fold." in card
+    assert "on 40 rows of other" in card
+    history = dr.train(agent, log, out=tmp_path / "history", history=2, **short)
+    pytest.importorskip("mlflow.pyfunc")
+    with pytest.raises(UserError, match="acts on the last 2 observations of arrays: .*; the format numpy is"):
+        export(history.path, "mlflow", tmp_path / "no", log=log)
+    assert not (tmp_path / "no").exists()
+    plain = dr.train(agent, log, out=tmp_path / "plain", **short)
+    text = (export(plain.path, "mlflow", tmp_path / "mlflow", log=log) / "card.md").read_text()
+    assert "takes an array of observations, a row for each" in text

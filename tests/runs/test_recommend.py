@@ -16,6 +16,8 @@ import pytest
 
 import deadreckon as dr
 from deadreckon.cli.main import main
+from deadreckon.cli.options import Ope
+from deadreckon.cli.parse import parse
 from deadreckon.data.formats.folder import write_folder
 from deadreckon.data.info import warnings_for
 from deadreckon.data.leaks import leaks
@@ -31,7 +33,7 @@ from deadreckon.runs.callback import StopTraining
 from deadreckon.runs.candidates import Candidate
 from deadreckon.runs.clock import Clock
 from deadreckon.runs.durations import in_words, seconds_of
-from deadreckon.runs.recommend import recommend
+from deadreckon.runs.recommend import _options, recommend
 from deadreckon.runs.settings import RecommendSettings
 
 
@@ -147,7 +149,7 @@ def test_what_was_found_is_told(doing, time_is_over, tmp_path):
     assert "iql: was training, 30 of 90 updates" in said
     assert "to be done: training, evaluation" in said
     assert "a budget of 4m should be sufficient" in said  # 1.2 times the 200 s that the work came to
-    assert f"deadreckon ope --data near.csv --policies {tmp_path / 'out' / 'bc'} --select" in said
+    assert f"deadreckon ope --data near.csv --discount 0.99 --seed 0 --policies {tmp_path / 'out' / 'bc'} --select" in said
     assert seen == [("iql", 30, 90)]
     assert "was" not in found.results["recommend"]["candidates"][1]["state"]
     page = (tmp_path / "out" / "report.html").read_text()
@@ -611,3 +613,16 @@ def test_logs_of_all_kinds_end_in_a_card_in_time(kind, tmp_path, capsys, request
         assert estimates["choice"]["deploy"]  # the log acts at random, and any of them does better
     assert (estimates["truth"] is not None) <= (kind == "maze")
     assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_the_command_that_goes_on_decides_by_the_same_settings():
+    options = _options
+    assert options(RecommendSettings()) == ["--discount", "0.99", "--seed", "0"]
+    for limits in ({"energy": 5.0, "cost": 2}, ("energy=5.0", "cost=2")):
+        found = options(RecommendSettings(discount=0.9, cost_limit=limits, accept_model_based=True))
+        assert found == [
+            "--discount", "0.9", "--seed", "0", "--cost-limit", "energy=5.0", "cost=2", "--accept-model-based"
+        ]  # fmt: skip
+        asked = parse(Ope, ["--data", "log.csv", "--policies", "p", "--select", *found], "ope")
+        assert (asked.settings.discount, asked.settings.cost_limit) == (0.9, ("energy=5.0", "cost=2"))
+        assert asked.settings.accept_model_based

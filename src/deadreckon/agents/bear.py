@@ -113,16 +113,12 @@ class BEAR(Agent):
         if wrong := [what for what, is_so in refused.items() if is_so]:
             raise UserError(f"{type(self).__name__}.{wrong[0]}")
         threshold = -2.0 if self.constraint == "cross_entropy" else 0.0 if relative else 0.05
+        width = (750, 750) if self.behavior == "vae" else self.hidden
         return agent.replace(
             threshold=threshold if self.threshold is None else self.threshold,
             warm_start=self.warm_start if self.warm_start is not None else min(WARM_STEPS, int(WARM_SHARE * steps)),
-            behavior_hidden=self.width if self.behavior_hidden is None else self.behavior_hidden,
+            behavior_hidden=width if self.behavior_hidden is None else self.behavior_hidden,
         )
-
-    @property
-    def width(self) -> tuple[int, ...]:
-        """Hidden layers of the behaviour model, if none are given."""
-        return (750, 750) if self.behavior == "vae" else self.hidden
 
     def needs(self, spec):
         """Transitions."""
@@ -133,7 +129,7 @@ class BEAR(Agent):
         ka, kc, kb = keys(key, "actor", "critics", "behavior")
         actor = MLP.create(spec.observation_size, self.hidden, 2 * spec.action_size, ka)
         critics = create_critics(spec, self.hidden, self.critics, kc)
-        model = models.create(self.behavior, spec, self.width if self.behavior_hidden is None else self.behavior_hidden, kb)
+        model = models.create(self.behavior, spec, self.hidden if self.behavior_hidden is None else self.behavior_hidden, kb)
         # A multiplier of zero is the unconstrained actor; logarithms must stay finite to be of a healthy state.
         log_multiplier, log_temperature = (jnp.log(jnp.maximum(x, 1e-30)) for x in (self.multiplier, self.temperature))
         trained = dict(actor=actor, critics=critics, behavior=model, multiplier=log_multiplier, temperature=log_temperature)
@@ -176,8 +172,7 @@ class BEAR(Agent):
 
     def constrained(self, divergence: Float[Array, "b"]) -> Float[Array, ""]:
         """What the threshold is for: the mean over states, of unbiased squares its root."""
-        squares = (self.constraint, self.mmd_estimate) == ("mmd", "unbiased")
-        return root(divergence.mean()) if squares else divergence.mean()
+        return root(divergence.mean()) if (self.constraint, self.mmd_estimate) == ("mmd", "unbiased") else divergence.mean()
 
     def actor_loss(self, actor, state, batch, step, key):
         """The Lagrangian of eq. 4.1, -E[Q] + alpha E_s[MMD], and means of divergence, log-probability and value."""

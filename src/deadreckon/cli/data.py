@@ -150,7 +150,7 @@ def advise(source: str, given: Mapping) -> None:
     """Says that a table which is large for this machine should be converted first; before it is read."""
     from deadreckon.data.formats.stream import advice
 
-    if (line := advice(source, given.separator)) is not None:
+    if (line := advice(source, given.separator, given.schema)) is not None:
         print(f"! {line}", file=sys.stderr, flush=True)
 
 

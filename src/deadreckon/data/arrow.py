@@ -14,6 +14,7 @@ from deadreckon.names import repeated
 
 compute: Any = pyarrow.compute  # its functions are made at run time, so type checkers do not know them
 SAMPLE = 1_000  # rows that are looked at before all are
+OFFSETS = 2**31 - 1  # bytes of texts that one array with offsets of 32 bits holds
 _EXACT = 2**53  # up to which float64 holds every integer
 MOST_LEVELS = 1_000  # a text column with more distinct values is an identifier, not a category
 
@@ -42,7 +43,8 @@ def flat(table: pa.Table, column: str, ignored: bool = False) -> Any:
         values = _plain_decimals(values)
     if pa.types.is_dictionary(values.type):
         values = values.unify_dictionaries()
-    elif pa.types.is_string_view(values.type):  # polars'; pyarrow cannot sort them yet
+    large = pa.types.is_string(values.type) and values.nbytes > OFFSETS  # more than the offsets of one array reach
+    if large or pa.types.is_string_view(values.type):  # polars', which pyarrow cannot sort yet
         values = values.cast(pa.large_string())
     return values.combine_chunks() if values.num_chunks != 1 else values.chunk(0)
 
@@ -127,7 +129,7 @@ def as_dates(values: Any) -> Any | None:
         return values
     if not is_text(values.type) or says_numbers(values):
         return None
-    for kind in (pa.timestamp("us"), pa.timestamp("us", "UTC")):
+    for kind in (pa.timestamp(unit, zone) for unit in ("us", "ns") for zone in (None, "UTC")):
         try:
             return compute.cast(values, kind)
         except pa.ArrowInvalid:
@@ -187,6 +189,8 @@ def numbers(name: str, table: pa.Table, column: str) -> np.ndarray:
 
 def some_numbers(name: str, column: str, values: Any) -> tuple[np.ndarray, np.ndarray]:
     """(rows,) float64 and (rows,) bool where a value is missing."""
+    if pa.types.is_dictionary(values.type) and not is_text(values.type):  # categories that are numbers, and parts of paths
+        values = decoded(values)
     kind = values.type
     if pa.types.is_boolean(kind):
         values = values.cast(pa.int8())
@@ -204,9 +208,15 @@ def some_numbers(name: str, column: str, values: Any) -> tuple[np.ndarray, np.nd
     return out, np.isnan(out)
 
 
-def flags(name: str, table: pa.Table, column: str) -> np.ndarray:
-    """(rows,) bool of a column of truth values, or of 0 and 1."""
-    values = numbers(name, table, column)
+def flags(name: str, table: pa.Table, column: str, free: np.ndarray | None = None) -> np.ndarray:
+    """(rows,) bool of a column of truth values, or of 0 and 1; true where a value is missing in a row that is `free` to."""
+    if free is None:
+        values = numbers(name, table, column)
+    else:
+        values, absent = some_numbers(name, column, flat(table, column))
+        values = np.where(absent & free, 1.0, values)
+        if (absent := absent & ~free).any():
+            raise UserError(f"{name}: column {column} is empty in row {int(np.argmax(absent))}")
     _refuse(name, column, values, (values != 0) & (values != 1), "0 or 1")
     return values != 0
 

@@ -183,9 +183,10 @@ def _action_column(log: str, column: np.ndarray, space: Box | Discrete | None) -
     column = _float32(log, "actions", column.reshape(len(column), -1))
     if space is None:
         low, high = column.min(0).astype(float), column.max(0).astype(float)
-        flat = low == high  # a dimension that never moves still needs a width
+        # A dimension that never moves still needs a width, which float32 holds.
+        width = (low == high) * np.maximum(1.0, 1e-6 * np.abs(low))
         with naming(log, log):
-            space = Box(tuple((low - flat).tolist()), tuple((high + flat).tolist()))
+            space = Box(tuple((low - width).tolist()), tuple((high + width).tolist()))
     if column.shape[1] != space.size:
         raise UserError(f"{log}: actions have {column.shape[1]} dimensions, the bounds have {space.size}")
     return column, space

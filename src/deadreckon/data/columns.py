@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from deadreckon.data import roles
 from deadreckon.errors import UserError
 
 NEEDED = ("observations", "actions", "rewards")
@@ -64,10 +65,32 @@ def given_columns(source: Path | str, columns: Mapping[str, Any]) -> dict[str, A
             found = ", ".join(sorted(columns)) or "none"
             raise UserError(f"{source}: no column {key}; {', '.join(NEEDED)} are needed, the file has {found}")
     # Read as mere extras, these would leave a log without ends: better no log than a wrong one.
-    for key in ("dones", "done", "terminations") if "terminals" not in columns else ():
-        if key in columns:
-            raise UserError(f"{source}: {done_alone(key)}")
+    for key in sorted(columns, key=lambda key: key != "masks"):  # which says more than the `dones` beside it
+        if (error := _without_effect(key, columns)) is not None:
+            raise UserError(f"{source}: {error}")
     return renamed(source, columns)
+
+
+def _without_effect(key: str, columns: Mapping[str, Any]) -> UserError | None:
+    """The error for a column whose name is that of an end flag, and which would be an extra of a log without such ends."""
+    if key in COLUMNS:
+        return None
+    if "terminals" in columns:
+        return None if _ENDS & columns.keys() or not roles.like("timeout", key) else _to_be_called(key, "timeouts")
+    if key == "masks":
+        how = "are there; add terminals = (masks == 0) if masks are 1 while the task has not ended, or else rename them"
+        return UserError(f"column masks says nothing of how episodes end unless terminals {how}")
+    for role, name in (("terminal", "terminals"), ("timeout", "timeouts")):
+        if roles.like(role, key) and name not in columns:
+            return _to_be_called(key, name)
+    if key in ("dones", "done"):
+        return done_alone(key)
+    ended = key == "dones_float" or (roles.DONE.fullmatch(key.lower()) and key.lower() != "is_first")
+    return _to_be_called(key, "terminals (the task ended) or timeouts (a time limit)") if ended else None
+
+
+def _to_be_called(key: str, name: str) -> UserError:
+    return UserError(f"column {key} must be called {name}: under its own name it would be kept and mark no end of an episode")
 
 
 def renamed(source: Path | str, columns: Mapping[str, Any]) -> dict[str, Any]:

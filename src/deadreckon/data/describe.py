@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.arrow import as_dates, compute, distinct, flat, is_missing, to_arrow
+from deadreckon.data.arrow import as_dates, compute, distinct, flat, is_missing, ordered_moments, to_arrow
 from deadreckon.data.asked import Asked
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.draft import Drafted, draft
@@ -89,15 +89,25 @@ def _leaks(read: FrameColumns, name: str) -> tuple[str, ...]:
     return leaks(log)
 
 
+def _period(dates: Any) -> list[str]:
+    """The first and the last of dates or durations, in a list; empty if there are none."""
+    if not len(dates):
+        return []
+    order = ordered_moments(dates)
+    ends = (dates[int(order.argmin())], dates[int(order.argmax())])
+    if getattr(dates.type, "unit", "") == "ns":  # whose objects in Python need another package
+        return [" .. ".join(str(end.cast(pa.string()).as_py()) for end in ends)]
+    return [" .. ".join(str(end.as_py()) for end in ends)]
+
+
 def _about(column: Column, table: pa.Table) -> str:
     """Why a column has its role and kind, and what it holds."""
-    values = flat(table, column.name)
+    values = flat(table, column.name, ignored=column.role == "ignore")
     absent = int(is_missing(values).sum())
     holds = []
     dates = as_dates(values) if column.kind == "date" else None
     if dates is not None:
-        ends = compute.min_max(dates).as_py()
-        holds.append(f"{ends['min']} .. {ends['max']}")
+        holds += _period(dates.drop_null())
     elif column.kind in ("number", "integer") and (pa.types.is_integer(values.type) or pa.types.is_floating(values.type)):
         known = values.filter(compute.is_valid(values)).to_numpy(zero_copy_only=False)
         known = known[np.isfinite(known)]

@@ -191,11 +191,13 @@ class _Maker:
 
     def of_many(self, role: Role, named: Sequence[str] | None = None) -> list[str]:
         """The column whose name suggests the role. Of several it is the one that is called like the role, or the first one that
-        tells the time; the others are left out, because they say the same again. Nothing where that is open."""
+        tells the time, if possible not in texts; the others are left out, because they say the same again. Nothing where that
+        is open."""
         found = self.free(role) if named is None else list(named)
         if len(found) < 2:
             return found
-        exact = [column for column in found if column.lower() == role] or (found[:1] if role == "time" else [])
+        able = [column for column in found if role != "time" or self.orders(column)] or found
+        exact = [column for column in able if column.lower() == role] or (able[:1] if role == "time" else [])
         if not exact:
             self.told.append(f"columns {', '.join(found)} are all named like the {role}: --{role} says which one it is")
         for column in found if exact else ():
@@ -264,9 +266,14 @@ class _Maker:
                 self.give(found, "ignore", "differs in every row")
                 self.doubt(column, "differs in every row and is left out (--episode if each row is an episode)")
         found = self.of_many("time") if self.asked.time is None and self.having("episode") else []
-        if len(found) == 1 and not is_text(self.table[found[0]].type):
+        if len(found) == 1 and self.orders(found[0]):
             self.give(found, "time", "by its name")
             self.told.append(f"column {found[0]} is read as the time within an episode (--time)")
+
+    def orders(self, column: str) -> bool:
+        """Whether the rows of an episode can be put in order by a column without being asked to: of numbers or dates."""
+        kind = self.table[column].type
+        return not is_text(kind) and not pa.types.is_null(kind)
 
     def is_flag(self, column: str) -> bool:
         """Whether all values are truth values, or 0 and 1."""

@@ -162,10 +162,15 @@ class Encoder:
     def _codes(self, column: Column, values: Any) -> tuple[np.ndarray, Column]:
         """(rows,) code of each value's level, -1 where there is none, and the column with its levels."""
         if not is_category(values.type):  # whole numbers that are codes
+            if pa.types.is_floating(values.type):
+                values = compute.if_else(compute.is_nan(values), None, values)
             found = levels_of_whole_numbers(values.drop_null())
             if found is None:
                 text = f"column {column.name} holds {values.type}, a category needs whole numbers or texts"
                 raise UserError(f"{self.name}: {text}")
+            if found and not -(2**63) <= found[0] <= found[-1] < 2**63:
+                text = "a category needs whole numbers below 2 ** 63, or texts: put a letter before its codes"
+                raise UserError(f"{self.name}: column {column.name} holds {max(found, key=abs)}, {text}")
             values = values.cast(pa.int64())
         if column.levels is None:
             refuse_mistaken(self.name, column.name, values)
@@ -304,7 +309,7 @@ class Encoder:
 
     def moments(self, column: str) -> np.ndarray:
         """(rows,) numbers in the order of time: float64 or, of dates and whole numbers, int64, which rounds none."""
-        values = self.complete(column)
+        values = decoded(self.complete(column))
         dates = as_dates(values)
         if dates is not None:
             return ordered_moments(dates)

@@ -160,13 +160,13 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
         "observations": encoder.observations(observed), "rewards": scratch.keep(encoder.rewards(reward)),
         "actions": encoder.actions(actions), "terminals": encoder.flags(terminal), "timeouts": encoder.flags(timeout),
     }  # fmt: skip
-    if allowed:
-        columns |= masks(name, table, allowed, levels := actions[0].levels or ())
-        encoder.extra["observation_names"] += [f"legal={level}" for level in levels]
     unknown = np.zeros(table.num_rows, bool)  # rows without a next observation
     if following:
         columns["next_observations"], unknown = encoder.next_observations(following, observed)
         columns["next_observations"][unknown] = columns["observations"][unknown]
+    if allowed:
+        columns |= masks(name, table, allowed, levels := actions[0].levels or (), unknown | columns["terminals"])
+        encoder.extra["observation_names"] += [f"legal={level}" for level in levels]
     if propensity is not None:
         columns[LOG_PROBS] = log_probabilities(name, table, propensity.name, columns["actions"])
     for column in schema.columns:

@@ -156,7 +156,7 @@ def _stored(values: Any) -> tuple[Kind, str]:
     if pa.types.is_boolean(kind):
         return "flag", "truth values"
     if is_category(kind):
-        return "category", "texts"
+        return "category", "texts" if is_text(kind) else "categories"
     if pa.types.is_temporal(kind):
         return "date", "dates"
     return ("integer", "whole numbers") if pa.types.is_integer(kind) else ("number", "numbers")

@@ -42,17 +42,24 @@ def listed_levels(name: str, table: pa.Table, columns: Sequence[Column]) -> list
     return list(found)
 
 
-def masks(name: str, table: pa.Table, columns: Sequence[Column], levels: Sequence[Any]) -> dict[str, np.ndarray]:
+def masks(
+    name: str, table: pa.Table, columns: Sequence[Column], levels: Sequence[Any], last: np.ndarray
+) -> dict[str, np.ndarray]:
     """{role: (rows, n) bool, which actions are legal} of columns of the roles legal and next_legal; see `_mask`.
 
-    Where actions are true and false, as those of a text file with yes and no are, its words for them mean these.
+    Where actions are true and false, as those of a text file with yes and no are, its words for them mean these. Cells of
+    next_legal may be empty in rows without a known next observation, `last` (rows,).
     """
-    roles = dict.fromkeys(column.role for column in columns)
-    return {role: _mask(name, table, [column for column in columns if column.role == role], levels) for role in roles}
+    return {
+        role: _mask(
+            name, table, [column for column in columns if column.role == role], levels, last & (role == "next_legal")
+        )
+        for role in dict.fromkeys(column.role for column in columns)
+    }  # fmt: skip
 
 
-def _mask(name: str, table: pa.Table, columns: Sequence[Column], levels: Sequence[Any]) -> np.ndarray:
-    """(rows, n) bool, which actions are legal.
+def _mask(name: str, table: pa.Table, columns: Sequence[Column], levels: Sequence[Any], free: np.ndarray) -> np.ndarray:
+    """(rows, n) bool, which actions are legal; all of them in rows that are `free` (rows,) to be empty, and are.
 
     Args:
         name: of the log, for errors.
@@ -69,6 +76,9 @@ def _mask(name: str, table: pa.Table, columns: Sequence[Column], levels: Sequenc
     if len(columns) == 1 and columns[0].of is None:
         column = columns[0].name
         for row, cell in enumerate(_cells(name, table, column)):
+            if cell is None and free[row]:
+                mask[row] = True
+                continue
             if cell is None:
                 raise UserError(f"{name}: column {column} is empty in row {row}; it must list the actions that are legal there")
             for level in map(said, cell):
@@ -83,7 +93,7 @@ def _mask(name: str, table: pa.Table, columns: Sequence[Column], levels: Sequenc
             raise UserError(f"{name}: {text}; actions are {', '.join(place)}")
         if (of := said(str(column.of))) not in place:
             raise UserError(f"{name}: column {column.name}: {unknown('action', of, list(place))}")
-        mask[:, place[of]] = flags(name, table, column.name)
+        mask[:, place[of]] = flags(name, table, column.name, free)
         told.add(of)
     if missing := [level for level in place if level not in told]:
         raise UserError(f"{name}: no column says where action {missing[0]} is legal (of = {json.dumps(missing[0])})")

@@ -89,7 +89,7 @@ def _apart(table: pa.Table, columns: list[str], codes: np.ndarray) -> list[str]:
     order = np.argsort(codes, kind="stable")
     inside = np.diff(codes[order]) == 0
     for name in columns:
-        values = flat(table, name)
+        values = flat(table, name, ignored=True)
         if not pa.types.is_integer(values.type) or is_missing(values).any():
             continue
         steps = values.to_numpy(zero_copy_only=False)

@@ -107,8 +107,8 @@ def masks(case: OPEInput, fold: np.ndarray, whole: OPEInput) -> tuple[np.ndarray
     """(episodes of the whole log, folds) of 0 and 1: the training episodes of each fold's model, and those of its early
     stopping.
 
-    Clusters stay whole. With few clusters, the training episodes also decide when to stop. Where those of early stopping have
-    less than half of their share of the rows, because clusters are of unequal sizes, further ones are added.
+    Clusters stay whole. With few clusters, the training episodes also decide when to stop. Where clusters are of unequal
+    sizes, see `_stopping`.
     """
     count = int(fold.max()) + 1
     of_all = np.full(whole.data.episodes, -1)
@@ -124,13 +124,18 @@ def masks(case: OPEInput, fold: np.ndarray, whole: OPEInput) -> tuple[np.ndarray
 
 
 def _stopping(draw: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """(clusters,) bool, those of early stopping: a random share, at least half of it by rows, and at most half of all rows.
+    """(clusters,) bool, those of early stopping: a random share.
+
+    Where clusters are of unequal sizes, these may have few rows. If they have less than half of their part, further ones are
+    added, until they have half of the share of all rows or would have more than half of these.
 
     Args:
         draw: (clusters,) uniform random numbers.
         rows: (clusters,) numbers of training rows.
     """
     out, total = draw < CHECKED, rows.sum()
+    if rows[out].sum() >= out[rows > 0].mean() / 2 * total:
+        return out
     for each in np.argsort(draw).tolist():
         if rows[out].sum() >= CHECKED / 2 * total:
             break

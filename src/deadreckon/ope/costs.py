@@ -25,6 +25,7 @@ from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.importance import counting, log_ratios
+from deadreckon.ope.losses import lacking
 from deadreckon.ope.select import doubted, gains
 from deadreckon.ope.support import Support
 from deadreckon.stats.interval import level_in_words
@@ -182,8 +183,8 @@ def _rare(
 ) -> list[tuple[str, float]]:
     """For each policy, of logs of single steps, what costs mean that are missing from its rows by chance; see `losses`.
 
-    The reason why its total is not known, if all of its rows have the same cost; else how much is added to the upper end: the
-    mean of what the log's costs have above the largest of the policy's rows.
+    The reason why its total is not known, if all of its rows have the same cost; else how much is added to the upper end: as
+    much as the log's costs may have, in the mean, above the largest of the policy's rows.
 
     Args:
         found: the estimates.
@@ -201,12 +202,10 @@ def _rare(
     for own, i, degenerate in zip(rows, places, case.degenerate):
         if degenerate or not known[i] or not own.any():
             continue
-        most, count = costs[own].max(), Basis.of(found, i).rest[0]
-        share = float((costs > most).mean())
-        if (1.0 - share) ** count <= alpha / 2 / len(rows) or (share == 0.0 and np.ptp(costs[own]) > 0.0):
-            continue
-        alike = np.ptp(costs[own]) == 0.0
-        out[i] = (ALIKE.format(most), 0.0) if alike else ("", float(np.maximum(costs - most, 0.0).mean()))
+        most, alike = costs[own].max(), np.ptp(costs[own]) == 0.0
+        lacks = lacking(case, np.maximum(costs - most, 0.0), Basis.of(found, i).rest[0], alpha / len(rows))
+        if lacks.chance > alpha / 2 / len(rows):
+            out[i] = (ALIKE.format(most), 0.0) if alike else ("", lacks.most)
     return out
 
 

@@ -2,8 +2,11 @@
 
 If rewards are equal except for rare losses, the few rows with the policy's actions may have no losses. Then no bootstrap sample
 has one either: estimate and interval are those of a policy without losses. So this module computes the probability that this
-many rows have none if losses do not depend on the action, and the lower end of the gain with the log's share of losses.
+many rows have none if losses do not depend on the action, and the lower end of the gain with as many losses as the log shows
+that there may be.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +18,7 @@ from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.importance import counting, log_ratios
 from deadreckon.ope.select import doubted, gains
 from deadreckon.ope.support import Support
+from deadreckon.stats import inference
 
 
 def without_losses(case: OPEInput, found: Estimates, support: Support, model: BehaviorModel, alpha: float) -> list[str | None]:
@@ -34,14 +38,44 @@ def without_losses(case: OPEInput, found: Estimates, support: Support, model: Be
     every = every[[name != LOGGED for name in found.names]]
     rows = counting(log_ratios(case, "auto", model, None)[: len(out)])
     for i in np.flatnonzero(~case.degenerate & (every[:, 1] > 0) & np.isfinite(every[:, 1])).tolist():
-        least = rewards[rows[i]].min()
-        share, shift = float((rewards < least).mean()), float(np.maximum(least - rewards, 0.0).mean())
-        count, low = Basis.of(found, i).rest[0], every[i, 1]
-        chance = (1.0 - share) ** count
-        if chance > alpha / 2 / len(out) and low <= shift:
+        least, low = rewards[rows[i]].min(), every[i, 1]
+        lacks = lacking(case, np.maximum(least - rewards, 0.0), Basis.of(found, i).rest[0], alpha / len(out))
+        if lacks.chance > alpha / 2 / len(out) and low <= lacks.most:
             out[i] = (
-                f"none of its {count:.0f} effective rows has a reward below {least:.4g}, but {share:.1%} of all rows do; this "
-                f"happens by chance in {chance:.0%} of logs, and with the log's share of such rewards its lower end would be "
-                f"{low - shift:+.4g}"
+                f"none of its {lacks.rows:.0f} effective rows has a reward below {least:.4g}, but {lacks.share:.1%} of all "
+                f"rows do; this happens by chance in {lacks.chance:.0%} of logs, and with as many of them as the log may have "
+                f"its lower end would be {low - lacks.most:+.4g}"
             )
     return out
+
+
+class Lacking(NamedTuple):
+    """What the rows of a policy may lack by chance.
+
+    Attributes:
+        rows: how many effective rows it has.
+        share: share of all rows that have something beyond what these have.
+        chance: probability that so many rows have nothing of it if it does not depend on the action.
+        most: upper confidence limit of the mean over all rows of what is beyond.
+    """
+
+    rows: float
+    share: float
+    chance: float
+    most: float
+
+
+def lacking(case: OPEInput, beyond: np.ndarray, rows: float, alpha: float) -> Lacking:
+    """What the rows of a policy may lack by chance.
+
+    Args:
+        case: a log of single steps.
+        beyond: (rows,) by how much each row is beyond the rows of the policy, 0 if it is not.
+        rows: how many effective rows the policy has.
+        alpha: the limit is missed in half of this share of logs.
+    """
+    share, mean = float((beyond > 0).mean()), float(beyond.mean())
+    units = int(case.cluster.max()) + 1
+    influence = units * np.bincount(case.cluster, beyond - mean, units) / len(beyond)
+    most = float(inference.student(np.array([mean]), influence[:, None], alpha)[1][0]) if share else 0.0
+    return Lacking(rows, share, (1.0 - share) ** rows, most)

@@ -168,7 +168,7 @@ def _options(settings: RecommendSettings) -> list[str]:
     named = [str(named)] if isinstance(named, int | float) else list(named or ())
     options = ["--discount", str(settings.discount), "--seed", str(settings.seed)]
     options += ["--cost-limit", *named] if named else []
-    return options + (["--accept-model-based", "True"] if settings.accept_model_based else [])
+    return options + (["--accept-model-based"] if settings.accept_model_based else [])
 
 
 def _written(out: Path, log: str, again: Sequence[str], found: Found, clock: Clock) -> dict[str, Any]:

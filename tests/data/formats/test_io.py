@@ -10,6 +10,7 @@ from deadreckon.data.formats import io, kind
 from deadreckon.data.formats.folder import write_folder
 from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.data.formats.io import convert, read
+from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
 
 
@@ -55,6 +56,17 @@ def test_convert_refuses_what_would_lose_data(log, tmp_path):
     with pytest.raises(UserError, match="do not fit into CSV"):
         convert(tmp_path / "pictures.hdf5", tmp_path / "b.csv", force=True)
     assert (tmp_path / "b.csv").read_text() == "old"
+
+
+def test_convert_does_not_replace_the_table_that_a_schema_stands_for(tmp_path):
+    schema, table = tmp_path / "log.toml", tmp_path / "log.csv"
+    table.write_text("x,action,reward\n1.5,0,1\n2.5,1,2\n")
+    columns = {"x": {"role": "observation"}, "action": {"role": "action", "kind": "integer"}, "reward": {"role": "reward"}}
+    Schema.from_json({"columns": columns, "table": {"path": "log.csv"}}).save(schema)
+    with pytest.raises(UserError, match=f"{table} is the table that {schema} stands for; choose another name"):
+        convert(schema, table, force=True)
+    assert table.read_text() == "x,action,reward\n1.5,0,1\n2.5,1,2\n"
+    assert len(convert(schema, tmp_path / "other.csv")) == 2
 
 
 @pytest.mark.parametrize(

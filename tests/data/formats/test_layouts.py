@@ -120,6 +120,45 @@ def test_a_buffer_that_has_been_written_around_its_end():
     check(Dataset.from_dict({**spare, "_size": 14, "_insertion_idx": 14}), WORLD)
 
 
+def lean_sb3(size, observed=lambda column: column):
+    """The two environments of `WORLD` after `ReplayBuffer.add` of Stable-Baselines3 with `optimize_memory_usage`."""
+    names = {"actions": "actions", "rewards": "rewards", "dones": "terminated"}
+    steps = {name: np.stack(np.split(stacked(WORLD, key), 2), 1) for name, key in names.items()}
+    now, after = (observed(np.stack(np.split(stacked(WORLD, f"{key}observations"), 2), 1)) for key in ("", "next_"))
+    fields = {name: np.zeros((size, *column.shape[1:]), column.dtype) for name, column in steps.items()}
+    fields["observations"] = np.zeros((size, *now.shape[1:]), now.dtype)
+    for step in range(7):
+        fields["observations"][step % size] = now[step]
+        fields["observations"][(step + 1) % size] = after[step]
+        for name, column in steps.items():
+            fields[name][step % size] = column[step]
+    made = {"timeouts": np.zeros((size, 2)), "pos": 7 % size, "full": size <= 7, "optimize_memory_usage": True}
+    return now, after, fields | made
+
+
+@pytest.mark.parametrize(("size", "first"), [(6, 2), (7, 1), (8, 0), (10, 0)])
+def test_a_buffer_that_keeps_no_next_observations_ends_with_the_one_written_last(size, first):
+    now, after, fields = lean_sb3(size)
+    log = Dataset.from_dict(fields)
+    rows = lambda column: np.concatenate(list(np.swapaxes(column[first:], 0, 1)))  # noqa: E731
+    going = ~log.terminals
+    np.testing.assert_array_equal(log.observations, rows(now))
+    np.testing.assert_array_equal(log.next_observations_at(np.flatnonzero(going)), rows(after)[going])
+    np.testing.assert_array_equal(log.rewards, stacked(WORLD, "rewards").reshape(2, 7)[:, first:].reshape(-1))
+    assert log.usable.all()
+    del fields["optimize_memory_usage"]  # then the newest observation may be that of the oldest row
+    alone = Dataset.from_dict(fields)
+    np.testing.assert_array_equal(alone.observations, log.observations)
+    assert alone.dropped == 2
+    assert len(Dataset.from_dict(fields | {"optimize_memory_usage": False})) == min(2 * size, 14)
+
+
+def test_the_last_discrete_observation_of_such_a_buffer_is_one_hot():
+    _, after, fields = lean_sb3(6, lambda column: column[..., :1].astype(np.int64) % 4)
+    log = Dataset.from_dict(fields | {"observation_space": {"n": np.int64(4)}})
+    np.testing.assert_array_equal(log.next_observations_at(np.array([4, 9])), np.eye(4)[after[6, :, 0]])
+
+
 def test_discrete_observations_of_a_pickled_buffer_are_one_hot():
     fields = files.sb3_fields(WORLD)
     for key in ("observations", "next_observations"):

@@ -115,6 +115,21 @@ def test_actions_that_start_elsewhere_are_counted_from_zero():
     assert log.action_space == Discrete(3)
 
 
+@pytest.mark.parametrize(("moves", "space", "written"), [
+    ([1, 2, 3], spaces.Discrete(3, start=1), [3, 1, 2, 3]), ([0, 5, 10], spaces.Discrete(3), [2, 0, 1, 2]),
+])  # fmt: skip
+def test_integers_of_a_table_are_written_where_gymnasium_has_a_space_for_them(moves, space, written):
+    table = {"x": np.arange(8.0), "move": [moves[i % 3 - 1] for i in range(8)], "gain": np.ones(8), "end": [0, 0, 0, 1] * 2}
+    log = Dataset.from_frame(table, action="move", reward="gain", terminal="end")
+    write_minari(log, "mine/moves-v0")
+    theirs = minari.load_dataset("mine/moves-v0")
+    assert theirs.action_space == space
+    assert theirs[0].actions.tolist() == written
+    again = read("minari:mine/moves-v0")
+    np.testing.assert_array_equal(again.actions, log.actions)
+    assert (again.action_space, again.provenance.extra["action_levels"]) == (Discrete(3), moves)
+
+
 def test_rows_without_successor_are_left_out_when_written():
     log = make_log((3, 1, 2), terminal=(False,), finals=False)
     write_minari(log, "mine/short-v0")

@@ -14,6 +14,7 @@ from deadreckon.data.formats.folder import read_folder
 from deadreckon.data.formats.io import convert, read
 from deadreckon.data.formats.kind import READING
 from deadreckon.data.formats.spool import Spool
+from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
 
 BLOCK = 256  # bytes, or a part of a long file: each but the shortest has several blocks
@@ -129,3 +130,49 @@ def test_large_text_files_become_the_log_in_memory(tmp_path, monkeypatch):
     with pytest.raises(UserError, match="line 402 has 2 cells"):
         convert(source, tmp_path / "no", **asked)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["log", "log.csv"]
+
+
+def test_levels_of_a_schema_that_look_like_numbers_stay_texts(tmp_path, monkeypatch):
+    source = tmp_path / "log.csv"
+    source.write_text("x,zone,a,r\n" + "".join(f"{row},{('01', '02', '10')[row % 3]},{row % 2},1\n" for row in range(90)))
+    columns = {"x": {"role": "observation"}, "zone": {"role": "observation", "kind": "category", "levels": ["01", "02", "10"]},
+               "a": {"role": "action", "kind": "integer"}, "r": {"role": "reward"}}  # fmt: skip
+    whole = read(source, schema={"columns": columns})
+    monkeypatch.setattr(stream, "_LARGE", 100)
+    monkeypatch.setattr(delimited, "_BLOCK", BLOCK)
+    streamed = convert(source, tmp_path / "log", schema={"columns": columns})
+    assert streamed.observations[:3].tolist() == [[0, 1, 0, 0], [1, 0, 1, 0], [2, 0, 0, 1]]
+    np.testing.assert_array_equal(streamed.observations, whole.observations)
+    assert (streamed.warnings, streamed.provenance.extra) == (whole.warnings, whole.provenance.extra)
+
+
+@pytest.mark.parametrize(("key", "value", "words"), [
+    ("sheet", "one", "--sheet is for a spreadsheet, but this is CSV"), ("table", "t", "--table is for SQLite or DuckDB, but"),
+    ("query", "select 1", "--query is for SQLite or DuckDB, but"),
+])  # fmt: skip
+def test_a_schema_of_another_format_is_refused_as_in_memory(tmp_path, monkeypatch, key, value, words):
+    source = tmp_path / "log.csv"
+    source.write_text("x,a,r\n" + "1.5,0,1\n2.5,1,0\n" * 20)
+    columns = {"x": {"role": "observation"}, "a": {"role": "action", "kind": "integer"}, "r": {"role": "reward"}}
+    for large in (10_000, 100):
+        monkeypatch.setattr(stream, "_LARGE", large)
+        with pytest.raises(UserError, match=words):
+            convert(source, tmp_path / "log", schema={"table": {key: value}, "columns": columns})
+        assert [path.name for path in tmp_path.iterdir()] == ["log.csv"]
+
+
+def test_a_schema_in_the_place_of_a_large_table_is_converted_by_parts(tmp_path, monkeypatch):
+    source, schema = tmp_path / "log.txt", tmp_path / "log.toml"
+    source.write_text("x a r\n" + "1.5 0 1\n2.5 1 0\n" * 90)
+    columns = {"x": {"role": "observation"}, "a": {"role": "action", "kind": "integer"}, "r": {"role": "reward"}}
+    for path, table in ((schema, {"path": "log.txt", "separator": "space"}), (tmp_path / "own.toml", {"separator": "space"})):
+        Schema.from_json({"columns": columns, "table": table}).save(path)
+    whole, parts = read(schema), []
+    monkeypatch.setattr(stream, "_LARGE", 1_000)
+    monkeypatch.setattr(stream, "SHARE", 1e-9)
+    for index, (given, more) in enumerate(((schema, {}), (source, {"schema": str(tmp_path / "own.toml")}))):
+        streamed = convert(given, tmp_path / f"log{index}", progress=lambda *done: parts.append(done), **more)
+        assert (streamed.fingerprint, streamed.name) == (whole.fingerprint, whole.name)
+        assert len(parts) == index + 1
+        told = f"{given} holds 0.0 GB, more than 0% of the memory: `deadreckon data convert {given} FOLDER` first"
+        assert str(stream.advice(given, **more)).startswith(told)

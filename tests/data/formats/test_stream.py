@@ -16,7 +16,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats import stream
 from deadreckon.data.formats.build import columns_of
 from deadreckon.data.formats.folder import read_folder
-from deadreckon.data.formats.io import convert
+from deadreckon.data.formats.io import convert, read
 from deadreckon.data.frame import _order
 from deadreckon.errors import UserError
 
@@ -117,8 +117,6 @@ def test_a_table_of_our_names(tmp_path):
     parquet.write_table(table, tmp_path / "log.parquet", row_group_size=40)
     convert(tmp_path / "log.parquet", tmp_path / "streamed")
     convert(tmp_path / "log.parquet", tmp_path / "whole.npz")
-    from deadreckon.data.formats.io import read
-
     same(read_folder(tmp_path / "streamed"), read(tmp_path / "whole.npz"))
 
 
@@ -238,3 +236,20 @@ def test_memory_is_bounded(tmp_path):
     command = [sys.executable, "-c", BOUND, tmp_path / "log.parquet", tmp_path / "log"]
     told = subprocess.run(command, capture_output=True, text=True)
     assert int(told.stdout) < 0.6 * size, told
+
+
+def test_levels_of_a_schema_that_look_like_dates_stay_texts(tmp_path):
+    days = ["03.04.2024", "04.04.2024"]
+    table = pa.table({"day": days * 100, "x": np.arange(200.0), "a": [0, 1] * 100, "r": np.ones(200)})
+    columns = {"day": {"role": "observation", "kind": "category", "levels": days}, "x": {"role": "observation"},
+               "a": {"role": "action", "kind": "integer"}, "r": {"role": "reward"}}  # fmt: skip
+    parquet.write_table(table, tmp_path / "log.parquet", row_group_size=40)
+    feather.write_feather(table, tmp_path / "log.arrow", chunksize=40)
+    convert(tmp_path / "log.parquet", tmp_path / "log.npz", schema={"columns": columns})
+    for source in ("log.parquet", "log.arrow"):
+        streamed = convert(tmp_path / source, tmp_path / "log", schema={"columns": columns}, force=True)
+        same(streamed, read(tmp_path / "log.npz"))
+        schema = {"columns": columns, "table": {"sheet": "one", "separator": ";"}}
+        with pytest.raises(UserError, match="--sheet is for a spreadsheet, but this is Parquet"):
+            convert(tmp_path / source, tmp_path / "log", schema=schema, force=True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["log", "log.arrow", "log.npz", "log.parquet"]

@@ -328,3 +328,25 @@ def test_a_time_that_does_not_order_rows_of_our_names_is_told(tmp_path):
     assert words in read(path).warnings
     path.write_text("time,observation_0,action,reward\n" + "".join(f"{t},{t}.5,{t % 2},1\n" for t in sorted(times)))
     assert not any("falls" in line for line in read(path).warnings)
+
+
+def test_names_of_ours_with_texts_gaps_and_a_horizon(tmp_path):
+    """Episodes are named by texts, last rows have no next observation (null or NaN), and a horizon cuts further ones."""
+    x = np.arange(8.0)
+    after = np.where(np.arange(8) % 4 == 3, np.nan, x + 1)
+    columns = {"observation_0": x, "next_observation_0": after, "action": [0.5, 0.1] * 4, "reward": x}
+    flags = {"timeout": [0, 0, 0, 1] * 2}
+    for gap in (after, pa.array(after, from_pandas=True)):
+        pyarrow.parquet.write_table(pa.table(columns | flags | {"next_observation_0": gap}), tmp_path / "log.parquet")
+        assert read(tmp_path / "log.parquet").final_known.tolist() == [False, False]
+        log = read(tmp_path / "log.parquet", horizon=2)
+        assert log.final_known.tolist() == [True, False, True, False]
+        np.testing.assert_array_equal(log.final_observations[[0, 2], 0], [2.0, 6.0])
+    names = {"episode": ["ep_9"] * 4 + ["ep_1"] * 4}
+    rest = {key: value for key, value in columns.items() if key != "next_observation_0"}
+    pyarrow.parquet.write_table(pa.table(rest | names), tmp_path / "named.parquet")
+    assert read(tmp_path / "named.parquet").lengths.tolist() == [4, 4]
+    mixed = {"episode": ["ep_9", "ep_1"] * 4}
+    pyarrow.parquet.write_table(pa.table(rest | mixed), tmp_path / "mixed.parquet")
+    with pytest.raises(UserError, match=r"the rows of episode ep_9 are not together \(row 2\)"):
+        read(tmp_path / "mixed.parquet")

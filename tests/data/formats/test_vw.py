@@ -134,3 +134,14 @@ def test_more_actions_than_are_read_are_refused(log_of):
     with pytest.raises(UserError, match="line 6 has action 20000, at most 10,000"):
         log_of(LINES + "20000 1:1:0.5 | a\n")
     assert log_of(LINES + "10000:1:0.5 | a\n").action_space == Discrete(10_000)
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_very_many_names_are_not_those_of_open_bandit(tmp_path, separator):
+    """Where commas are expected they are one cell, longer than Python's reader takes."""
+    path, names = tmp_path / "log.csv", [f"feature_{'x' * 100}_{i:04d}" for i in range(1_200)]
+    rows = ([*names, "action", "reward"], *([f"{i}.5"] * 1_200 + [str(i % 2), "1"] for i in range(6)))
+    path.write_text("".join(separator.join(row) + "\n" for row in rows))
+    log = read(path)
+    assert log.observations.shape == (6, 1_200)
+    assert log.actions.tolist() == [0, 1] * 3

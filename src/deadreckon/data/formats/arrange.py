@@ -156,6 +156,8 @@ def _read(layout: Layout, parts: Parts, done: str | None) -> Arranged:
         columns["timeouts"] = np.logical_or.reduce(cuts) & ~(terminals if terminals is not None else np.zeros(rows, bool))
     if "unknown" in roles:
         _forget(columns, roles["unknown"])
+    if parts.last is not None:
+        columns |= _finals(columns, roles["cut"], parts.last)
     columns |= _log_probs(roles, names)
     if "legal" in roles:
         columns |= {key: roles[key].reshape(rows, -1) != 0 for key in ("legal", "next_legal") if key in roles}
@@ -223,6 +225,15 @@ def _log_probs(roles: Mapping[str, np.ndarray], names: Mapping[str, str]) -> dic
         row = int(np.argmax(large))
         raise UserError(f"column {names['probs']} has {probs[row]} in row {row}, a probability in (0, 1] is needed")
     return {LOG_PROBS: np.log(probs)}
+
+
+def _finals(columns: Mapping[str, np.ndarray], cut: np.ndarray, last: np.ndarray) -> dict[str, np.ndarray]:
+    """The final observations of episodes, of which those after rows where the recording is `cut` are `last`, others unknown."""
+    ended = columns["timeouts"] | columns.get("terminals", np.zeros(len(cut), bool))
+    known = cut[ended]
+    final = np.zeros((len(known), *columns["observations"].shape[1:]), columns["observations"].dtype)
+    final[known] = last
+    return {"final_observations": final, "final_known": known}
 
 
 def _forget(columns: dict[str, np.ndarray], unknown: np.ndarray) -> None:

@@ -51,7 +51,12 @@ def build(
     about = header or Header(name or stem(path), None, Provenance(source=source, extra=dict(extra or {})))
     provenance = replace(about.provenance, path=str(path))
     if horizon is not None:
-        given["timeouts"] = _cut(path, given, horizon)
+        timeouts = _cut(path, given, horizon)
+        if "final_known" in given:  # where the horizon cuts an episode, the next row shows what follows
+            known = np.ones(rows := len(timeouts), bool)
+            known[last_rows(given, rows)] = given["final_known"]
+            given["final_known"] = known[last_rows(given | {"timeouts": timeouts}, rows)]
+        given["timeouts"] = timeouts
         provenance = replace(provenance, extra={**provenance.extra, "horizon": horizon})
     space = action_space or about.action_space
     # The log has the file's name while its columns are checked, so that errors name the file.
@@ -60,6 +65,14 @@ def build(
     if header is None:
         found += [f"{line} (a horizon marks them)" for line in unmarked(given, log.lengths)]
     return replace(log, name=name or about.name, warnings=tuple(found))
+
+
+def last_rows(columns: Mapping[str, Any], rows: int) -> np.ndarray:
+    """The last row of each episode, by the flags."""
+    ends = np.asarray(columns.get("terminals", np.zeros(rows, bool))) != 0
+    ends |= np.asarray(columns.get("timeouts", np.zeros(rows, bool))) != 0
+    ends[-1:] = True
+    return np.flatnonzero(ends)
 
 
 def _cut(path: Path | str, columns: Mapping[str, Any], horizon: int) -> np.ndarray:

@@ -288,7 +288,9 @@ def _decoded(path: Path | str, table: pa.Table, dialect: Dialect, known: bool) -
 def _without_empty(path: Path | str, table: pa.Table) -> tuple[pa.Table, list[str]]:
     """The table without rows of empty cells at its end, which spreadsheets leave there."""
     rows = table.num_rows
-    while rows and all(values[rows - 1].as_py() in (None, "") for values in table.columns):
+    # Only texts are looked at: values of other types, such as times in nanoseconds, need further packages in Python.
+    empty = lambda cell: not cell.is_valid or (pa.types.is_string(cell.type) and cell.as_py() == "")  # noqa: E731
+    while rows and all(empty(values[rows - 1]) for values in table.columns):
         rows -= 1
     if rows == table.num_rows:
         return table, []

@@ -60,12 +60,7 @@ def read(
 
 def _looked_at(path: Path | str, mapping: Mapping[str, Any]) -> tuple[Path | str, str, dict[str, Any]]:
     """The file to read, its format, and the mapping with the options of a schema."""
-    mapping = {key: value for key, value in mapping.items() if value is not None}
-    if is_schema(path):
-        if "schema" in mapping:
-            raise UserError(f"{path} is a schema itself; give the table, and --schema {path}")
-        mapping["schema"] = schema = Schema.load(path)
-        path = schema.file_beside(path)
+    path, mapping = _meant(path, mapping)
     ways: dict[str, Any] = {}
     if "schema" in mapping:
         mapping["schema"] = schema = as_schema(mapping["schema"])
@@ -73,6 +68,17 @@ def _looked_at(path: Path | str, mapping: Mapping[str, Any]) -> tuple[Path | str
     kind = sniff(path, mapping.get("separator", ways.get("separator")))
     # A schema drafted for a CSV file also applies to the same table in another format, which needs no dialect.
     return path, kind, {key: value for key, value in ways.items() if key not in DIALECT or kind in READING[key]} | mapping
+
+
+def _meant(path: Path | str, mapping: Mapping[str, Any]) -> tuple[Path | str, dict[str, Any]]:
+    """The table that a schema's file stands for, or any other path itself, and what is given of the mapping with the schema."""
+    mapping = {key: value for key, value in mapping.items() if value is not None}
+    if not is_schema(path):
+        return path, mapping
+    if "schema" in mapping:
+        raise UserError(f"{path} is a schema itself; give the table, and --schema {path}")
+    schema = Schema.load(path)
+    return schema.file_beside(path), {**mapping, "schema": schema}
 
 
 def _read(
@@ -172,20 +178,22 @@ def _convert(
         raise UserError(f"{target} exists already; --force replaces it")
     if exists and place.is_dir() and not (place / folders.HEADER).is_file():
         raise UserError(f"{target} is a folder that holds no log, so it is not replaced; choose another name")
-    if exists and Path(source).exists() and place.samefile(source):
-        raise UserError(f"{target} is the source itself; choose another name")
+    table, given = _meant(source, mapping)
+    if exists and Path(table).exists() and place.samefile(table):
+        what = "the source itself" if table == source else f"the table that {source} stands for"
+        raise UserError(f"{target} is {what}; choose another name")
     in_folder = str(target).endswith("/") or not (place.suffix or str(target).startswith(PREFIX))
     if in_folder and not str(source).startswith(PREFIX):
         from deadreckon.data.formats.stream import convert_table, streamed_format
 
-        if (table := streamed_format(source, mapping.get("separator"))) is not None:
-            given = {key: value for key, value in mapping.items() if value is not None}
-            no_options(source, "csv" if table == "csv" else "parquet", given)
+        ways = as_schema(given["schema"]).options() if "schema" in given else {}
+        if (streamed := streamed_format(table, given.get("separator", ways.get("separator")))) is not None:
+            no_options(table, "csv" if streamed == "csv" else "parquet", given)
             return convert_table(
-                source, target, table, force=force, strict=strict, horizon=horizon, progress=progress, **given
+                table, target, streamed, force=force, strict=strict, horizon=horizon, progress=progress, **given
             )
-    name = mapping.pop("name", None)
-    source, kind, mapping = _looked_at(source, mapping)
+    name = given.pop("name", None)
+    source, kind, mapping = _looked_at(table, given)
     if kind != "hdf5":
         log = _read(source, kind, kind == "folder", strict, name, horizon, mapping)
         write(log, target, force)

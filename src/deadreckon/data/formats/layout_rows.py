@@ -21,6 +21,7 @@ class Parts:
         told: messages, one line each.
         space: of the actions, if the source has it.
         names: of the observation's dimensions, if they are made here.
+        last: (pieces, ...) what was observed after the last row of each piece, in columns without next observations.
     """
 
     arrays: dict[str, np.ndarray]
@@ -28,6 +29,7 @@ class Parts:
     told: list[str] = field(default_factory=list)
     space: Box | Discrete | None = None
     names: list[str] | None = None
+    last: np.ndarray | None = None
 
     def under(self, name: str) -> list[str]:
         """The columns called `name`, or those in the dict `name`."""
@@ -105,6 +107,8 @@ def sb3(parts: Parts) -> None:
         order = np.roll(order, -position) if full else order[:position]
     if not len(order):
         raise UserError("the replay buffer is empty (pos is 0 and full is not set)")
+    if position is not None and "observations" in parts.arrays and not parts.under("next_observations"):
+        order = _without_overwritten(parts, order, position, full=bool(full))
     stacked = {key: column for key, column in parts.arrays.items() if column.shape[:2] == (steps, environments)}
     for key in ("observations", "next_observations", "actions", "dones", "timeouts"):
         if key in parts.arrays and key not in stacked:
@@ -119,6 +123,8 @@ def sb3(parts: Parts) -> None:
     for key in ("observations", "next_observations"):
         if count is not None and key in parts.arrays:
             parts.arrays[key], parts.names = one_hot(parts.arrays[key].reshape(-1), count, start, "observation")
+    if count is not None and parts.last is not None:
+        parts.last = one_hot(parts.last.reshape(-1), count, start, "observation")[0]
     parts.arrays["cut"] = np.arange(environments * len(order)) % len(order) == len(order) - 1
     if environments > 1:
         parts.told.append(f"rows of {environments} parallel environments are put one environment after the other")
@@ -127,6 +133,21 @@ def sb3(parts: Parts) -> None:
             "no row is a timeout: if the buffer was made with handle_timeout_termination=False, time limits are read as "
             "terminations"
         )
+
+
+def _without_overwritten(parts: Parts, order: np.ndarray, position: int, full: bool) -> np.ndarray:
+    """`order` without the oldest row of a full buffer of `optimize_memory_usage`, which keeps no next observations.
+
+    Such a buffer writes what follows the newest row where the next row will begin, in a full one over the observation of the
+    oldest row, whose action and reward stay. `parts.last` becomes that observation if the buffer itself says how it was made.
+    """
+    steps = len(parts.arrays["observations"])
+    if parts.number("optimize_memory_usage") and (full or position < steps):
+        parts.last = parts.arrays["observations"][position % steps]
+    if not full or parts.number("optimize_memory_usage") == 0:
+        return order
+    parts.told.append("the oldest step is left out: without next observations, the newest one is written over its observation")
+    return order[1:]
 
 
 def tianshou(parts: Parts) -> None:

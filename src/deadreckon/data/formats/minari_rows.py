@@ -36,11 +36,15 @@ def spaces_of(log: Dataset, environment: Environment | None) -> tuple[Any, Any]:
 
 def _levels(log: Dataset) -> np.ndarray | None:
     """(actions, integers) the environment's integers for each discrete action; None if they are the action's number, and for
-    actions that are texts in their table, which are written as numbers."""
+    actions that are texts, or integers with gaps, in their table, which are written as numbers."""
     levels = np.asarray(log.provenance.extra.get("action_levels", ()))
     if not isinstance(log.action_space, Discrete) or levels.shape[:1] != (log.action_space.n,):
         return None
-    return levels if levels.dtype.kind in "iu" else None
+    if levels.dtype.kind not in "iu":
+        return None
+    if levels.ndim == 1:  # of a table; Gymnasium has a space for consecutive integers only
+        return levels[:, None] if (np.diff(levels) == 1).all() else None
+    return levels
 
 
 def buffers(log: Dataset) -> Iterator[Any]:

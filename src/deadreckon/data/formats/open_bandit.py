@@ -27,7 +27,10 @@ def open_bandit(path: Path | str, kind: str, mapping: dict[str, Any]) -> tuple[d
         return mapping, []
     with opened(path) as file:
         lines = io.TextIOWrapper(unpacked(path, file), encoding="utf-8", errors="replace", newline="")
-        names = next(csv.reader([lines.readline()]), [])
+        try:
+            names = next(csv.reader([lines.readline()]), [])
+        except csv.Error:  # many names with another separator than a comma are one cell, longer than the library reads
+            return mapping, []
     context = [name for name in names if _CONTEXT.fullmatch(name)]
     if not context or not all(name in names for name in _NEEDED):
         return mapping, []

@@ -56,7 +56,9 @@ class Spool:
         as_it_stands = csv.ConvertOptions(column_types=dict.fromkeys(names, pa.binary()))
         batches = csv.open_csv(source, read, parse, as_it_stands)
         self.cells = self._mapped(self._watched(batches), batches.schema)
-        return pa.table([self._typed(column, convert) for column in self.cells.columns], names=names)
+        kinds = convert.get("column_types", {})
+        typed = [self._typed(column, convert, kinds.get(name)) for name, column in zip(names, self.cells.columns, strict=True)]
+        return pa.table(typed, names=names)
 
     def _watched(self, batches: Iterable[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
         rows = 0
@@ -65,7 +67,12 @@ class Spool:
             self.progress(rows, None)
             yield batch
 
-    def _typed(self, cells: pa.ChunkedArray, convert: dict[str, Any]) -> pa.ChunkedArray:
+    def _typed(self, cells: pa.ChunkedArray, convert: dict[str, Any], known: pa.DataType | None) -> pa.ChunkedArray:
+        """The cells of a column with their type; `known` is the one that `convert` has under the column's own name."""
+        convert = {key: value for key, value in convert.items() if key != "column_types"}  # every column is called 0 here
+        if known is not None:
+            given = {**convert, "column_types": {"0": known}}
+            return self._column((_converted(chunk, given) for chunk in cells.chunks), known)
         kinds = [_KINDS.index(_converted(chunk, convert).type) for chunk in cells.chunks]
         for kind in _KINDS[max(kinds, default=0) :]:
             given = {**convert, "column_types": {"0": kind}}

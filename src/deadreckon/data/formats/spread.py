@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.arrow import compute, log_probabilities, numbers
+from deadreckon.data.arrow import compute, decoded, flat, is_category, is_missing, log_probabilities, numbers
 from deadreckon.data.asked import Asked
 from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.formats.build import columns_of
+from deadreckon.data.formats.build import columns_of, last_rows
 from deadreckon.data.formats.header import Header, damaged
 from deadreckon.data.frame import ALONE, FrameColumns, table_columns
 from deadreckon.data.roles import like, not_observed, numbered, row_numbers
@@ -199,14 +199,20 @@ def from_table(
         columns[key] = column
     rows = table.num_rows
     if "episode" in table.column_names:
-        episode = numbers(str(path), table, "episode")
+        names = flat(table, "episode")
+        if is_category(names.type):  # texts
+            if (gone := is_missing(names)).any():
+                raise UserError(f"{path}: column episode is empty in row {int(np.argmax(gone))}")
+            episode = decoded(names).dictionary_encode().indices.to_numpy().astype(np.float64)
+        else:
+            episode = numbers(str(path), table, "episode")
         if np.abs(episode).max() >= 2**53:
             raise UserError(f"{path}: column episode has numbers from 2^53 on, where they are rounded; number the episodes")
         change = np.append(episode[1:] != episode[:-1], True)
         if int(change.sum()) != len(np.unique(episode)):
             row = _returns(episode, change)
             raise UserError(
-                f"{path}: the rows of episode {episode[row]:g} are not together (row {row}); "
+                f"{path}: the rows of episode {names[row].as_py()} are not together (row {row}); "
                 "name all columns (--episode, --time, --action, --reward) to have them sorted"
             )
         terminals = np.asarray(columns.get("terminals", np.zeros(rows, bool)))
@@ -215,7 +221,7 @@ def from_table(
             columns["timeouts"] = np.where(change & (terminals == 0) & (given == 0), given.dtype.type(1), given)
     if unknown.any():
         inside = unknown.copy()
-        inside[last := _last_rows(columns, rows)] = False
+        inside[last := last_rows(columns, rows)] = False
         if inside.any() or "timeouts" not in columns:  # without flags, next observations show the ends
             row = int(np.argmax(inside if inside.any() else unknown))
             raise UserError(f"{path}: column {groups['next_observation'][0]} is empty in row {row}")
@@ -231,7 +237,7 @@ def _filled(table: pa.Table, groups: Groups) -> tuple[pa.Table, np.ndarray]:
     following, own = groups.get("next_observation", []), groups.get("observation", [])
     unknown = np.full(table.num_rows, bool(following) and len(following) == len(own))
     for column in following:
-        unknown &= table.column(column).is_null().to_numpy()
+        unknown &= is_missing(table.column(column).combine_chunks())
     if unknown.any():
         for column, observed in zip(following, own, strict=True):
             values = compute.if_else(pa.array(unknown), table.column(observed), table.column(column))
@@ -239,17 +245,9 @@ def _filled(table: pa.Table, groups: Groups) -> tuple[pa.Table, np.ndarray]:
     return table, unknown
 
 
-def _last_rows(columns: dict[str, np.ndarray], rows: int) -> np.ndarray:
-    """The last row of each episode."""
-    ends = np.asarray(columns.get("terminals", np.zeros(rows, bool))) != 0
-    ends |= np.asarray(columns.get("timeouts", np.zeros(rows, bool))) != 0
-    ends[-1:] = True
-    return np.flatnonzero(ends)
-
-
 def _finals(path: Path | str, table: pa.Table, parts: list[str], columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    rows = _last_rows(columns, table.num_rows)
-    known = ~table.column(parts[0]).is_null().to_numpy()[rows]
+    rows = last_rows(columns, table.num_rows)
+    known = ~is_missing(table.column(parts[0]).combine_chunks())[rows]
     last = table.select(parts).take(rows).filter(pa.array(known))
     shape = columns["observations"].shape[1:]
     final = np.zeros((len(rows), *shape), columns["observations"].dtype)

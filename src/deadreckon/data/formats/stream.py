@@ -21,13 +21,14 @@ from deadreckon.data.formats.build import build
 from deadreckon.data.formats.delimited import read_delimited
 from deadreckon.data.formats.dialect import Dialect
 from deadreckon.data.formats.folder import HEADER, write_folder
-from deadreckon.data.formats.kind import READING, sniff
+from deadreckon.data.formats.kind import DIALECT, READING, no_options, sniff
 from deadreckon.data.formats.open_bandit import open_bandit
 from deadreckon.data.formats.spool import Spool
 from deadreckon.data.formats.spread import from_anybody
 from deadreckon.data.formats.totals import of_totals
 from deadreckon.data.formats.words import levels_in
 from deadreckon.data.schema import as_schema
+from deadreckon.data.schema_file import table_of
 from deadreckon.data.scratch import Scratch
 from deadreckon.data.text_columns import with_dates
 from deadreckon.errors import UserError, cannot_write, reading
@@ -75,19 +76,22 @@ def streamed_format(source: Path | str, separator: str | None = None) -> str | N
     return kind
 
 
-def advice(source: Path | str, separator: str | None = None) -> str | None:
+def advice(source: Path | str, separator: str | None = None, schema: Path | str | None = None) -> str | None:
     """A message to convert a table first, if it takes more than `SHARE` of this machine's memory; else None.
 
-    The size is that of the file on disk, for Parquet that of the unpacked columns.
+    The size is that of the file on disk, for Parquet that of the unpacked columns. A schema's file stands for its table, and
+    says, like a `schema` beside the table, what separates columns if `separator` does not.
     """
-    if (kind := streamed_format(source, separator)) is None:
+    table, ways = table_of(source)
+    ways = ways or ({} if schema is None else as_schema(schema).options())
+    if (kind := streamed_format(table, separator or ways.get("separator"))) is None:
         return None
-    files = sorted(Path(source).rglob("*.parquet")) if Path(source).is_dir() else [Path(source)]
+    files = sorted(Path(table).rglob("*.parquet")) if Path(table).is_dir() else [Path(table)]
     size = sum(file.stat().st_size for file in files)
     if kind == "parquet":
         from pyarrow import parquet
 
-        with reading(source, "Parquet"):
+        with reading(table, "Parquet"):
             about = [parquet.read_metadata(file) for file in files]
         size = sum(each.row_group(group).total_byte_size for each in about for group in range(each.num_row_groups))
     if size <= SHARE * memory():
@@ -139,9 +143,11 @@ def convert_table(
                 mapping, table, order, told = _of_text(source, work, mapping, progress)
             else:
                 schema = None if mapping.get("schema") is None else as_schema(mapping["schema"])
-                dates = Dialect.asked(dates=mapping.pop("dates", None)).dates or (schema.table.get("dates") if schema else None)
+                own = {} if schema is None else schema.options()
+                no_options(source, "parquet", {key: value for key, value in own.items() if key not in DIALECT})
+                dates = Dialect.asked(dates=mapping.pop("dates", None)).dates or own.get("dates")
                 table, told = _spooled(source, kind, work, progress)
-                table, order, lines = with_dates(table, dates)
+                table, order, lines = with_dates(table, dates, levels_in({"schema": schema}).texts)
                 told += lines
             columns = work / "columns"
             shutil.rmtree(columns, ignore_errors=True)  # of a call that was killed
@@ -171,6 +177,7 @@ def _of_text(
     if "schema" in mapping:
         mapping["schema"] = as_schema(mapping["schema"])
         mapping = mapping["schema"].options() | mapping
+    no_options(source, "csv", mapping)
     mapping, known = open_bandit(source, "csv", mapping)
     ways = {key: mapping.pop(key) for key in READING if key in mapping}
     cells = work / "cells"

@@ -33,15 +33,15 @@ def of_totals(table: pa.Table) -> list[str]:
         return []
     numbers, sums = 0, []
     for name, values in zip(table.column_names, table.columns, strict=True):
-        last = values[above].as_py()
-        if last is None:
+        if not values[above].is_valid:
             continue
         if is_string(values.type):
+            last = values[above].as_py()
             if _WORDS.fullmatch(last.strip()) and _compute.sum(_compute.equal(values, last)).as_py() == 1:
                 return [_line(above, f"column {name} has {last!r}")]
         elif above >= _ROWS and (pa.types.is_integer(values.type) or pa.types.is_floating(values.type)):
             numbers += 1
-            sums += [name] if _summed(values.slice(0, above), float(last)) else []
+            sums += [name] if _summed(values.slice(0, above), float(values[above].as_py())) else []
     if len(sums) < _COLUMNS or 2 * len(sums) < numbers:
         return []
     return [_line(above, f"columns {', '.join(sums[:4])} have the sums or the means of the rows above")]
