@@ -73,4 +73,6 @@ def record(name: str, files: dict[str, bytes]) -> str:
     right = [i > 0 and bool(cells) and all(map(_NUMBER.match, cells)) for i, cells in enumerate(columns)]
     lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in (header, *rows)]
     lines.insert(1, "|" + "".join("---:|" if each else "---|" for each in right))
-    return "\n".join([f"`{command}`", "", *lines, "", f"- {of}; kept in `evidence/records/{name}.csv`", ""])
+    gone = re.search(r"examples/(\w+_tables?|mbpo_curves)\.py", command)
+    where = f" (`{gone[0]}` is in the history of the repository, commit f2f17e3)" if gone else ""
+    return "\n".join([f"`{command}`{where}", "", *lines, "", f"- {of}; kept in `evidence/records/{name}.csv`", ""])

@@ -12,7 +12,12 @@ from deadreckon.cli.tune import _told
 def test_episodes_that_chose_settings_are_not_to_judge_them(capsys, by):
     score, values = (np.nan, np.arange(2.0)) if by == "ope" else (50.0, np.zeros(0))
     best = Trial({"beta": 3.0}, np.full((1, 2), score), values)
-    _told(Tuned("iql", by, (best,), best, None, None), {})
+    tuned = Tuned("iql", by, (best,), best, None, None)
+    _told(tuned, {}, ["hopper-medium-v2"])
+    told = capsys.readouterr().out
+    assert ("trained and estimated on all episodes of hopper-medium-v2" in told) == (by == "ope")
+    assert "default hold-out" not in told
+    _told(tuned, {}, ["mine.csv"])
     told = capsys.readouterr().out
     assert "chosen: --agent.beta 3.0\n" in told
     advice = "train with the default hold-out of the same log, without --holdout, --holdout-by, --cross-fit, --horizon"

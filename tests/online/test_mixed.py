@@ -1,5 +1,6 @@
 """Batches that a log has a share of: how many of its rows, in which coordinates, and the returns known of both parts."""
 
+import re
 from dataclasses import replace
 from typing import ClassVar
 
@@ -14,7 +15,7 @@ from deadreckon.data.normalizer import STD_FLOOR
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.online import Exploration, Online
-from deadreckon.online.mixed import MixedReplay, Returns
+from deadreckon.online.mixed import MixedReplay, Returns, logged_rows
 from deadreckon.policies.policy import NormalizedPolicy
 from deadreckon.training.fit import Fit
 from tests.online.test_exploration import HIGH, LOW, TASK, Counter, rows_of
@@ -234,3 +235,10 @@ def test_refuses_what_does_not_fit(change, words):
 def test_without_a_log_something_must_be_explored_first():
     with pytest.raises(UserError, match="must be 1 or more where no log is learned from, got 0"):
         Exploration(TASK, Counter(), [0], UPDATES, SETTINGS)
+
+
+def test_the_share_that_is_proposed_is_taken():
+    with pytest.raises(UserError, match="is the nearest share") as caught:
+        logged_rows(0.99, 256)
+    nearest = re.search(r"; (.*) is the nearest", str(caught.value))[1]
+    assert logged_rows(float(nearest), 256) == 253

@@ -19,6 +19,10 @@ _JUDGING = (
     "to evaluate it, train with the default hold-out of the same log, without --holdout, --holdout-by, --cross-fit, --horizon "
     "and --mmap, or use new episodes: other episodes of this log may have chosen it"
 )
+_WHOLE = (
+    "its settings were trained and estimated on all episodes of {}, so that estimates on any of them are too high: evaluate it "
+    "in the simulator"
+)
 _SELECTED = (
     "its score is the best of {} settings on the seeds that chose it, which is too high on average; train it with new seeds to "
     "know its score"
@@ -122,14 +126,17 @@ def _in_rounds(options: Tune, given: dict[str, Any] | None, fixed: dict[str, Any
             executor=lambda: Local(store.path, options.workers), estimators=estimators(options.estimators, options.fit),
             model=with_fields(MODEL, options.fit.given), discount=options.discount, watch=watch,
         )  # fmt: skip
-    _told(result, fixed)
+    _told(result, fixed, options.data)
 
 
-def _told(result: Any, fixed: dict[str, Any]) -> None:
+def _told(result: Any, fixed: dict[str, Any], logs: Sequence[str]) -> None:
     best = result.best.fields | fixed
     print(f"\n{result}\n\nchosen: {' '.join(_option(name, value) for name, value in best.items() if value is not None)}")
     if result.by == "ope":
-        print(_JUDGING)
+        from deadreckon.tasks.registry import of_log
+
+        known = [log for log in logs if of_log(log) is not None]  # of which no episodes are spared, as they can be collected
+        print(_WHOLE.format(known[0]) if known else _JUDGING)
     elif len(result.trials) > 1:
         print(_SELECTED.format(len(result.trials)))
 

@@ -214,6 +214,6 @@ def logged_rows(share: float, batch_size: int) -> int:
         raise UserError(f"log_share must be 0 or more and below 1, got {share}")
     rows = round(share * batch_size)
     if abs(rows - share * batch_size) > 1e-9:
-        nearest = f"{rows / batch_size:g} is the nearest share"
+        nearest = f"{rows / batch_size} is the nearest share"
         raise UserError(f"log_share * batch_size must be a whole number, got {share} * {batch_size}; {nearest}")
     return rows

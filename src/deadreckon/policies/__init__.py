@@ -21,7 +21,7 @@ __all__ = ["BlackBoxPolicy", "EnvPolicy", "Policy", "Step", "load", "load_dapg",
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted([*__all__, "portable"])
 
 
 def __getattr__(name: str):
@@ -29,4 +29,6 @@ def __getattr__(name: str):
 
     if name in _HOMES:
         return getattr(importlib.import_module(f"deadreckon.policies.{_HOMES[name]}"), name)
+    if name == "portable":
+        return importlib.import_module("deadreckon.policies.portable")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
