@@ -1421,7 +1421,7 @@ MUTANTS = (
     ),
     Mutant(
         "stopped-by-few-rows", "ope/behavior.py",
-        "if rows[out].sum() >= CHECKED / 2 * total:",
+        "if some >= CHECKED / 2 * total:",
         "if True:",
         "early stopping rests on a few rows where clusters are of unequal sizes",
         ("ope/test_case.py::test_early_stopping_has_half_of_its_share_of_the_rows_where_clusters_are_of_unequal_sizes",),
@@ -1463,8 +1463,8 @@ MUTANTS = (
     ),
     Mutant(
         "longer-but-finished", "runs/folder.py",
-        '| {"steps": config["steps"], "finished": False})',
-        '| {"steps": config["steps"]})',
+        '"steps": config["steps"], "finished": False})',
+        '"steps": config["steps"], "finished": True})',
         "a run that was killed while it was made longer counts as finished",
         ("runs/test_folder.py::test_what_follows_from_the_length_of_a_run_is_told_where_it_is_made_longer",),
     ),
@@ -1480,8 +1480,8 @@ MUTANTS = (
     ),
     Mutant(
         "masks-of-jaxrl", "data/columns.py",
-        "        if roles.like(role, key) and name not in columns:",
-        "        if False:",
+        '    if key == "masks":',
+        "    if False:",
         "masks of JaxRL become an extra, and every termination a timeout",
         ("data/test_columns.py::test_end_flags_under_other_names_are_no_mere_extras",),
     ),
@@ -1592,10 +1592,17 @@ MUTANTS = (
     ),
     Mutant(
         "rare-costs-as-in-the-log", "ope/losses.py",
-        "influence[:, None], alpha)[1][0]) if share else 0.0",
-        "influence[:, None], alpha)[1][0]) * 0 + mean",
+        "most = max(most, mean * units / count * float(limit))",
+        "most = mean",
         "a limit holds only if rare costs are as frequent as this log happens to have them",
         ("ope/test_losses.py::test_by_hand",),
+    ),
+    Mutant(
+        "baseline-that-changes", "ope/select.py",
+        "settled[found.names.index(LOGGED)] < 1:",
+        "False:",
+        "gains count from a behaviour policy's value whose fit has not converged",
+        ("ope/test_select.py::test_gains_over_a_behaviour_policy_whose_fit_has_not_converged_are_not_known",),
     ),
     Mutant(
         "groups-kept", "ope/case.py",

@@ -63,7 +63,7 @@ class BusyError(UserError):
 
 
 class DivergedError(UserError):
-    """A fit diverged (NaN or infinite numbers), which other settings may mend and other fits need not share."""
+    """A fit diverged (NaN or infinite numbers), which other settings may mend and other fits need not share; exit code 1."""
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> UserError:

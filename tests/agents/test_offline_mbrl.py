@@ -216,7 +216,7 @@ def test_the_temperature_of_mobile_and_mopo_is_one_at_most(kind, log_prob, expec
 def test_refusals(fields, words):
     with pytest.raises(UserError, match=words):
         MOPO(**TINY | fields).resolve(LOG.spec, 1)
-    with pytest.raises(UserError, match=r"the model of MOPO needs 10 or more transitions, .* has [0-9]+ \(model_rows 5\)"):
+    with pytest.raises(UserError, match="the model of MOPO needs 10 or more transitions; .* has [0-9]+, and model_rows is 5"):
         MOPO(**TINY | {"model_rows": 5}).resolve(LOG.spec, 1)
     with pytest.raises(UserError, match="COMBO.real_batch_size, the logged rows in a batch, must be 1 or more, got 0"):
         COMBO(**TINY | {"real_batch_size": 0}).resolve(LOG.spec, 1)

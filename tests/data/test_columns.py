@@ -60,3 +60,10 @@ def test_further_flags_beside_those_of_a_log_are_kept():
     table = {"x": np.arange(6.0), "action": np.zeros(6), "reward": np.ones(6), "end": ENDED, "masks": 1 - ENDED}
     assert Dataset.from_frame(table, terminal="end", keep="masks").extras.keys() == {"masks"}
     assert Dataset.from_dict(STEPS | {"is_first": np.roll(ENDED, 1)}).extras.keys() == {"is_first"}
+
+
+def test_flags_that_say_no_more_and_masks_of_actions_are_kept():
+    timeouts = {"timeouts": ENDED, "is_last": ENDED, "masks": np.ones((6, 3))}
+    assert Dataset.from_dict({**STEPS, **timeouts}).extras.keys() == {"is_last", "masks"}
+    with pytest.raises(UserError, match="column is_last must be called terminals"):
+        Dataset.from_dict(STEPS | timeouts | {"is_last": np.ones(6)})

@@ -746,6 +746,9 @@ def test_durations_are_described(tmp_path):
     pa.parquet.write_table(table, tmp_path / "log.parquet")
     (line,) = [line for line in str(describe_table(tmp_path / "log.parquet")).splitlines() if "stay" in line and ".." in line]
     assert "0:00:00 .. 0:01:59" in line
+    table = table.set_column(0, "stay", table["stay"].cast(pa.duration("ns")))
+    pa.parquet.write_table(table, tmp_path / "fine.parquet")
+    assert "0:00:00 .. 0:01:59" in str(describe_table(tmp_path / "fine.parquet"))
 
 
 def test_texts_of_more_bytes_than_offsets_reach_are_one_column(monkeypatch):

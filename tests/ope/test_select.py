@@ -436,3 +436,14 @@ def test_published_values_stand_below_ours(tmp_path):
 def test_settings_that_a_kind_does_not_use_are_refused(setting, kind):
     with pytest.raises(UserError, match=f"DoublyRobust.{next(iter(setting))} is not used with kind='{kind}'; leave it out"):
         DoublyRobust(kind=kind, fqe=LinearFQE(), **setting).check_settings()
+
+
+def test_gains_over_a_behaviour_policy_whose_fit_has_not_converged_are_not_known():
+    """Its value is in all of them; where logged returns correct it, it does not matter."""
+    draws = np.random.default_rng(0).normal(size=(200, 2))
+    found = estimates("fqe", [2.0, 3.0], 0.1 * draws + [2.0, 3.0])
+    why = "the fit of the behaviour policy's estimate has not converged"
+    for settled, words in (([1.0, 1.0, 1.0], ()), ([1.0, 1.0, 0.0], (why,))):
+        choice = select([dataclasses.replace(found, diagnostics={"settled": np.array(settled)})], accept_model_based=True)
+        assert choice.objections[1] == words
+        assert choice.deploy == (not words)

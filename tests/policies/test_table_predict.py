@@ -71,6 +71,8 @@ def test_the_name_of_an_episode_is_the_whole_time_and_not_that_of_other_rows(uni
     assert table_predict._names(times) == names[:count]
     assert [table_predict._names(times[[i]])[0] for i in range(count)] == names[:count]
     assert table_predict._names(np.array(["2024-01-01", "NaT"], "datetime64[D]")) == ["2024-01-01", None]
+    objects = np.array([*times[:2].astype("datetime64[s]").tolist(), "day 1", 3], object)  # as in dictionaries
+    assert table_predict._names(objects) == [*names[:2], "day 1", 3]
 
 
 class Fair(Constant):

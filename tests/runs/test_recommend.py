@@ -33,7 +33,7 @@ from deadreckon.runs.callback import StopTraining
 from deadreckon.runs.candidates import Candidate
 from deadreckon.runs.clock import Clock
 from deadreckon.runs.durations import in_words, seconds_of
-from deadreckon.runs.recommend import _options, recommend
+from deadreckon.runs.recommend import options_of, recommend
 from deadreckon.runs.settings import RecommendSettings
 
 
@@ -616,8 +616,10 @@ def test_logs_of_all_kinds_end_in_a_card_in_time(kind, tmp_path, capsys, request
 
 
 def test_the_command_that_goes_on_decides_by_the_same_settings():
-    options = _options
+    options = options_of
     assert options(RecommendSettings()) == ["--discount", "0.99", "--seed", "0"]
+    for limit in (5, np.int64(5), "5"):
+        assert options(RecommendSettings(cost_limit=limit))[-2:] == ["--cost-limit", "5"]
     for limits in ({"energy": 5.0, "cost": 2}, ("energy=5.0", "cost=2")):
         found = options(RecommendSettings(discount=0.9, cost_limit=limits, accept_model_based=True))
         assert found == [

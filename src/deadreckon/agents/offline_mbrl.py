@@ -66,7 +66,8 @@ class OfflineMBRL(ModelBasedAgent, SAC):
         rows = spec.rows if self.model_rows is None else min(self.model_rows, spec.rows)
         if spec.rows and rows < FEWEST:
             what = f"the model of {type(self).__name__} needs {FEWEST} or more transitions"
-            raise UserError(f"{what}, {spec.name} has {spec.rows} (model_rows {self.model_rows})")
+            asked = "" if self.model_rows is None else f", and model_rows is {self.model_rows}"
+            raise UserError(f"{what}; {spec.name} has {spec.rows}{asked}")
         return agent if self.actor_decay_steps is not None else agent.replace(actor_decay_steps=float(steps))
 
     def actor_rate(self, step: Array) -> Any:

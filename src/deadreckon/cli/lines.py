@@ -5,8 +5,7 @@ import sys
 
 
 def outcome(text: object) -> None:
-    """Prints the result of a command whose exit code tells it too, and which a reader that has gone (`| head`) must not change.
-    """
+    """Prints the result of a command whose exit code tells it too: the code is the same if the reader has gone (`| head`)."""
     try:
         print(text, flush=True)
     except BrokenPipeError:

@@ -67,8 +67,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command line.
 
     Returns:
-        The exit code: 0, 1 for a failed run or an alarm of `monitor`, 2 for bad input, 70 for a mistake of ours or where memory
-        was not enough, 130 or 143 when interrupted by SIGINT or SIGTERM.
+        The exit code: 0, 1 for a failed run, a fit that diverged or an alarm of `monitor`, 2 for bad input, 70 for a mistake of
+        ours or where memory was not enough, 130 or 143 when interrupted by SIGINT or SIGTERM.
     """
     args = list(sys.argv[1:] if argv is None else argv)
     with interrupts.listening(lambda number: _interrupted(args)), _terminal(args):

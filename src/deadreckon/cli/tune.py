@@ -96,7 +96,7 @@ def tune(args: Sequence[str]) -> None:
             estimators=estimators(options.estimators, options.fit), model=with_fields(MODEL, options.fit.given),
             discount=options.discount, watch=watch,
         )  # fmt: skip
-    _told(result, fixed)
+    _told(result, fixed, options.data)
 
 
 def _in_rounds(options: Tune, given: dict[str, Any] | None, fixed: dict[str, Any]) -> None:

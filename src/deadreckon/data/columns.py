@@ -73,7 +73,7 @@ def given_columns(source: Path | str, columns: Mapping[str, Any]) -> dict[str, A
 
 def _without_effect(key: str, columns: Mapping[str, Any]) -> UserError | None:
     """The error for a column whose name is that of an end flag, and which would be an extra of a log without such ends."""
-    if key in COLUMNS:
+    if key in COLUMNS or np.size(columns[key]) != np.size(columns["rewards"]):  # several a row, such as masks of actions
         return None
     if "terminals" in columns:
         return None if _ENDS & columns.keys() or not roles.like("timeout", key) else _to_be_called(key, "timeouts")
@@ -86,6 +86,8 @@ def _without_effect(key: str, columns: Mapping[str, Any]) -> UserError | None:
     if key in ("dones", "done"):
         return done_alone(key)
     ended = key == "dones_float" or (roles.DONE.fullmatch(key.lower()) and key.lower() != "is_first")
+    if ended and "timeouts" in columns and not (np.ravel(columns[key]) > np.ravel(columns["timeouts"])).any():
+        return None  # it says no more than the timeouts
     return _to_be_called(key, "terminals (the task ended) or timeouts (a time limit)") if ended else None
 
 

@@ -95,7 +95,9 @@ def _period(dates: Any) -> list[str]:
         return []
     order = ordered_moments(dates)
     ends = (dates[int(order.argmin())], dates[int(order.argmax())])
-    if getattr(dates.type, "unit", "") == "ns":  # whose objects in Python need another package
+    if pa.types.is_duration(dates.type):
+        ends = tuple(end.cast(pa.duration("us"), safe=False) for end in ends)
+    elif getattr(dates.type, "unit", "") == "ns":  # whose objects in Python need another package
         return [" .. ".join(str(end.cast(pa.string()).as_py()) for end in ends)]
     return [" .. ".join(str(end.as_py()) for end in ends)]
 

@@ -191,8 +191,8 @@ class _Maker:
 
     def of_many(self, role: Role, named: Sequence[str] | None = None) -> list[str]:
         """The column whose name suggests the role. Of several it is the one that is called like the role, or the first one that
-        tells the time, if possible not in texts; the others are left out, because they say the same again. Nothing where that
-        is open."""
+        tells the time; the others are left out, because they say the same again. Nothing where that is open. A time of texts
+        is taken only if there is no other."""
         found = self.free(role) if named is None else list(named)
         if len(found) < 2:
             return found

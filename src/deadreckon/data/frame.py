@@ -95,7 +95,9 @@ def frame_columns(
     """
     schema = None if schema is None else as_schema(schema)
     dates = Dialect.asked(dates=dates).dates or (schema.table.get("dates") if schema else None)
-    table, order, told = with_dates(to_arrow(frame, name), dates)
+    from deadreckon.data.formats.words import levels_in  # which formats need, and these need this module
+
+    table, order, told = with_dates(to_arrow(frame, name), dates, levels_in({"schema": schema}).texts if schema else ())
     read = table_columns(table, schema, name, order=order, **asked)
     return read._replace(warnings=[*told, *read.warnings])
 

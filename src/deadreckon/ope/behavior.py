@@ -126,21 +126,22 @@ def masks(case: OPEInput, fold: np.ndarray, whole: OPEInput) -> tuple[np.ndarray
 def _stopping(draw: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """(clusters,) bool, those of early stopping: a random share.
 
-    Where clusters are of unequal sizes, these may have few rows. If they have less than half of their part, further ones are
-    added, until they have half of the share of all rows or would have more than half of these.
+    Where clusters are of unequal sizes, these may have few rows. If their share of the rows is less than half of their share of
+    the clusters, further ones are added until they have half of `CHECKED` of the rows; never more than half of the rows.
 
     Args:
         draw: (clusters,) uniform random numbers.
         rows: (clusters,) numbers of training rows.
     """
     out, total = draw < CHECKED, rows.sum()
-    if rows[out].sum() >= out[rows > 0].mean() / 2 * total:
+    some = rows[out].sum()
+    if some >= out[rows > 0].mean() / 2 * total:
         return out
-    for each in np.argsort(draw).tolist():
-        if rows[out].sum() >= CHECKED / 2 * total:
+    for each in np.argsort(draw)[int(out.sum()) :].tolist():  # the first are those of early stopping already
+        if some >= CHECKED / 2 * total:
             break
-        if not out[each] and rows[out].sum() + rows[each] <= total / 2:
-            out[each] = True
+        if some + rows[each] <= total / 2:
+            out[each], some = True, some + rows[each]
     return out
 
 

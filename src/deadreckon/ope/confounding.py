@@ -36,8 +36,8 @@ class Confounding:
         wider: added at both ends; see `select.Choice`.
 
     Attributes:
-        lost: for each policy the reasons why its weights of whole episodes are based on too few episodes for any bound, one
-            phrase each.
+        lost: for each policy the reasons why there is no bound, one phrase each: its weights are degenerate, or those of whole
+            episodes are based on too few of them.
 
     Raises:
         UserError: degenerate weights of all policies, or episodes that are cut off at different steps.

@@ -7,14 +7,14 @@ from typing import Any, NamedTuple, Unpack
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope.basis import MANY, SHARE, Basis
+from deadreckon.ope.basis import MANY, SHARE
 from deadreckon.ope.behavior_model import PROPENSITIES, BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.confounding import Confounding, one_step, possible
 from deadreckon.ope.costs import as_json, costs_of, limits_of
 from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.estimand import TAIL
-from deadreckon.ope.estimates import LOGGED, Estimates
+from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.groups import Groups, by_group
@@ -23,7 +23,7 @@ from deadreckon.ope.importance import ImportanceSampling, learns, log_ratios
 from deadreckon.ope.linear import Fit, LinearFQE
 from deadreckon.ope.losses import without_losses
 from deadreckon.ope.registry import as_estimators
-from deadreckon.ope.select import MOVED, Choice, moved_most, select, supported, unbounded_where_unsupported
+from deadreckon.ope.select import MOVED, Choice, doubted, moved_most, select, unbounded_where_unsupported
 from deadreckon.ope.settings import DecisionOptions, DecisionSettings
 from deadreckon.ope.support import Support, support
 from deadreckon.ope.tail import tails
@@ -155,8 +155,7 @@ def _wider(case: OPEInput, first: Estimates, checked: Support, model: BehaviorMo
     if depends or not learns(case, "auto") or case.degenerate.all() or case.data.successors is not None:
         return choice.wider
     plain = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model).on(case)
-    reliable = [name == LOGGED or not Basis.of(plain, i).unreliable for i, name in enumerate(plain.names)]
-    return MOVED * moved_most(plain, supported(plain, checked) & reliable)[1]
+    return MOVED * moved_most(plain, doubted(plain, checked)[1])[1]
 
 
 def _confounded(
@@ -175,7 +174,8 @@ def _confounded(
             raise
         return values, alone
     if lost := "; ".join(bounds.lost[which]):
-        words = f"its gain with wrong odds of logged actions is not known: by whole episodes {lost}"
+        how = "" if case.degenerate[which] else "by whole episodes "
+        words = f"its gain with wrong odds of logged actions is not known: {how}{lost}"
         told = replace(choice, evidence=(*choice.evidence, f"{UNSEEN}; {words}"))
         return values, told if gamma is None else _demanded(alone, -np.inf, words)
     tipping = bounds.tipping(which) if np.isfinite(choice.low) else np.nan

@@ -9,6 +9,7 @@ that there may be.
 from typing import NamedTuple
 
 import numpy as np
+import scipy.special
 
 from deadreckon.ope.basis import Basis
 from deadreckon.ope.behavior_model import BehaviorModel
@@ -56,7 +57,8 @@ class Lacking(NamedTuple):
         rows: how many effective rows it has.
         share: share of all rows that have something beyond what these have.
         chance: probability that so many rows have nothing of it if it does not depend on the action.
-        most: upper confidence limit of the mean over all rows of what is beyond.
+        most: upper confidence limit of the mean over all rows of what is beyond; 0 if the log has none of it, which then
+            nobody can know.
     """
 
     rows: float
@@ -77,5 +79,9 @@ def lacking(case: OPEInput, beyond: np.ndarray, rows: float, alpha: float) -> La
     share, mean = float((beyond > 0).mean()), float(beyond.mean())
     units = int(case.cluster.max()) + 1
     influence = units * np.bincount(case.cluster, beyond - mean, units) / len(beyond)
-    most = float(inference.student(np.array([mean]), influence[:, None], alpha)[1][0]) if share else 0.0
+    most = float(inference.student(np.array([mean]), influence[:, None], alpha)[1][0])
+    if count := int((np.bincount(case.cluster, beyond, units) > 0).sum()):
+        # Few events are not normal: Clopper and Pearson's limit of the share of clusters with one, of the size that they have.
+        limit = scipy.special.betaincinv(count + 1, units - count, 1 - alpha / 2) if count < units else 1.0
+        most = max(most, mean * units / count * float(limit))
     return Lacking(rows, share, (1.0 - share) ** rows, most)

@@ -205,6 +205,9 @@ def doubted(found: Estimates, support: Support | None) -> tuple[list[list[str]],
     """
     names = [name for name in found.names if name != LOGGED]
     unknown = [Basis.of(found, i).unreliable + ([] if support is None else support.objections(i)) for i in range(len(names))]
+    settled = found.diagnostics.get("settled", np.ones(len(found.names)))
+    if found.influence is None and LOGGED in found.names and settled[found.names.index(LOGGED)] < 1:  # nothing corrects it
+        unknown = [[*own, "the fit of the behaviour policy's estimate has not converged"] for own in unknown]
     known = np.ones(len(found.names), bool)
     known[[found.names.index(name) for name in names]] = [not own for own in unknown]
     return unknown, known

@@ -6,6 +6,7 @@ With the other modules called `table_` it needs numpy alone, so that they can be
 
 import hashlib
 from collections.abc import Mapping
+from datetime import datetime
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -287,13 +288,18 @@ class _Episodes(NamedTuple):
         return cls(number, position, logged, told)
 
 
+def _is_time(value: Any) -> bool:
+    """Whether a value of a column of objects is a time without a zone."""
+    return isinstance(value, np.datetime64) or (isinstance(value, datetime) and value.tzinfo is None and value == value)
+
+
 def _names(values: np.ndarray) -> list[Any]:
     """Names of episodes as they are compared and hashed: times as texts, in whatever unit they are given.
 
-    The text of a time does not depend on the other rows: a day without a time of day, and seconds without zeros behind them.
+    The text of a time does not depend on the other rows: a day at midnight, else with seconds and, if there is one, a fraction.
     """
     if values.dtype.kind != "M":
-        return values.tolist()
+        return [_names(np.array([one], "datetime64"))[0] if _is_time(one) else one for one in values.tolist()]
     moments = values.astype("datetime64[s]") if np.datetime_data(values.dtype)[0] in ("Y", "M", "W", "D", "h", "m") else values
     texts = np.datetime_as_string(moments).tolist()
     texts = [text.rstrip("0").removesuffix(".") if "." in text else text for text in texts]

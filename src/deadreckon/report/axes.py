@@ -64,7 +64,7 @@ def _digits(value: float, step: float) -> int:
     return math.floor(math.log10(abs(value))) - math.floor(math.log10(step * (1 + 1e-9))) + 2
 
 
-def short(value: float, digits: int) -> str:
+def short(value: float, digits: int = 3) -> str:
     """A number of so many significant digits as a tick has it."""
     for size, unit in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if size <= abs(value) < 1e12:

@@ -113,9 +113,9 @@ def lines(
         inner = []
         if s.low is not None and s.high is not None:
             good = (np.isfinite(s.low) | np.isfinite(s.high)) & ~np.isnan(s.low) & ~np.isnan(s.high)
-            ends = np.concatenate([y(s.high[good]), y(s.low[good])[::-1]])
+            heights = np.concatenate([y(s.high[good]), y(s.low[good])[::-1]])
             # An infinite end lies beyond the chart: the band is drawn to its edge.
-            around = np.concatenate([px[good], px[good][::-1]]), np.clip(ends, top, bottom)
+            around = np.concatenate([px[good], px[good][::-1]]), np.clip(heights, top, bottom)
             inner.append(tag("path", d=path(*around, closed=True), class_="band"))
         inner.append(tag("path", d=path(px, py), class_="line dashed" if s.dashed else "line"))
         good = np.flatnonzero(np.isfinite(py))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadreckon.report.axes import Axis, path
+from deadreckon.report.axes import Axis, path, short
 from deadreckon.report.forest import marker, whisker
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.text import number
@@ -65,7 +65,7 @@ def _curve(of: Panel) -> Markup:
         parts.append(tag("line", x1=LEFT, x2=RIGHT, y1=f"{y(t):.1f}", y2=f"{y(t):.1f}", class_="grid"))
         parts.append(tag("text", y.label(t), x=LEFT - 5, y=f"{y(t) + 4:.1f}", class_="tick end"))
     for t in _ticks_of_log(of.values) if of.log else x.ticks:
-        parts.append(tag("text", x.label(t), x=f"{x(at(t)):.1f}", y=BOTTOM + 22, class_="tick mid"))
+        parts.append(tag("text", short(t) if of.log else x.label(t), x=f"{x(at(t)):.1f}", y=BOTTOM + 22, class_="tick mid"))
     if of.rows is not None:
         some = np.unique(of.rows)
         some = some[np.unique(np.linspace(0, len(some) - 1, min(len(some), _MARKS)).astype(int))]

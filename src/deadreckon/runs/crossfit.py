@@ -211,7 +211,7 @@ def _begin(path: Path, config: dict[str, Any], resume: bool) -> None:
     """Writes the settings of a new cross-fit; of an earlier one, checks that it is the same.
 
     Raises:
-        UserError: it does, or `resume` is needed.
+        UserError: the folder holds something else, or `resume` is needed.
     """
     if (path / NAME).exists():
         if not resume:

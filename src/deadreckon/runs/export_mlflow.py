@@ -59,7 +59,7 @@ def write_mlflow(one: Subject, function: Pure, rows: Rows, folder: Path) -> list
             path=str(folder), loader_module=Path(LOADER).stem, data_path=str(data),
             code_paths=[str(code / name) for name in (*PLAYER, LOADER)], pip_requirements=["numpy>=2.1", "pandas>=2.2"], **sign,
         )  # fmt: skip
-    plain = not encoder.observed and rows.observations.ndim == 2
+    plain = not encoder.observed and encoder.levels is None and rows.observations.ndim == 2
     if (named or plain) and function.members == 1:
         again = mlflow.pyfunc.load_model(str(folder)).predict(given)
         check("the MLflow model", rows, _coded(encoder, again))

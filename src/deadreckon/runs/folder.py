@@ -34,7 +34,7 @@ from deadreckon.foreign.archive import read_arrays
 from deadreckon.foreign.door import refuse_link, refuse_links
 from deadreckon.foreign.parquet import read_parquet
 from deadreckon.interrupts import resumable
-from deadreckon.runs.records import read_run, read_status
+from deadreckon.runs.records import read_run
 from deadreckon.temporaries import clear
 from deadreckon.training.field_names import with_field_names
 from deadreckon.versions import differences
@@ -205,9 +205,7 @@ class Folder:
         """Records that more updates are requested than the run has had; called once it is certain that it can be resumed."""
         before = read_run(self.config)
         if before["steps"] < config["steps"]:
-            status = self.path / "status.json"
-            if status.exists():
-                write_json(status, read_status(status, len(config["seeds"])) | {"steps": config["steps"], "finished": False})
+            write_json(self.path / "status.json", {"step": before["steps"], "steps": config["steps"], "finished": False})
             for number in config["seeds"]:
                 self.policy(number).unlink(missing_ok=True)  # with it, the run is no longer finished
             if "online" in config:  # it will have more episodes of its own

@@ -11,6 +11,7 @@ import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from pathlib import Path
 from typing import Any, Unpack
 
@@ -146,7 +147,7 @@ def recommend(
             shutil.rmtree(out, ignore_errors=True)
             raise UserError(found.refused)
         name = data.name if isinstance(data, Dataset) else found.state.get("log", str(data))
-        again = () if isinstance(data, Dataset) or columns else ("--data", str(data), *_options(settings))
+        again = () if isinstance(data, Dataset) or columns else ("--data", str(data), *options_of(settings))
         told = _written(out, name, again, found, clock)
         if page is not None:
             page(out, True)
@@ -161,11 +162,13 @@ def recommend(
 # ---- the card ---------------------------------------------------------------------------------------------------------
 
 
-def _options(settings: RecommendSettings) -> list[str]:
+def options_of(settings: RecommendSettings) -> list[str]:
     """The options of `deadreckon ope` for the same decision."""
     limits = settings.cost_limit
-    named = [f"{key}={limit}" for key, limit in limits.items()] if isinstance(limits, Mapping) else limits
-    named = [str(named)] if isinstance(named, int | float) else list(named or ())
+    if isinstance(limits, Mapping):
+        named = [f"{key}={limit}" for key, limit in limits.items()]
+    else:
+        named = [] if limits is None else [str(limits)] if isinstance(limits, str | float | Real) else list(limits)
     options = ["--discount", str(settings.discount), "--seed", str(settings.seed)]
     options += ["--cost-limit", *named] if named else []
     return options + (["--accept-model-based"] if settings.accept_model_based else [])

@@ -247,7 +247,7 @@ def _filled(table: pa.Table, groups: Groups) -> tuple[pa.Table, np.ndarray]:
 
 def _finals(path: Path | str, table: pa.Table, parts: list[str], columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     rows = last_rows(columns, table.num_rows)
-    known = ~is_missing(table.column(parts[0]).combine_chunks())[rows]
+    known = ~np.all([is_missing(table.column(part).combine_chunks())[rows] for part in parts], 0)
     last = table.select(parts).take(rows).filter(pa.array(known))
     shape = columns["observations"].shape[1:]
     final = np.zeros((len(rows), *shape), columns["observations"].dtype)
