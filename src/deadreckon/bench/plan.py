@@ -126,13 +126,16 @@ def _shape(job: Job, across: bool) -> str | None:
 def _log_shape(agent: Any, job: Job) -> tuple[list[Any] | None, float | None]:
     """Sizes of observations and actions of a job's log, and for agents whose model ends episodes by a rule also which rule;
     None where it shares a program with no other log's. Also the discount of its batches, which all lanes share."""
-    from deadreckon.data.spec import Spec
+    from deadreckon.agents import AGENTS
+    from deadreckon.data.spec import Box, Spec
     from deadreckon.data.terminations import of_log as rule_of
     from deadreckon.tasks.registry import of_log
 
     task = of_log(job.on)
-    if task is None:
+    if task is None and job.agent not in AGENTS:  # batches of a user's own agent may depend on the log in any way
         return None, getattr(agent, "discount", None)
+    if task is None:
+        return None, agent.needs(Spec.empty((1,), Box((-1.0,), (1.0,)), "any")).gamma
     needs = agent.needs(Spec.empty(task.observation_shape, task.action_space, "any"))
     if agent.one_log or needs.initial:
         return None, needs.gamma
