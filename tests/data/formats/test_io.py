@@ -95,8 +95,12 @@ def test_files_that_are_no_logs(tmp_path, content, words):
 
 
 def test_options_that_do_not_fit(log, tmp_path):
-    with pytest.raises(UserError, match="this folder holds no log"):
+    with pytest.raises(UserError, match=r"this folder holds no log .*data/metadata.json\)$"):
         read(tmp_path)
+    (tmp_path / "parts" / "day=1").mkdir(parents=True)
+    (tmp_path / "parts" / "day=1" / "a.parquet").write_bytes(b"PAR1")
+    with pytest.raises(UserError, match="data convert .*parts OUT` makes one of its Parquet files"):
+        read(tmp_path / "parts")
     write_hdf5(log, tmp_path / "a.hdf5")
     with pytest.raises(UserError, match="action names a column of a table, but this is hdf5"):
         read(tmp_path / "a.hdf5", action="a")

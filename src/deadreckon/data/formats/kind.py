@@ -52,7 +52,10 @@ def sniff(path: Path | str, separator: str | None = None) -> str:
             return "minari"
         if files_of(path):
             return "rllib"
-        raise UserError(f"{path}: this folder holds no log ({folders.HEADER} or Minari's data/metadata.json)")
+        why = f"this folder holds no log ({folders.HEADER} or Minari's data/metadata.json)"
+        parts = any(each.suffix == ".parquet" for each in path.rglob("*"))
+        how = f"; `deadreckon data convert {path} OUT` makes one of its Parquet files" if parts else ""
+        raise UserError(f"{path}: {why}{how}")
     if minaris.is_id(str(path)) and not path.exists():
         raise UserError(minaris.missing(str(path)))
     with opened(path) as file, reading(path, "gzip"):
