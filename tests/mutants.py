@@ -1585,7 +1585,7 @@ MUTANTS = (
     ),
     Mutant(
         "expectile-of-xql", "agents/xql.py",
-        "if self.expectile != EXPECTILE:",
+        "if self.expectile != IQL.expectile:",
         "if False:",
         "a setting of XQL is taken and has no effect",
         ("agents/test_rivals.py::test_xql_refuses_an_expectile_which_it_has_no_use_for",),

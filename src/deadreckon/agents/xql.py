@@ -9,8 +9,6 @@ from deadreckon.agents.iql import IQL
 from deadreckon.errors import UserError
 from deadreckon.training.hyperparameters import Fraction, NonNegative, Positive, static
 
-EXPECTILE = 0.7  # of IQL
-
 
 class XQL(IQL):
     """IQL with the Gumbel loss instead of expectiles."""
@@ -18,7 +16,7 @@ class XQL(IQL):
     revision: ClassVar[int] = 2
     other_names: ClassVar[dict[str, str]] = {"temperature": "loss_temperature", "most_gap": "max_clip"}
 
-    expectile: Fraction = EXPECTILE  # not used: the Gumbel loss takes its place, with loss_temperature
+    expectile: Fraction = IQL.expectile  # not used: the Gumbel loss takes its place, with loss_temperature
     layer_norm: bool = static(True)  # whether the value network uses layer normalisation
     loss_temperature: Positive = 2.0
     """temperature of the Gumbel loss, beta in the paper: large is the mean, small the maximum (published: 0.55 to 10)"""
@@ -26,7 +24,7 @@ class XQL(IQL):
 
     def resolve(self, spec, steps):
         """IQL's; an expectile would have no effect."""
-        if self.expectile != EXPECTILE:
+        if self.expectile != IQL.expectile:
             raise UserError(f"XQL has no expectile but loss_temperature; leave it out, got {self.expectile:g}")
         return super().resolve(spec, steps)
 

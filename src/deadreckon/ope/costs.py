@@ -7,7 +7,8 @@ Intervals hold for all policies and all costs at once (Bonferroni over costs), a
 upper end is above a limit is not deployed. So the probability of deploying one that costs more than its limit is at most
 alpha / 2, beside the probability alpha / 2 of deploying one that is no gain. A total that is the same in every episode has no
 upper end: if a cost never occurred, the log shows neither how rare nor how large it is. In logs of single steps, large costs of
-the log that are missing from a policy's rows by chance are added to its upper end.
+the log that are missing from a policy's rows by chance are added to its upper end; costs that the whole log lacks are not, so
+that the probability holds only if costs of every size that occurs are in the log.
 """
 
 from collections.abc import Mapping, Sequence
@@ -181,10 +182,10 @@ def _unknown(found: Estimates, case: OPEInput) -> tuple[str, ...]:
 def _rare(
     found: Estimates, case: OPEInput, model: BehaviorModel, alpha: float, known: Sequence[bool]
 ) -> list[tuple[str, float]]:
-    """For each policy, of logs of single steps, what costs mean that are missing from its rows by chance; see `losses`.
+    """For each policy the effect of costs that are missing from its rows by chance, in logs of single steps; see `losses`.
 
-    The reason why its total is not known, if all of its rows have the same cost; else how much is added to the upper end: as
-    much as the log's costs may have, in the mean, above the largest of the policy's rows.
+    If all of its rows have the same cost, the reason why its total is not known. Otherwise what is added to the upper end: an
+    upper limit of the mean excess of the log's costs over the largest cost of the policy's rows.
 
     Args:
         found: the estimates.

@@ -85,6 +85,12 @@ class Fits:
         complete(job, what, told)
         return lane_of(job.states, 0)
 
+    def _last_fifth(self, what: str) -> tuple[dict[int, dict[str, float]], int | None, int]:
+        """The metrics of a fit by step, and the steps at which its last fifth begins and ends; None if it is not known."""
+        seen = self._metrics.get(what, {})
+        last = max(seen, default=0)
+        return seen, max((step for step in seen if step <= 0.8 * last), default=None), last
+
     def convergence(self, what: str, names: Sequence[str]) -> tuple[np.ndarray, list[str]]:
         """Whether each policy's critics have converged, (policies,), and a warning if one's have not.
 
@@ -95,9 +101,7 @@ class Fits:
             what: the fit.
             names: of its policies.
         """
-        seen = self._metrics.get(what, {})
-        last = max(seen, default=0)
-        early = max((step for step in seen if step <= 0.8 * last), default=None)
+        seen, early, last = self._last_fifth(what)
         if early is None:
             return np.ones(len(names), bool), []
         of = lambda step, metric: np.array([seen[step][f"{metric} {i}"] for i in range(len(names))])  # noqa: E731
@@ -110,9 +114,7 @@ class Fits:
 
     def convergence_warnings(self, what: str, metric: str) -> list[str]:
         """A warning if a metric of a fit still changed by more than 5 % over its last fifth, else nothing."""
-        seen = self._metrics.get(what, {})
-        last = max(seen, default=0)
-        early = max((step for step in seen if step <= 0.8 * last), default=None)
+        seen, early, last = self._last_fifth(what)
         if early is None:
             return []
         value, before = seen[last][metric], seen[early][metric]
