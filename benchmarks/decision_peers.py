@@ -99,12 +99,13 @@ def ours(record: Path, trials: set[str]) -> dict[str, dict[str, Any]]:
     out: dict[str, dict[str, Any]] = {}
     with lzma.open(record, "rt") as lines:
         for trial in map(json.loads, lines):
-            name, true = f"{trial['family']}-{trial['seed']}", np.array(trial["gains"])
+            name = f"{trial['family']}-{trial['seed']}"
             if name in trials:
                 out[name] = {
-                    words: {"choice": said["choice"], "true": trial["gains"], "holds": _holds(said, true)}
+                    words: {"choice": said["choice"], "true": true, "holds": _holds(said, np.array(true))}
                     for rule, words in (("new", "deadreckon"), ("oracle", "oracle"))
                     for said in [trial["rules"][rule]]
+                    for true in [said.get("true", trial["gains"])]  # its own where it is of policies made by cross-fitting
                 }
     return out
 

@@ -85,4 +85,9 @@ def the_same() -> gymnasium.Env:
     return _ONE
 
 
+def the_same_in_a_wrapper() -> gymnasium.Env:
+    """One environment in a new wrapper with every call."""
+    return gymnasium.wrappers.TimeLimit(_ONE, 9)
+
+
 _ONE = gymnasium.make("CartPole-v1")

@@ -9,7 +9,7 @@ import scipy.stats
 
 from deadreckon.bench.claims import verdict
 from deadreckon.bench.claims_file import claims
-from deadreckon.bench.jobs import updates
+from deadreckon.bench.jobs import curve_end, updates
 from deadreckon.bench.ledger import store_of
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import JobResult, Store
@@ -275,6 +275,29 @@ def test_an_online_run_that_diverged_keeps_its_last_score_for_all_of_its_updates
     assert found.gain.value == pytest.approx(20.0 - (400 * 2.0 + 400 * 10.0) / 800)
 
 
+def test_the_curve_of_a_run_that_goes_on_from_a_log_ends_without_the_updates_on_it(folder):
+    """Its curve counts from 0 again when it begins to act."""
+    (folder / "suite.toml").write_text(
+        'kind = "online"\nledger = "ledger"\nseeds = 2\nsteps = 500\noffline = 2000\nepisodes = 2\nevaluations = 2\n'
+        'tasks = ["hopper"]\ndata = { hopper = "hopper-medium-v2" }\n'
+        "[methods]\nSAC = { agent = 'sac', log = 'first', acting = { copies = 5, block = 25, updates_per_step = 1 } }\n"
+    )
+    (folder / "claims.toml").write_text(
+        '[[claims]]\nid = "A"\nsays = "SAC scores low."\nplace = "1"\n'
+        'tests = [{ suite = "suite.toml", method = "SAC", metric = "average score", than = 20.0, less = true }]\n'
+    )
+    [job] = plan(read("suite.toml"))
+    assert (curve_end(job), updates(job)) == (500, 2500)
+    store = Store(folder / "ledger")
+    points = [
+        {"cell": cell, "step": step, "score": score, "raw": 0.0, "spread": 0.0}
+        for cell in job.cells for step, score in ((0, 0.0), (250, 2.0), (400, 10.0))
+    ]  # fmt: skip
+    keep(store, job, [99.0] * 2, curves=points, failure="q was not finite at update 450")
+    [found] = verdict(claims("claims.toml")[0], store).comparisons
+    assert found.gain.value == pytest.approx(20.0 - (250 * 2.0 + 250 * 10.0) / 500)
+
+
 def test_the_full_size_of_a_claim_is_that_of_the_suites_that_have_one(folder):
     (folder / "other.toml").write_text(SUITE.partition("[full]")[0])
     both = 'tests = [{ suite = "other.toml", method = "TD3", than = 20.0 }, { suite'
@@ -319,6 +342,20 @@ def test_the_same_methods_are_compared_on_the_tasks_of_another_suite(folder, les
     found = one.gain.value, one.gain.low, one.gain.high
     wanted = (-25.5, -limits.high, -limits.low) if less else (25.5, limits.low, limits.high)
     assert found == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize(("changed", "words"), [
+    (('BC = { agent = "bc" }', 'BC = { agent = "awr" }'), "BC is not the same in suite.toml as in other.toml"),
+    (("evaluations = 1", "evaluations = 2"), "evaluations is not the same in suite.toml as in other.toml"),
+])  # fmt: skip
+def test_what_is_compared_across_suites_is_the_same_method_by_the_same_protocol(folder, changed, words):
+    own = 'logs = ["hopper-medium-v2", "walker2d-medium-v2"]'
+    other = SUITE.partition("[full]")[0].replace(own, 'logs = ["ant-medium-v2"]')
+    assert changed[0] in other
+    (folder / "other.toml").write_text(other.replace(*changed))
+    (folder / "claims.toml").write_text(BESIDE)
+    with pytest.raises(UserError, match=words):
+        claims("claims.toml")
 
 
 def test_what_is_compared_across_suites_has_logs_of_its_own(folder):

@@ -192,6 +192,14 @@ def test_the_full_size_is_planned_where_it_fits_and_programs_do_not_depend_on_th
     assert short[0].updates == 40 * 8
 
 
+def test_what_is_done_at_full_size_is_not_run_at_the_other(suite, tmp_path, monkeypatch):
+    small, large = [read(suite)], [read(suite, full=True)]
+    undone = lambda self, jobs: [job for job in jobs if job.options["steps"] == 40]  # noqa: E731 - all of the full size is done
+    monkeypatch.setattr(Store, "undone", undone)
+    assert missing(small, large, Store(tmp_path / "out"), Rates(H100), 60.0) == []
+    assert len(missing(small, [], Store(tmp_path / "out"), Rates(H100), 60.0)) == 2
+
+
 def test_of_one_suite_programs_with_more_lanes_come_first(tmp_path):
     mazes = ', "maze2d-umaze-v1", "maze2d-medium-v1"'
     suites = []

@@ -14,7 +14,7 @@ from pyarrow import parquet
 
 from deadreckon.bench.executor import run
 from deadreckon.bench.idle import is_measured, measuring
-from deadreckon.bench.jobs import Job, Program, programs
+from deadreckon.bench.jobs import Job, Program, programs, updates
 from deadreckon.bench.ledger import Ledger, Snapshot, store_of
 from deadreckon.bench.local import Local
 from deadreckon.bench.plan import plan, plan_all
@@ -275,6 +275,19 @@ def test_of_agents_that_no_core_has_run_the_updates_are_counted(folder):
     assert expected("learn", "combo") == (round(2.0 * more, 6), False, False)
     assert expected("online", "ppo", "hopper", acting=acting) is None
     assert expected("learn", "td3") is None
+
+
+def test_longer_runs_that_go_on_from_a_log_learn_from_it_once(folder):
+    """2,000 updates on the log and 1,000 of acting took 30 seconds: with three times the steps it is 2,000 and 3,000."""
+    options = {"steps": 1000, "episodes": 1, "every": 500, "acting": {"copies": 1, "explore": 0, "block": 100},
+               "log": {"name": "hopper-medium-v2", "use": "first", "offline": 2000}}  # fmt: skip
+    job = Job("online", "SAC", "sac", {"hidden": [256, 256], "batch_size": 256}, "", "hopper", "hopper", options, (0,))
+    assert updates(job) == 3000
+    store = Store(folder / "store")
+    row = {"seed": 0, "score": 1.0, "raw": 1.0, "steps": 1000, "seconds": 30.0, "failure": "", "versions": CORE}
+    store.keep(job, JobResult([row], []))
+    program = Program((dataclasses.replace(job, options=options | {"steps": 3000}),))
+    assert forecast([program], store)[program.name].seconds == pytest.approx(50.0)
 
 
 def test_times_of_a_gpu_say_nothing_of_a_core_and_the_other_way_round(folder):

@@ -97,6 +97,22 @@ def test_names_are_the_same_in_every_process(written):
     assert out.strip() == str([job.cells for job in plan(read(path))])
 
 
+def test_a_study_has_no_lanes(written):
+    text = 'kind = "study"\nseeds = 2\nlanes = 4\ncases = ["a"]\nmetrics.error.words = "e"\n[methods]\nA = { agent = "x:f" }'
+    with pytest.raises(UserError, match="unknown key of a suite of kind study 'lanes'"):
+        read(written(text))
+
+
+@pytest.mark.parametrize(("kind", "on", "agent", "names"), [
+    ("design", "problems = ['branin']", "forward", ("lr", "learning_rate")),
+    ("ope", "logs = ['hopper-medium-v2']", "fqe", ("lr", "learning_rate")),
+])  # fmt: skip
+def test_cells_are_the_same_by_whatever_name_of_a_field(kind, on, agent, names, written):
+    suite = f"kind = '{kind}'\nseeds = 1\n{on}\n[methods]\nA = {{{{ agent = '{agent}', fields = {{{{ {{}} = 0.01 }}}} }}}}"
+    one, other = (plan(read(written(suite.format(name))))[0] for name in names)
+    assert one.cells == other.cells
+
+
 def test_lanes_split_seeds_into_jobs(written):
     jobs = plan(read(written(SMALL.replace("seeds = 3", "seeds = 5\nlanes = 2"))))
     assert [job.seeds for job in jobs[:3]] == [(0, 1), (2, 3), (4,)]

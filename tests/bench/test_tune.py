@@ -160,6 +160,21 @@ def test_what_a_choice_by_estimates_loses_is_told():
     assert text.startswith("* alpha = 1.0")
 
 
+def test_a_setting_without_a_finite_estimate_is_not_chosen_and_the_file_is_json(tmp_path):
+    settings = [{"alpha": value} for value in (1.0, 5.0)]
+    values = np.array([2.0, np.nan]), np.array([1.0, 3.0])
+    trials = [Trial(fields, np.full((1, 2), 4.0), own) for fields, own in zip(settings, values)]
+    found = chosen(suite("td3_bc", [UMAZE], settings, by="ope", steps=10, seeds=2), "ope", trials, Store(tmp_path))
+    assert found.best.fields == {"alpha": 5.0}
+    assert "  alpha = 1.0  an estimate is not finite, not chosen" in str(found)
+
+    def refuse(constant):
+        raise ValueError(constant)
+
+    told = json.loads((tmp_path / "tuned.json").read_text(), parse_constant=refuse)
+    assert [each["values"] for each in told["trials"]] == [[2.0, None], [1.0, 3.0]]
+
+
 @pytest.mark.parametrize(("scores", "values", "best", "lost"), [((0, 0), (1, 2), 5.0, 0.0), ((3, 4), (1, 1), 1.0, 1.0)])
 def test_settings_of_equal_scores_have_no_order_that_estimates_could_find(scores, values, best, lost, tmp_path):
     """As in a sparse task where nothing reaches the goal, or by estimates that are all the same: the rest is told, and kept."""

@@ -115,6 +115,11 @@ def test_with_a_judge(table, capsys):
         (["--method", "best", "--data", "same.csv", "--target", "y"], "same: y is 1 in all rows, so no design"),
         (["--method", "best", "--data", "hole.csv", "--target", "y"], "hole: column a is empty in row 3, counted from 0; fill"),
         (["bench", "--seeds", "0"], "--seeds must be 1 or more, got 0"),
+        (["bench", "--together", "-1"], "--together must be 1 or more, got -1"),
+        (["bench", "--problems", "nk,brannin", "--methods", "best", "--seeds", "1"], "unknown problem 'brannin': did"),
+        (["bench", "--problems", "nk,gfp-gp", "--methods", "best", "--seeds", "1"], "gfp-gp needs avgfp.tsv (variants of"),
+        (["bench", "--problems", "nk,gfp", "--methods", "best", "--seeds", "1", "--paths", "gfp", "no"], "gfp needs avgfp.tsv"),
+        (["bench", "--problems", "nk", "--methods", "best", "--seeds", "1", "--paths", "nk", "x"], "unknown option of nk"),
         (["bench", "--problems", "nk", "--paths", "gfp", "x"], "--paths names gfp, which is not among --problems"),
     ],
 )  # fmt: skip

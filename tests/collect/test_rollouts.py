@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 from dataclasses import replace
+from typing import ClassVar
 
 import equinox as eqx
 import gymnasium
@@ -512,6 +513,34 @@ def test_a_killed_log_of_an_environment_that_is_an_object_is_not_gone_on_with(tm
     for again in (tasks.task(Pull(8.0), 20), tasks.task(Pull(5.0), 20)):
         with pytest.raises(UserError, match="maybe by another environment; delete it to start again"):
             collect_in_task(again, **asked)
+
+
+def test_the_simulator_is_closed_whatever_ends_a_collection(tmp_path):
+    class Closing(type(HOPPER)):
+        closed: ClassVar = []
+
+        def simulate(self, seeds, threads=None):
+            simulator = super().simulate(seeds, threads)
+            simulator.close = lambda: self.closed.append(threads)
+            return simulator
+
+    task = Closing(**{each.name: getattr(HOPPER, each.name) for each in dataclasses.fields(HOPPER) if each.init})
+    log(tmp_path / "whole", [Segment(None, 40)], task, threads=2)
+    with pytest.raises(Killed):
+        log(tmp_path / "part", [Segment(None, 300)], task, progress=lambda done, total: _kill_at(done, 100))
+    assert task.closed == [2, None]
+
+
+def test_a_killed_log_is_gone_on_with_in_a_task_of_the_same_fields_alone(tmp_path):
+    asked = {"steps": 300, "out": tmp_path / "log.hdf5"}
+    with pytest.raises(Killed):
+        collect_in_task(HOPPER, **asked, progress=lambda done, total: _kill_at(done, 100))
+    for other in ("hopper", replace(HOPPER, horizon=17)):
+        with pytest.raises(UserError, match=r"the beginning of another collection \(extra.task_fields.* was .*; delete it"):
+            collect_in_task(other, **asked)
+    extra = dr.read(collect_in_task(replace(HOPPER), **asked)).provenance.extra
+    bounds = {"class": "deadreckon.data.spec:Box", "low": [-0.9, -0.5, -1.0], "high": [0.3, 1.0, 0.6]}
+    assert extra["task_fields"] == {"horizon": 16, "action_space": bounds}
 
 
 def test_tasks_of_one_copy_are_collected_one_episode_after_the_other(tmp_path):

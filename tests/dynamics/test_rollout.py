@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from deadreckon.dynamics import Ensemble, Model, branches, rollout
+from deadreckon.dynamics import Ensemble, Model, branches, rollout, transition
 from deadreckon.policies.policy import NormalizedPolicy
 
 
@@ -31,6 +31,18 @@ class Half(NormalizedPolicy):
 
 def ensemble(members, elites):
     return Ensemble(jnp.asarray(members, jnp.float32), None, jnp.zeros(3), jnp.ones(3), jnp.asarray(elites))
+
+
+def test_elites_predict_equally_often_where_rows_do_not_divide():
+    """Six rows and five elites: shares of two, of which the last two elites of the order have none."""
+    model, states, times = Counting(members=5), ensemble(10.0 ** np.arange(5), [0, 1, 2, 3, 4]), 200
+    step = jax.jit(
+        jax.vmap(lambda key: transition(model, states, lambda o: o[:, 0] < 0, jnp.zeros((6, 2)), jnp.zeros((6, 1)), key))
+    )
+    moved = np.asarray(step(jax.random.split(jax.random.key(0), times))[1])[..., 0]
+    steps, counts = np.unique(moved, return_counts=True)
+    np.testing.assert_array_equal(steps, 10.0 ** np.arange(5))
+    np.testing.assert_allclose(counts / times, 6 / 5, atol=0.3)
 
 
 @pytest.mark.slow

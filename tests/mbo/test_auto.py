@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from deadreckon.errors import DivergedError
 from deadreckon.mbo import auto, designer
 from deadreckon.mbo.auto import chosen, standard_error
-from deadreckon.mbo.designer import DesignInput
+from deadreckon.mbo.designer import DesignInput, Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.forward import Forward
 from deadreckon.mbo.gp import GP
@@ -57,6 +58,41 @@ def test_of_noise_no_method_is_praised():
     assert at == 0
     assert reason == f"of net, which ranks unseen designs best of 2 methods, {among.doubt}; GP is taken"
     assert among.doubt == "the model's order of unseen rows cannot be distinguished from chance"
+
+
+def test_a_method_without_skill_is_not_taken_where_another_has_skill():
+    """Neither the process for being about as good, nor the greatest rank, of which the predictions fall with the scores."""
+    gp, net = (dataclasses.replace(quality(name, 1.0), rank_correlation=rank) for name, rank in (("GP", 0.11), ("net", 0.13)))
+    assert [gp.skilled, net.skilled] == [False, True]
+    assert net.rank_correlation - gp.rank_correlation < standard_error(Y, gp.predicted, net.predicted)
+    at, reason = chosen([gp, net])
+    assert at == 1
+    assert reason == f"of GP (0.110), {gp.doubt}; of the others, net ranks unseen designs best (0.130)"
+    turned = dataclasses.replace(net, method="turned", predicted=-net.predicted, rank_correlation=0.9)
+    assert not turned.skilled
+    assert chosen([gp, turned, net])[0] == 2
+    good = dataclasses.replace(gp, rank_correlation=0.3)
+    assert chosen([good, turned, net])[0] == 0
+    assert chosen([gp, turned])[0] == 0
+
+
+def test_a_method_that_diverges_is_left_out(monkeypatch):
+    """The default ends in no error, because two others are left."""
+
+    def judge(method, setting, scored):
+        if method.label == "RaM":
+            raise DivergedError("held-out: listnet was not finite at update 3")
+        return quality(method.label, {"GP": 3.0, "Ensemble, mean": 0.3}[method.label])
+
+    monkeypatch.setattr(auto, "on_held_out", judge)
+    made = Proposals("m", np.zeros((4, 2)), np.zeros(4), np.ones(4), 0)
+    monkeypatch.setattr(Forward, "solve", lambda method, setting: [made])
+    data = Designs.from_arrays(RNG.uniform(size=(60, 2)), Y[:60])
+    with pytest.warns(UserWarning, match="designs: RaM is not compared, because its fit diverged .*at update 3"):
+        [found] = designer("auto", networks_from=50).solve(DesignInput(data, 4, [0], None, unwatched))
+    assert [each.method for each in found.compared] == ["GP", "Ensemble, mean"]
+    assert found.quality is found.compared[1]
+    assert {each.tried for each in found.compared} == {2}
 
 
 def test_with_a_kappa_the_process_is_taken(monkeypatch):

@@ -10,7 +10,7 @@ import pytest
 from deadreckon.errors import UserError
 from deadreckon.mbo import designer
 from deadreckon.mbo.baselines import BestOfData
-from deadreckon.mbo.batch import batch, check_batch, keys, moved, repeats_told
+from deadreckon.mbo.batch import batch, check_batch, keys, moved, pulled, repaired, repeats_told
 from deadreckon.mbo.designer import DesignInput
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.forward import Forward
@@ -199,6 +199,52 @@ def test_a_largest_distance_to_the_data_is_kept():
     safe = designer("random").propose(near, 16).x
     assert nn_distance(data, bold).min() > 0.5
     assert nn_distance(data, safe).max() <= 0.5
+    away = {"bounds": {"x0": (-9, 9)}, "fixed": ["x0 = 9"]}
+    with pytest.raises(UserError, match="were found within .* to the data; ask for fewer, make --max-distance larger, or"):
+        batch(Designs.from_frame(TABLES["wide"]().columns, "y", max_distance=0.5, **away), data.x, 16)
+
+
+def near_rows(**rules):
+    """Four numbers and a category, whose proposals lie near rows of the data."""
+    rng = np.random.default_rng(2)
+    x, kind = rng.uniform(size=(60, 4)).round(3), np.arange(60) % 3
+    y = 3 * x[:, 0] + 2 * x[:, 1] - 2 * (x[:, 2] - 0.6) ** 2 + np.sin(3 * x[:, 3]) + 0.3 * kind
+    return Designs.from_frame(dict(zip("abcd", x.T)) | {"s": np.array(list("uvw"))[kind], "y": y}, "y", **rules)
+
+
+@pytest.mark.parametrize("fixed", [["a = 0.5"], ["s = u"], ["a = 0.5", "s = w"]])
+def test_designs_that_are_moved_near_the_data_keep_fixed_values(fixed):
+    data = near_rows(max_distance=0.8, fixed=fixed)
+    rng = np.random.default_rng(0)
+    x, good = data.repair.exact(np.concatenate([rng.uniform(size=(200, 4)), rng.integers(0, 3, (200, 1))], 1))
+    assert good.all()
+    found = pulled(data, x, 0.8)
+    assert nn_distance(data, found).max() <= 0.8
+    assert len(repaired(data, x)) == 200  # none is left out
+    for column, value in data.rules.fixed:
+        assert (found[:, column] == value).all()
+
+
+@pytest.mark.parametrize(("reach", "level"), [(1.0, 0), (1.5, 1), (4.0, 1)])
+def test_a_category_that_no_row_has_stays_where_the_numbers_can_be_near_enough(reach, level):
+    frame = {"a": np.linspace(0, 1, 20), "s": ["u"] * 20, "y": np.arange(20.0) % 7}
+    read = lambda **rule: Designs.from_frame(frame, "y", bounds={"a": (0, 3)}, levels={"s": ["u", "v"]}, **rule)  # noqa: E731
+    limit = reach / usual_distance(read())  # levels are the square root of 2 apart
+    found = pulled(read(max_distance=limit), np.array([[3.0, 1.0]]), limit)
+    assert found[0, 1] == level
+    assert nn_distance(read(), found) == pytest.approx(0.98 * limit, rel=1e-5)
+
+
+def test_the_best_design_near_the_data_is_found_within_the_rules():
+    """Many rows break the constraint, so that a move towards the nearest one leaves what is allowed."""
+    data = near_rows(max_distance=0.8, constraints=["a + b <= 0.8"], fixed=["c = 0.1"])
+    made = designer("gp", folds=0).propose(data, 4)
+    rng = np.random.default_rng(0)
+    some = np.concatenate([rng.uniform(size=(20_000, 4)), rng.integers(0, 3, (20_000, 1))], 1).astype(np.float32)
+    some[:, 2] = 0.1
+    some = some[some[:, 0] + some[:, 1] <= 0.8]
+    some = some[nn_distance(data, some) <= 0.8]
+    assert made.predicted.min() > made.fitted.predict(some)[0].max()
 
 
 @pytest.mark.filterwarnings("ignore:.*are pooled")

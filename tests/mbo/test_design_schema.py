@@ -94,6 +94,16 @@ def test_direction_and_standard_error_are_of_the_schemas_own_target(table):
     assert nameless.read(table, target="rate", ignore=("y", "layers", "colour")).minimise
 
 
+def test_a_name_and_earlier_messages_may_be_given(table):
+    schema, _ = describe(table)
+    asked = {"name": "first series", "noticed": ["the oven was cold"]}
+    for data in (schema.read(table, **asked), Designs.from_csv(table, "y", **asked)):
+        assert data.name == "first series"
+        assert data.noticed[0] == "the oven was cold"
+    with pytest.raises(UserError, match="^first series: unknown column 'z'"):
+        dataclasses.replace(schema, columns={**schema.columns, "z": DesignColumn("input")}).read(table, **asked)
+
+
 @pytest.mark.parametrize("given", [{"std_error": "rate"}, {"weights": {"rate": 2.0}}])
 def test_outputs_that_the_call_names_need_not_be_in_the_schema(table, given):
     schema, _ = describe(table)
@@ -175,6 +185,27 @@ def test_a_column_that_is_ignored_keeps_what_was_drafted_of_it(tmp_path):
     schema = DesignSchema({"a": told, "y": DesignColumn("target", unit="mm")})
     schema.save(tmp_path / "s.toml")
     assert DesignSchema.load(tmp_path / "s.toml") == schema
+
+
+def test_a_column_that_the_schema_ignores_need_not_be_in_the_file(table):
+    schema, _ = describe(table)
+    schema = dataclasses.replace(schema, columns={**schema.columns, "note": DesignColumn("ignore")})
+    data = schema.read(table)
+    np.testing.assert_array_equal(data.x, TABLES["mixed"]().designs().x)
+    assert not any("note" in line for line in data.noticed)
+    with pytest.raises(UserError, match="^mine: unknown column 'notes'"):  # one that the call ignores must be
+        schema.read(table, ignore=["notes"])
+
+
+def test_what_a_call_says_of_a_column_that_is_ignored_is_refused(table):
+    schema, _ = describe(table)
+    ignored = dataclasses.replace(schema, columns={**schema.columns, "rate": DesignColumn("ignore")})
+    for said in ({"kinds": {"rate": "integer"}}, {"bounds": {"rate": (0, 9)}}, {"steps": {"rate": -3}}, {"logs": ["rate"]}):
+        with pytest.raises(UserError, match=f"^mine: {next(iter(said))} is of inputs, and rate is ignored$"):
+            ignored.read(table, **said)
+    rate = dataclasses.replace(schema.columns["rate"], step=0.1)
+    made = dataclasses.replace(schema, columns={**schema.columns, "rate": rate}).read(table, ignore=["rate"])
+    assert [v.name for v in made.variables] == ["heat", "layers", "colour"]  # what the schema says of it is then left out
 
 
 def test_an_input_that_the_file_lacks_is_refused(table):

@@ -4,6 +4,7 @@ import shlex
 import warnings
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pytest
 from pyarrow import parquet
@@ -84,6 +85,71 @@ def test_rows_without_a_score_are_planned_runs_and_no_data(tmp_path):
                      "3 rows left out, as planned and without y yet: rows 0, 7 to 8, counted from 0"]  # fmt: skip
     assert schema.named("input") == ["temp", "solvent"]
     np.testing.assert_array_equal(told(schema.read, path)[0].x, data.x)
+
+
+@pytest.mark.parametrize("european", [False, True])
+def test_rows_without_a_score_do_not_decide_how_a_column_is_read(tmp_path, european):
+    full = frame(speed=[100 + i % 4 for i in range(18)], cost=[i / 4 for i in range(18)])
+    planned = [("TBD", "DMF", "", 102, "low"), (60.5, "?", "", "tbd", 1.5), (60.5, "DMF", "", 103, "?")]
+    rows = [list(map(str, row)) for row in [full, *zip(*full.values()), *planned]]
+    text = "\n".join(";".join(row).replace(".", ",") if european else ",".join(row) for row in rows)
+    (tmp_path / "t.csv").write_text(text + "\n")
+    data, lines = told(Designs.from_csv, tmp_path / "t.csv", "y", weights={"cost": -1.0})
+    assert {v.name: v.kind for v in data.variables} == {"temp": "continuous", "solvent": "categorical", "speed": "integer"}
+    assert data.variables[1].levels == ("DMF", "EtOH", "THF")
+    np.testing.assert_allclose(data.unscored, [[60.5, 0, 103]])  # the only complete one
+    told_of = [line.partition(": ")[2] for line in lines if "is read" in line and "decimal" not in line]
+    assert told_of == [
+        f"column {name} is read by the rows with a score; {cell!r} in row {row}, which has none, counts as missing"
+        for name, cell, row in (("temp", "TBD", 18), ("speed", "tbd", 19), ("cost", "low", 18))
+    ]
+    schema, lines = describe(tmp_path / "t.csv", "y")
+    assert [schema.columns[name].kind for name in ("temp", "speed", "cost")] == ["continuous", "integer", "continuous"]
+    assert not any("as texts" in line for line in lines)
+    np.testing.assert_array_equal(told(schema.read, tmp_path / "t.csv")[0].x[:, :3], data.x)
+
+
+def test_texts_that_are_all_numbers_are_read_as_numbers(tmp_path):
+    full = frame()
+    temp, codes = [str(value) for value in full["temp"]], [f"{i % 4:02}" for i in range(18)]
+    columns = full | {"temp": temp, "grade": [str(i % 5) for i in range(18)], "code": codes}
+    for stored in (columns, columns | {"temp": [*temp[:4], f" {temp[4]} ", *temp[5:]]}, pa.table(columns)):
+        data, lines = told(Designs.from_frame, stored, "y")
+        assert {v.name: v.kind for v in data.variables} == {
+            "temp": "continuous", "solvent": "categorical", "grade": "integer", "code": "categorical",
+        }  # fmt: skip
+        np.testing.assert_allclose(data.x[:, 0], full["temp"], rtol=1e-6)
+        assert lines == [
+            f"frame: column {name} holds texts that are all numbers, and is read so; if they are names, say kind categorical"
+            for name in ("temp", "grade")
+        ]
+    said = {"kinds": {"temp": "continuous"}, "levels": {"grade": list("01234")}}
+    data, lines = told(Designs.from_frame, columns, "y", **said)
+    assert (data.variables[0].kind, data.variables[2].levels, lines) == ("continuous", tuple("01234"), [])
+    parquet.write_table(pa.table(columns), tmp_path / "t.parquet")
+    schema, lines = describe(tmp_path / "t.parquet", "y")
+    assert [schema.columns[name].kind for name in ("temp", "grade", "code")] == ["continuous", "integer", "categorical"]
+    assert sum("holds texts that are all numbers" in line for line in lines) == 2
+    planned = columns | {"temp": ["TBD", temp[1], *temp[2:]], "y": [None, None, *full["y"][2:]]}
+    assert told(Designs.from_frame, planned, "y")[0].unscored[:, 0] == pytest.approx(full["temp"][1])
+    with pytest.raises(UserError, match="column temp holds '8O' in row 3, where most rows hold numbers; correct it"):
+        Designs.from_frame(columns | {"temp": [*temp[:3], "8O", *temp[4:]]}, "y")
+
+
+def test_whole_numbers_stay_so_beside_the_missing_cell_of_a_planned_run():
+    """pandas and NumPy have no integers that are missing."""
+    full = frame()
+    layers, y = np.r_[np.arange(17.0) % 4, np.nan], [*full["y"][:-1], None]
+    for columns in (full | {"layers": layers, "y": y}, pd.DataFrame(full | {"layers": layers, "y": y})):
+        data, lines = told(Designs.from_frame, columns, "y")
+        assert (data.variables[0].kind, data.variables[2].kind) == ("continuous", "integer")
+        assert any("column layers holds whole numbers beside a missing cell (row 17), and" in line for line in lines)
+    for other in (layers + 0.5, np.where(np.isnan(layers), 2.0, layers)):  # no whole numbers; nothing is missing
+        assert told(Designs.from_frame, full | {"layers": other, "y": y}, "y")[0].variables[2].kind == "continuous"
+    kinds = {"layers": "continuous"}
+    assert told(Designs.from_frame, full | {"layers": layers, "y": y}, "y", kinds=kinds)[0].variables[2].kind == "continuous"
+    table = pa.table(full | {"layers": pa.array(layers, mask=np.isnan(layers)), "y": y})  # which has
+    assert told(Designs.from_frame, table, "y")[0].variables[2].kind == "continuous"
 
 
 def test_runs_without_a_score_are_not_proposed_again():
@@ -235,6 +301,17 @@ def test_rows_that_break_a_sum_which_others_hold_are_told():
     percent = {name: 100 * columns[name] for name in "abc"} | {"y": columns["y"]}
     with pytest.raises(UserError, match=r"in the data they sum to 100, so say --constraints 'a \+ b \+ c = 100' instead"):
         Designs.from_frame(percent, "y", **mixture)
+
+
+@pytest.mark.parametrize("rule", [{"mixtures": [["part a", "b"]]}, {"constraints": ["`part a`+b=1"]}])
+def test_a_sum_of_percentages_that_a_message_names_can_be_said(rule):
+    part = np.linspace(30, 70, 12)
+    percent = {"part a": part, "b": 100 - part, "y": np.arange(12.0) % 5}
+    with pytest.raises(UserError, match="in the data they sum to 100") as error:
+        Designs.from_frame(percent, "y", **rule)
+    said = shlex.split(str(error.value).partition("so say ")[2].partition(" instead;")[0])
+    assert said == ["--constraints", "`part a` + b = 100"]
+    assert told(Designs.from_frame, percent, "y", constraints=said[1:])[1] == []
 
 
 def test_a_sum_that_most_rows_break_is_told():

@@ -84,6 +84,8 @@ def test_a_csv_goes_round(tmp_path):
         (table(temperature=[datetime(2024, 1, 1)] * 12), {}, "column temperature holds times; make numbers of them"),
         (table(solvent=["2024-05-06", "2024-05-07"] * 6), {}, "column solvent holds times; make numbers of them"),
         (table(**{" z": [1.0] * 12}), {"target": "z"}, "unknown column 'z': did you mean ' z'"),
+        (table(), {"ignore": ["layers"], "bounds": {"layers": (0, 9)}}, "bounds is of inputs, and layers is ignored"),
+        (table(), {"ignore": ["layers"], "kinds": {"layers": "x"}}, "kinds is of inputs, and layers is ignored"),
     ],
 )
 def test_refusals_name_what_is_wrong(columns, options, words):
@@ -146,6 +148,15 @@ def test_proposals_of_people_are_checked():
         found.encode(good | {"layers": [2.5]})
     with pytest.raises(UserError, match="unknown column 'solvent'"):
         found.encode({"temperature": [30.0], "layers": [2]})
+    for unit in (1e-9, 1.0, 1e9):
+        grams = (unit * np.linspace(0.1, 0.9, 12)).tolist()
+        found = Designs.from_frame(table(grams=grams), "y", ignore=["temperature"], bounds={"grams": (0, unit)})
+        part = {"layers": [2], "solvent": ["water"]}
+        assert found.encode(part | {"grams": [unit]}).shape == (1, 3)
+        with pytest.raises(UserError, match=r"grams is .* in row 0, a number in \[0, .*\] is needed"):
+            found.encode(part | {"grams": [1.0001 * unit]})
+    with pytest.raises(UserError, match=r"x1 is nan in row 3, a number in"):
+        Designs.from_arrays(np.where(np.arange(24).reshape(12, 2) == 7, np.nan, 1.0), np.arange(12.0))
 
 
 def test_coordinates_go_round():

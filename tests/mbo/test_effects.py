@@ -6,8 +6,9 @@ import jax
 import numpy as np
 import pytest
 
+from deadreckon.errors import UserError
 from deadreckon.mbo import designer, effects, process
-from deadreckon.mbo.calibration import OWN
+from deadreckon.mbo.calibration import OWN, Calibration
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.first_choice import first_choice, shown_interval
@@ -21,6 +22,8 @@ from deadreckon.nets.mlp import MLP, ensemble
 from deadreckon.report.design_asked import broken_rule
 from deadreckon.training.learner import unstack
 from tests.mbo.practice import TABLES
+
+TESTED = Calibration(0.0, 1.0, OWN**0.5, 0.0)  # leaves predictions and their deviations as they are
 
 
 def plane(rows=40, seed=0, **options):
@@ -37,7 +40,7 @@ def told(x):
 
 def known(std=0.1):
     """A model that knows how its averages go together: each has an error of its own."""
-    return Fitted(lambda x: (told(x), np.full(len(x), std)), lambda x: (told(x), std**2 * np.eye(len(x))))
+    return Fitted(lambda x: (told(x), np.full(len(x), std)), lambda x: (told(x), std**2 * np.eye(len(x))), TESTED)
 
 
 def test_averages_are_those_of_the_model_over_the_rows():
@@ -65,7 +68,7 @@ def test_rows_are_drawn_where_they_are_many():
 def test_an_effect_is_told_from_none_or_depends_on_others():
     data = plane(rows=60)
     crossed = lambda x: (x[..., 0] - 2) * x[..., 1]  # noqa: E731
-    fitted = Fitted(lambda x: (crossed(x), None), lambda x: (crossed(x), 0.3**2 * np.eye(len(x))))
+    fitted = Fitted(lambda x: (crossed(x), None), lambda x: (crossed(x), 0.3**2 * np.eye(len(x))), TESTED)
     found = {data.variables[each.column].name: each for each in effects.averages(data, fitted)}
     assert found["b"].distinct(3) is False
     assert found["b"].depends(3)
@@ -76,6 +79,9 @@ def test_an_effect_is_told_from_none_or_depends_on_others():
     assert not sure["a"].depends(3)
     unsure = effects.averages(data, Fitted(lambda x: (told(x), None)))
     assert {each.distinct(3) for each in unsure} == {None}
+    untested = effects.averages(data, dataclasses.replace(known(), calibration=None))
+    assert {(each.distinct(3), each.depends(3), each.std) for each in untested} == {(None, False, None)}
+    assert [each.change for each in untested] == [each.change for each in effects.averages(data, known())]
     assert effects.critical(1) == pytest.approx(1.959964)
     assert effects.critical(5) == pytest.approx(2.575829)
     assert effects.critical(1, 4) == pytest.approx(2.776445)  # of five members
@@ -92,7 +98,7 @@ def test_few_members_are_no_known_deviation():
             return slope * x[..., 0], covariance_of_members(members * x[..., 0])
 
         for freedom in wrong:
-            fitted = Fitted(lambda x, slope=slope: (slope * x[:, 0], None), averages, freedom=freedom)
+            fitted = Fitted(lambda x, slope=slope: (slope * x[:, 0], None), averages, TESTED, freedom=freedom)
             wrong[freedom] += effects.averages(data, fitted)[0].distinct(1)
     assert wrong[4] < 0.08 * 400
     assert wrong[np.inf] > 0.09 * 400  # 12 % by the quantile of a deviation that is known
@@ -123,7 +129,7 @@ def test_of_noise_no_effect_is_told_from_none():
     assert wrong == 0
     data = TABLES["wide"](80, variables=6).designs()
     found = process.fit(data)
-    shown = effects.averages(data, Fitted(found.posterior, found.averages))
+    shown = effects.averages(data, Fitted(found.posterior, found.averages, TESTED))
     assert {each.column for each in shown if each.distinct(6)} >= {0, 1, 2}
 
 
@@ -162,6 +168,26 @@ def test_cuts_go_to_the_bounds_and_know_what_is_allowed():
     np.testing.assert_allclose(c.mean, [10.0, 15.0])
 
 
+def test_cuts_move_nothing_that_is_fixed():
+    """Of a mixture with one part fixed the other makes room alone, and where it cannot, the design is not allowed."""
+    rng = np.random.default_rng(0)
+    parts = np.sort(rng.dirichlet(np.ones(3), 20))[:, [2, 0, 1]]
+    columns = {**dict(zip("abc", parts.T)), "y": rng.normal(size=20)}
+    bounds = {name: (0, 1) for name in "ac"} | {"b": (0, 0.6)}
+    data = Designs.from_frame(columns, "y", bounds=bounds, mixtures=[["a", "b", "c"]], fixed=["c = 0.2"])
+    seen = Fitted(lambda x: (x[:, 1] + 10 * x[:, 2], None))
+    [a, c] = effects.cuts(data, seen, np.array([0.5, 0.3, 0.2], np.float32), [0, 2])
+    np.testing.assert_allclose(a.mean, 0.8 - a.values + 2.0, atol=1e-6)
+    np.testing.assert_array_equal(a.allowed, (a.values >= 0.2) & (a.values <= 0.8))
+    assert 3 < a.allowed.sum() < len(a.values)
+    np.testing.assert_array_equal(c.allowed, c.values == np.float32(0.2))
+    alone = Designs.from_frame(columns, "y", bounds=bounds, mixtures=[["a", "b", "c"]], fixed=["c = 0.2", "b = 0.3"])
+    [a] = effects.cuts(alone, seen, np.array([0.5, 0.3, 0.2], np.float32), [0])
+    np.testing.assert_array_equal(a.allowed, a.values == 0.5)
+    # Rows of the data, over which effects are averaged, have other values.
+    np.testing.assert_allclose(effects.with_value(data, data.x, 0, 0.5)[:, 1:].sum(1), 0.5)
+
+
 def test_the_most_changing_variables_are_chosen_where_they_are_many(monkeypatch):
     monkeypatch.setattr(effects, "MOST", 2)
     data = plane()
@@ -177,7 +203,7 @@ def test_the_model_that_comes_with_proposals_is_the_one_that_made_them():
     each, covariance = made.fitted.average(made.x[:, None])
     np.testing.assert_allclose(each[:, 0], mean, rtol=1e-4, atol=1e-4)
     # The average of a group of one is a true score, of which the noise of a measurement is no part.
-    plain = dataclasses.replace(made.fitted, calibration=None).average(made.x[:, None])[1]
+    plain = made.fitted.averages(made.x[:, None])[1]
     true = process.fit(data).posterior(made.x)[1]
     np.testing.assert_allclose(np.sqrt(np.diag(plain)), true, rtol=1e-3)
     np.testing.assert_allclose(covariance, made.quality.calibration.scale**2 / OWN * plain, rtol=1e-6)
@@ -198,7 +224,7 @@ def test_averages_of_an_ensemble_go_together_as_its_members_do():
     plain = Fitted(lambda x: (x[:, 0], None))
     fitted = Forward(members=3)._fitted(plain, data, nets)
     assert fitted.freedom == 2
-    mean, covariance = fitted.average(np.stack([data.x[:5], data.x[5:10]]))
+    mean, covariance = fitted.averages(np.stack([data.x[:5], data.x[5:10]]))
     each = [believed(member, data.coordinates.encode(data.x[:10]))[0] for member in unstack(nets, 3)]
     values = data.coordinates.score(np.stack(each)).reshape(3, 2, 5)
     np.testing.assert_allclose(mean, values.mean(0), rtol=1e-4)
@@ -220,7 +246,10 @@ def test_neighbours_are_the_nearest_rows():
     np.testing.assert_allclose(far, np.sort(apart, 1)[:, :3] / usual_distance(data), atol=1e-6)
 
 
-def proposed(mean, std, quality=None):
+SKILLED = judged(np.arange(10.0), np.arange(10.0), np.ones(10), np.arange(10) % 5, "m")
+
+
+def proposed(mean, std, quality=SKILLED):
     return Proposals("m", np.zeros((3, 4)), np.array(mean), np.array(std), 0, quality=quality, fitted=known())
 
 
@@ -231,6 +260,7 @@ def test_the_one_to_try_is_that_of_the_best_lower_end_near_the_data():
     assert first_choice(made, np.array([0.0, 9.0, 9.0])) == 0
     assert first_choice(made, np.full(3, 9.0)) == 1
     assert first_choice(proposed([1.0, 2.0, 3.0], [np.nan] * 3), near) == 2
+    assert first_choice(dataclasses.replace(made, quality=None), near) == 2  # what its intervals cover is not known
     assert first_choice(dataclasses.replace(made, fitted=None), near) is None
     order = Fitted(lambda x: (np.array([1.0, 3.0, 2.0]), None), is_order=True)
     assert first_choice(dataclasses.replace(proposed([np.nan] * 3, [np.nan] * 3), fitted=order), near) == 1
@@ -282,9 +312,27 @@ def test_levels_that_are_numbers_count_in_sums_by_their_values():
     level = np.array([10, 20, 50] * 8)
     data = Designs.from_frame({"lv": level, "a": 100.0 - level, "b": rng.uniform(size=24), "y": rng.normal(size=24)}, "y",
                               kinds={"lv": "ordinal"}, constraints=["a + lv = 100"], bounds={"a": (0, 100)})  # fmt: skip
+    assert data.noticed == ()
     assert effects.allowed(data, data.x).all()
     assert effects.with_value(data, data.x, 0, 2.0)[:, 1].tolist() == [50.0] * 24
     assert not effects.allowed(data, data.x + np.array([0, 1, 0])).any()
+
+
+@pytest.mark.filterwarnings("ignore:frame")
+def test_sums_and_relations_of_a_table_count_levels_by_their_values_too():
+    rng = np.random.default_rng(0)
+    level, y = np.array([10, 20, 50] * 8), rng.normal(size=24)
+    by_value, by_index = (
+        {"lv": level, "a": 100.0 - other, "b": rng.uniform(size=24), "y": y} for other in (level, np.array([0, 1, 2] * 8))
+    )
+    kinds, bounds = {"lv": "ordinal"}, {"a": (0, 100)}
+    [line] = Designs.from_frame(by_index, "y", kinds=kinds, bounds=bounds, constraints=["a + lv = 100"]).noticed
+    assert line.startswith("a + lv = 100 does not hold in 24 of 24 rows, where the sum is 110 to 148 instead of 100")
+    [line] = Designs.from_frame(by_value, "y", kinds=kinds, bounds=bounds).noticed
+    assert line.startswith("lv and a satisfy a linear relation in every row")
+    assert Designs.from_frame(by_index, "y", kinds=kinds, bounds=bounds).noticed == ()
+    with pytest.raises(UserError, match=r"in the data they sum to 100, so say --constraints 'lv \+ a = 100' instead"):
+        Designs.from_frame(by_value, "y", kinds=kinds, mixtures=[["lv", "a"]])
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-7, 1e6])

@@ -194,6 +194,32 @@ def test_what_is_used_for_its_scores_does_not_calibrate():
     assert (np.abs(new - made.predicted) <= 1.96 * made.predicted_std).mean() > 0.9
 
 
+def test_of_many_rows_with_few_low_scores_some_of_these_are_used():
+    """Else all that is used would have the same score, and the table would be refused for that."""
+    rng = np.random.default_rng(0)
+    y = -np.isin(np.arange(400), [5, 77]).astype(float)
+    data = Designs.from_arrays(rng.uniform(-2, 2, (400, 2)), y)
+    method = designer("gp", max_rows=20, fit_rows=20, rounds=1, folds=0)
+    assert sorted(method.used(data).y)[:3] == [-1, -1, 0]
+    assert len(method.propose(data, 2)) == 2
+    # Where the rows that are drawn differ, they are the ones.
+    spread = data.best_and_others(20, np.random.default_rng(1))
+    other = Designs.from_arrays(data.x, np.arange(400.0)).best_and_others(20, np.random.default_rng(1))
+    np.testing.assert_array_equal(other[:10], np.arange(399, 389, -1))
+    np.testing.assert_array_equal(other[10:], np.random.default_rng(1).choice(np.arange(389, -1, -1), 10, replace=False))
+    assert len(spread) == len(set(spread.tolist())) == 20
+    np.testing.assert_array_equal(data.best_and_others(400, rng), data.best(400))
+
+
+def test_settings_of_the_process_that_test_nothing_are_refused():
+    """A single fold was none at all, and too few rows were said to be those of the table."""
+    data = Designs.from_arrays(np.arange(60.0)[:, None], np.arange(60.0))
+    with pytest.raises(UserError, match=r"GP.folds must be 0, for no cross-validation, or 2 or more, got 1"):
+        designer("gp", folds=1).propose(data, 3)
+    with pytest.raises(UserError, match=r"GP.max_rows takes a whole number >= 10, got 8"):
+        designer("gp", max_rows=8).propose(data, 3)
+
+
 def test_of_tables_without_any_relation_few_pass_for_some():
     """At most the share that is promised, of a model that fits noise well: pairs of rows that agree by chance count twice."""
 

@@ -9,12 +9,14 @@ from scipy import special, stats
 from deadreckon.mbo.cbas import Layout
 from deadreckon.mbo.coms import COMs, Conservative
 from deadreckon.mbo.ddom import sample, variance_left
+from deadreckon.mbo.designer import DesignInput
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.forward import mixture
-from deadreckon.mbo.ram import Ranking
+from deadreckon.mbo.ram import Ranking, agreement
 from deadreckon.mbo.surrogate import counts
 from deadreckon.mbo.variables import Variable
 from deadreckon.nets.mlp import MLP
+from deadreckon.progress import unwatched
 
 
 def linear(weights, bias):
@@ -31,6 +33,17 @@ def test_listnet_equals_numpy():
     weights = rng.standard_normal((3, 1))
     loss, _ = Ranking(1e-3, 1, (), 1, "relu", 7).loss(linear(weights, [0.3]), x, y, None, None)
     assert float(loss) == pytest.approx(-(special.softmax(y) * special.log_softmax((x @ weights)[:, 0])).sum(), rel=1e-5)
+
+
+def test_a_list_whose_scores_are_all_the_same_has_no_order_and_is_no_failure():
+    """Of 120 scores two are hits, so that most lists have none; `auto` ended for this, too."""
+    rng = np.random.default_rng(0)
+    out, y = rng.standard_normal((2, 9)).astype(np.float32)
+    assert float(agreement(out, y)) == pytest.approx(np.corrcoef(out, y)[0, 1], rel=1e-5)
+    assert float(agreement(out, np.full(9, 0.1, np.float32))) == float(agreement(np.full(9, 0.1, np.float32), y)) == 0.0
+    data = Designs.from_arrays(rng.uniform(size=(120, 2)), np.isin(np.arange(120), [5, 77]).astype(float))
+    [(net, _)] = DesignInput(data, 2, [0], None, unwatched).train(Ranking(1e-3, 1, (), 1, "relu", 8), 10, "ram")
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(net))
 
 
 def test_weights_of_scores_by_hand():

@@ -88,6 +88,9 @@ def test_names_options_and_missing_files(tmp_path):
             problem(name)
     with pytest.raises(UserError, match="nowhere is not there"):
         problem("molecule", path=tmp_path / "nowhere")
+    for shown in (150.0, -1.0, float("nan")):
+        with pytest.raises(UserError, match="^branin: percentiles of shown scores ascend from 0 to 100 at most, got 0 and "):
+            problem("branin", shown=shown)
 
 
 # ---- files that hold something else ---------------------------------------------------------------------------------------
@@ -113,6 +116,36 @@ def test_files_that_hold_something_else(tmp_path):
     text.write_text("variant\tscore\nA0C\t1.0\n")
     with pytest.raises(UserError, match="row 0 has 'A0C', no mutation of the wild type"):
         problem("gfp", path=text)
+
+
+AMOUNTS = ",".join(elements())
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "head", "row", "words"),
+    [
+        ("superconductor", {}, "name,Tc", "Ba1Cu{}O7,", "no row has a formula of elements H to Rn and a temperature above 0"),
+        ("superconductor", {}, "name,Tc", "Ba1Cu{}O7,low", "column Tc holds texts, numbers are needed; row 0 has 'low'"),
+        ("superconductor", {}, "name,Tc", "Ba1Cu{}O7,inf", "critical temperature, K is not finite in row 0"),
+        ("superconductor", {"form": "composition"}, f"{AMOUNTS},critical_temp", ",".join(["{}"] * 86) + ",",
+         "column critical_temp is empty in row 0"),
+        ("superconductor", {"form": "composition"}, f"{AMOUNTS},critical_temp", "," * 85 + "{},1", "column H is empty in row"),
+        ("gfp", {}, "variant\tscore", "K1A\t", "column score is empty in row 0"),
+        ("gfp", {"oracle": "gp"}, "variant\tscore", "K1A\tdim", "column score holds texts, numbers are needed; row 0 has"),
+        pytest.param("molecule", {}, "smiles,exp", "C{}O,", "column exp is empty in row 0", marks=needs_rdkit),
+    ],
+)  # fmt: skip
+def test_no_oracle_is_trained_on_scores_that_are_missing(tmp_path, monkeypatch, name, options, head, row, words):
+    def train(*args):
+        raise AssertionError("it is")
+
+    for module in ("trees", "gfp", "sequence_gp"):
+        monkeypatch.setattr(f"deadreckon.mbo.problems.{module}.kept", train)
+    path = tmp_path / "file"
+    path.write_text("\n".join([head, *(row.format(*[i + 1] * 86) for i in range(12))]) + "\n")
+    with pytest.raises(UserError, match=words) as told:
+        problem(name, path=path, **options)
+    assert "\n" not in str(told.value)
 
 
 # ---- materials ------------------------------------------------------------------------------------------------------------

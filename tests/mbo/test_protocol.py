@@ -46,6 +46,12 @@ def test_seeds_in_several_programs_are_the_same_seeds(branin):
     np.testing.assert_allclose(parts.true, whole.true, rtol=1e-4)
 
 
+@pytest.mark.parametrize("together", [0, -1])
+def test_fewer_than_one_seed_in_a_program_are_refused(branin, together):
+    with pytest.raises(UserError, match=f"together must be 1 or more, got {together}"):
+        evaluate_designers(branin, [("best", designer("best"))], 4, seeds=[0], together=together)
+
+
 def test_percentiles_and_tables(branin):
     results = evaluate_designers(branin, [("best", designer("best")), ("random", designer("random"))], 16, seeds=range(4))
     random = results[1]

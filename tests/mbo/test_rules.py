@@ -29,8 +29,10 @@ def test_numbers_as_people_write_them():
     assert found.linear[0].bound == 100
     assert found.forbidden[0].clauses[0].value == Fraction(1, 3)
     assert found.fixed == ((1, 0.1),)
-    with pytest.raises(UserError, match="a number is needed"):
+    with pytest.raises(UserError, match="a is fixed at 'x', a number is needed"):
         Rules.of([A, B], fixed=["a = x"])
+    with pytest.raises(UserError, match="a is compared with '0,5', a number with a decimal point is needed"):
+        Rules.of([A, B], forbidden=["a > 0,5"])
 
 
 @pytest.mark.parametrize("levels", [(1, 2, 3), (3, 2, 1), (2, 1, 3)])
@@ -323,6 +325,17 @@ def test_networks_find_good_designs_on_a_grid_with_a_sum(name, more):
     grid = grid[np.abs(grid.sum(1) - 1) < 1e-9].astype(np.float32)
     best = np.sort(made.fitted.predict(grid)[0])[::-1]
     assert made.fitted.predict(made.x)[0] == pytest.approx(best[:4], abs=1e-5 * np.ptp(best))
+
+
+def test_a_constant_that_is_no_whole_number_meets_a_condition_by_its_value():
+    frame = {"pressure": [1.5] * 40, "temp": np.linspace(20, 90, 40), "solvent": ["water", "dmf"] * 20, "y": np.arange(40.0)}
+    never = ["pressure > 1.8 & solvent = water", "temp > 60 & solvent = water"]  # the first of which never holds
+    data = Designs.from_frame(frame, "y", forbidden=never)
+    np.testing.assert_allclose(data.repair.exact(np.array([[1.5, 88, 1]]))[0], [[1.5, 60, 1]], rtol=1e-6)
+    data = Designs.from_frame(frame | {"solvent": ["water"] * 40}, "y", forbidden=never)  # there is no other solvent
+    assert data.repair.exact(data.x)[1].all()
+    with pytest.raises(UserError, match="without 'forbidding pressure > 1.2 & temp < 99' there would be some"):
+        Designs.from_frame(frame, "y", forbidden=["pressure > 1.2 & temp < 99"])
 
 
 def test_a_number_that_no_rule_holds_stays_however_small_it_is():

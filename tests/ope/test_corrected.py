@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
@@ -61,18 +62,21 @@ def test_values_are_true_within_their_intervals(world, name):
     assert found.diagnostics.get("pareto k", np.zeros(3))[2] <= 0.0
 
 
-# Those with critics fit them in each of the logs.
-@pytest.mark.parametrize("name", [pytest.param(n, marks=() if n == "smis" else pytest.mark.slow) for n in NEW])
-def test_the_truth_lies_within_as_often_as_promised(name):
+# Those with critics fit them in each of the logs; the fast one is of fewer logs.
+@pytest.mark.parametrize(
+    ("name", "logs"), [("smis", 60), *(pytest.param(n, 200, marks=pytest.mark.slow) for n in NEW)], ids=str
+)
+def test_the_truth_lies_within_hardly_less_often_than_promised(name, logs):
+    """In 53 of 60 logs, or 182 of 200: of intervals of 95 %, fewer are within with a chance of one in a hundred."""
     true = garnet(states=4, actions=2, ending=0.3, noise=0.3)
     behavior, target = tables(true, 1, 0.2)[0], tables(true, 1, 0.5, seed=1)[0]
     rng, truth = np.random.default_rng(1), true.value(target, 0.9)
     inside = []
-    for _ in range(60):
+    for _ in range(logs):
         case = OPEInput(true.log(behavior, 200, 60, rng), [as_policy(target)], discount=0.9)
         found = with_fields(estimator(name), {"ridge": 1.0}).on(case)
         inside.append(found.low[0] <= truth <= found.high[0])
-    assert np.mean(inside) >= 0.88, np.mean(inside)
+    assert sum(inside) >= stats.binom.ppf(0.01, logs, 0.95), np.mean(inside)
 
 
 @pytest.mark.slow
@@ -153,7 +157,8 @@ def test_cut_off_episodes_count_by_their_chance_to_go_on():
     parts = [true.log(behavior, 600, steps, rng) for steps in (3, 8, 60)]
     columns = ("observations", "actions", "rewards", "terminals", "timeouts", "final_observations")
     log = Dataset.from_arrays(
-        **{key: np.concatenate([getattr(part, key) for part in parts]) for key in columns}, action_space=parts[0].action_space,
+        **{key: np.concatenate([getattr(part, key) for part in parts]) for key in columns},
+        action_space=parts[0].action_space,
         behavior_log_probs=np.concatenate([part.extras["behavior_log_probs"] for part in parts]),
     )
     case = OPEInput(log, [as_policy(target)], discount=0.9)

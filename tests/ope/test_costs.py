@@ -187,6 +187,14 @@ def test_totals_are_values_with_intervals_for_all_at_once():
     assert (ratio < 1.4).all()
 
 
+def test_several_costs_share_the_level():
+    """Each of two has the ends of one alone at half of the level."""
+    two = costs_of(case(), ImportanceSampling(), _support(case()), {"cost": None, "energy": None}, 0.05, SMALL)
+    for each in two:
+        (alone,) = costs_of(case(), ImportanceSampling(), _support(case()), {each.column: None}, 0.025, SMALL)
+        np.testing.assert_allclose(each.ends, alone.ends)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("rows", [100, 1000])
 def test_intervals_of_costs_cover(rows):

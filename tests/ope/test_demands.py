@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Discrete
@@ -13,15 +14,20 @@ from deadreckon.ope import OPEInput
 from deadreckon.ope.behavior_model import PROPENSITIES, BehaviorModel
 from deadreckon.ope.case import CrossFitted
 from deadreckon.ope.confounding import Confounding
+from deadreckon.ope.costs import totals
 from deadreckon.ope.decide import UNSEEN, decide
+from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.groups import Groups, by_group
 from deadreckon.ope.guarantee import guaranteed, refuse
+from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.registry import estimator, with_fields
 from deadreckon.ope.select import MOVED, gains
 from deadreckon.ope.support import Support
-from deadreckon.ope.tail import tails
+from deadreckon.ope.tail import lower_tail, tails
 from deadreckon.policies import BlackBoxPolicy
 from deadreckon.runs.offline import groups
+from deadreckon.stats import inference
+from deadreckon.stats.betting import lower
 from deadreckon.theory import garnet
 from tests.ope.test_case import linear, lqr
 from tests.ope.test_corrected import one_step
@@ -86,6 +92,15 @@ def test_a_guarantee_shares_its_chance_of_failing_among_all_policies():
     alone = guaranteed(case_of(log, [MOSTLY]), 0, (0.0, 1.0), 0.05)
     assert guaranteed(case_of(log, [MOSTLY, FIRST]), 0, (0.0, 1.0), 0.1) == pytest.approx(alone, abs=1e-9)
     assert alone < guaranteed(case_of(log, [MOSTLY]), 0, (0.0, 1.0), 0.1) - 1e-4
+
+
+def test_a_guarantee_by_hand():
+    """Five patients; the policy takes the second arm 1.6 times as often as the coin, and the first 0.4 times."""
+    log = one_step(np.ones((5, 1)), np.array([0, 1, 1, 0, 1]), np.array([0.0, 1.0, 1.0, 1.0, -1.0]), np.full(5, 0.5))
+    policy = as_policy(np.array([[0.2, 0.8]]))
+    # (w - 1) (G - low) + (high - low), with returns of -1 to 2.
+    x = [-0.6 * 1 + 3, 0.6 * 2 + 3, 0.6 * 2 + 3, -0.6 * 2 + 3, 0.6 * 0 + 3]
+    assert guaranteed(case_of(log, [policy]), 0, (-1.0, 2.0), 0.4) == pytest.approx(lower(np.array(x), 0.4) - 3)
 
 
 def exact(true, policy):
@@ -153,14 +168,14 @@ def test_bounds_for_confounding_hold_where_there_is_some():
     for _ in range(40):
         n = 600
         hidden = rng.random(n) < 0.5
-        chance = np.where(hidden, 2 / 3, 1 / 2)  # odds of 2 and of 1; the nominal 0.5833 has 1.4
+        chance = np.where(hidden, 2 / 3, 1 / 2)  # odds of 2 and of 1; the nominal 7 / 12 has 1.4: off by 10 / 7 and by 1 / 1.4
         arm = (rng.random(n) < chance).astype(int)
         reward = 1.0 * (rng.random(n) < 0.2 + 0.4 * arm * hidden)  # the second arm is worth 0.4, a fifth on average
         nominal = np.where(arm == 1, 7 / 12, 5 / 12)
         case = case_of(one_step(np.eye(2)[np.zeros(n, int)], arm, reward, nominal), [SECOND])
         gain = 0.2 - 0.4 * 0.5 * 2 / 3  # of always the second arm over what was done
         found = Confounding(case, PROPENSITIES)
-        low, high = found.gain(0, 1.5)
+        low, high = found.gain(0, 10 / 7)
         inside.append(low <= gain <= high)
         naive.append(np.diff(found.gain(0, 1.0))[0])
         tight.append(high - low)
@@ -193,7 +208,16 @@ def test_no_confounding_is_the_gain_itself():
         one, more = found.gain(0, 1.0), found.gain(0, 1.2)
         assert more[0] < one[0] < one[1] < more[1]
         whole = estimator("wis" if case.estimand.horizon == 4 else "dr-linear").on(case)
-        assert np.mean(one) == pytest.approx(whole.value[0] - whole.value[1], abs=0.1 * (one[1] - one[0]))
+        assert one == pytest.approx(gains(whole)[0, 1:], abs=1e-3 * (one[1] - one[0]))
+        wider = Confounding(case, PROPENSITIES, wider=0.3).gain(0, 1.0)
+        assert wider == pytest.approx((one[0] - 0.3, one[1] + 0.3))
+
+
+def test_the_level_of_a_decision_is_that_of_its_gains():
+    case = case_of(trials(200, np.random.default_rng(0)))
+    choice = decide(case, [LINEAR], alpha=0.0125, model=MODEL).choice
+    np.testing.assert_array_equal(choice.gains, gains(LINEAR.on(case), 0.0125)[:2])
+    assert choice.level == 1 - 0.0125
 
 
 def test_gains_by_group():
@@ -231,6 +255,42 @@ def test_groups_and_tails_know_among_how_many_the_policy_was_chosen():
     assert (chosen["low"], chosen["high"]) == pytest.approx((alone["low"], alone["high"]))
     wider = tails(one, 0, 0.5, MODEL, 0.05, wider=0.2)
     assert (wider["low"], wider["high"]) == pytest.approx((alone["low"] - 0.2, alone["high"] + 0.2))
+
+
+def test_the_interval_of_a_tail_is_students_of_paired_influences():
+    """The policy takes the second arm 1.6 times as often as the coin, and the first 0.4 times."""
+    rng = np.random.default_rng(0)
+    log = replace(trials(400, rng), rewards=rng.standard_normal(400).astype(np.float32))
+    own = lower_tail(np.log(np.where(log.actions == 1, 1.6, 0.4)), log.rewards, 0.5)
+    logged = lower_tail(np.zeros(400), log.rewards, 0.5)
+    half = stats.t.ppf(0.95, 399) * (own.influence - logged.influence).std(ddof=1) / np.sqrt(400)
+    told = tails(case_of(log, [MOSTLY]), 0, 0.5, MODEL, 0.1)
+    assert told["gain"] == pytest.approx(own.value - logged.value)
+    assert (told["low"], told["high"]) == pytest.approx((told["gain"] - half, told["gain"] + half))
+
+
+@pytest.mark.parametrize(("seed", "students"), [(0, True), (1, False)])
+def test_the_interval_of_a_group_is_by_the_larger_of_two_factors(monkeypatch, seed, students):
+    """Of 60 episodes in two equal groups: Student's quantile of a group's 30 at half of the level, or the factor at which both
+    intervals hold at once."""
+    monkeypatch.setattr("deadreckon.ope.groups.missing_by_row", lambda case, model: np.zeros((60, 1)))
+    log = trials(60, np.random.default_rng(seed))
+    case, second = case_of(log, [MOSTLY]), np.arange(60) % 2 == 1
+    found, _ = DoublyRobust(kind="dr", fqe=LinearFQE(), model=MODEL).nuisances(case)
+    weight = np.where(log.actions == 1, 1.6, 0.4)
+    score = found.begins[0] + weight * found.errors[0] - found.begins[1] - found.errors[1]
+    # The mean of a group moves with one of its episodes twice as much as the mean of all would. In the order of units, by which
+    # they are resampled.
+    influence = np.zeros((60, 2))
+    for i, own in enumerate((~second, second)):
+        influence[case.units, i] = np.where(own, 2 * (score - score[own].mean()), 0.0)
+    factors = inference.simultaneous(influence, 0.05), stats.t.ppf(1 - 0.05 / 4, 29)
+    assert (factors[1] > factors[0]) == students
+    error = inference.errors(influence) * np.sqrt(30 / 29)  # with the degrees of freedom of a group
+    shown = by_group(case, 0, Groups("g", ("a", "b"), second.astype(int)), MODEL)
+    for told, own, half in zip(shown, (~second, second), max(factors) * error):
+        assert told["gain"] == pytest.approx(score[own].mean())
+        assert (told["low"], told["high"]) == pytest.approx((told["gain"] - half, told["gain"] + half))
 
 
 @pytest.mark.slow  # simultaneous intervals are looked at in test_decide.py, on which these rest
@@ -320,9 +380,8 @@ def test_what_rests_on_whole_episodes_needs_enough_of_them():
         tails(endless, 0, 0.5, MODEL)
 
 
-@pytest.mark.parametrize("name", ["switch", "dros", "pdis", "dr-linear"])
-def test_learned_propensities_that_do_not_fit_widen_what_does_not_normalise(name):
-    """Arms that depend on whether two numbers are alike, by a model that cannot know it."""
+def misfit():
+    """A case of arms that depend on whether two numbers are alike, and a model that cannot know it."""
     rng = np.random.default_rng(0)
     seen = rng.choice([-1.0, 1.0], (800, 2))
     arm = (rng.random(800) < np.where(seen.prod(1) > 0, 0.8, 0.2)).astype(int)
@@ -330,11 +389,36 @@ def test_learned_propensities_that_do_not_fit_widen_what_does_not_normalise(name
     alike = BlackBoxPolicy(
         lambda seen, rng: (seen.prod(1) > 0).astype(int), action_probs=lambda seen: np.eye(2)[(seen.prod(1) > 0).astype(int)]
     )
-    blind = BehaviorModel(hidden=(), steps=1)
-    case = OPEInput(log, [alike], discount=0.0, horizon=1, logged=True)
+    return OPEInput(log, [alike], discount=0.0, horizon=1, logged=True), BehaviorModel(hidden=(), steps=1)
+
+
+@pytest.mark.parametrize("name", ["switch", "dros", "pdis", "dr-linear"])
+def test_learned_propensities_that_do_not_fit_widen_what_does_not_normalise(name):
+    case, blind = misfit()
     found = dataclasses.replace(estimator(name), model=blind).on(case)
     moved = found.diagnostics["normalising"]
     assert abs(moved[0]) > 1e-3
     more = {key: each for key, each in found.diagnostics.items() if key != "normalising"}
-    plain = gains(replace(found, diagnostics=more))
-    assert gains(found)[0, 2] - plain[0, 2] == pytest.approx(MOVED * np.abs(moved).max())
+    plain, known = replace(found, diagnostics=more), np.ones(2, bool)
+    widened = MOVED * np.abs(moved).max()
+    assert gains(found)[0, 2] - gains(plain)[0, 2] == pytest.approx(widened)
+    assert totals(found, 0.05, known)[0, 2] - totals(plain, 0.05, known)[0, 2] == pytest.approx(widened)
+
+
+@pytest.mark.parametrize("name", ["is", "dr-linear"])
+def test_learned_propensities_that_do_not_fit_widen_all_that_rests_on_whole_episodes(name):
+    """Also where the estimator that decides normalises its weights: as much as the gain by `dr-linear`."""
+    case, blind = misfit()
+    plain = dataclasses.replace(estimator("dr-linear"), model=blind).on(case)
+    wider = MOVED * np.abs(plain.diagnostics["normalising"]).max()
+    groups = Groups("g", ("a", "b"), np.arange(800) % 2)
+    judge = dataclasses.replace(estimator(name), model=blind)
+    found = decide(case, [judge], model=blind, groups=groups, tail=0.5, confounding=1.2)
+    assert found.choice.wider == pytest.approx(0.0 if name == "is" else wider)
+    ends = lambda told: [told["low"], told["high"]]  # noqa: E731
+    for told, alone in zip(found.more["groups"]["values"], by_group(case, 0, groups, blind)):
+        assert ends(told) == pytest.approx([alone["low"] - wider, alone["high"] + wider])
+    low, high = ends(tails(case, 0, 0.5, blind))
+    assert ends(found.more["tail"]) == pytest.approx([low - wider, high + wider])
+    low, high = Confounding(case, blind).gain(0, 1.2)
+    assert found.more["confounding"]["bounds"][0] == pytest.approx([low - wider, high + wider])

@@ -45,10 +45,18 @@ def logs():
     return [partial(make, true.log(behavior, 100, 60, rng)) for _ in range(LOGS)], true.value(target, 0.9)
 
 
-LOGS, FEWER = 400, 200
+LOGS, FEWER, FEWEST = 400, 200, 150
 
 
-@pytest.mark.slow  # fast are those of whole episodes, and of corrected estimates in test_corrected.py
+@pytest.mark.parametrize("name", ["pdis, bootstrap", "wpdis, bootstrap"])
+def test_coverage_of_the_first_logs(logs, name):
+    """Not less than 95 % by more than three standard deviations of 150 draws, and not always; more logs are below."""
+    makers, exact = logs[0][:FEWEST], logs[1]
+    inside = [found.low[0] <= exact <= found.high[0] for found in (COVERED[name].on(make()) for make in makers)]
+    assert 0.897 <= np.mean(inside) < 1.0, np.mean(inside)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COVERED)
 def test_coverage(logs, name):
     makers, exact = logs

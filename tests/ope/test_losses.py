@@ -10,7 +10,7 @@ from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.costs import costs_of, totals
 from deadreckon.ope.decide import decide
 from deadreckon.ope.importance import counting
-from deadreckon.ope.losses import without_losses
+from deadreckon.ope.losses import with_rare_rewards, without_losses
 from deadreckon.ope.select import gains
 from deadreckon.ope.support import support
 from deadreckon.policies import BlackBoxPolicy
@@ -51,6 +51,68 @@ def test_a_policy_whose_few_rows_have_no_loss_by_chance_is_not_deployed(estimato
         assert not found.choice.deploy
         [line] = [each for each in found.choice.objections[0] if "effective rows has a reward below" in each]
         assert f"none of its {rows.sum()} effective rows has a reward below 1, but " in line
+
+
+def test_losses_that_whole_episodes_lack_by_chance_are_not_praised():
+    """Two steps, the first of ten arms, and losses of one episode in fifty whatever is done: none of the policy's has one."""
+    rng = np.random.default_rng(0)
+    actions = rng.integers(0, 10, (600, 2))
+    lost = (rng.random(600) < 0.02) & (actions[:, 0] != 0)
+    rewards = np.stack([np.ones(600), 1.0 - 20.0 * lost], 1).ravel()
+    time = np.tile([0.0, 1.0], 600)
+    log = Dataset.from_arrays(
+        observations=time[:, None], actions=actions.ravel(), rewards=rewards, terminals=time == 1,
+        behavior_log_probs=np.full(1200, -np.log(10.0)),
+    )  # fmt: skip
+    first = np.where(np.arange(10) == 0, 1.0, 0.0)
+
+    def chances(x):
+        return np.where(x == 0, first, 0.1)
+
+    policy = BlackBoxPolicy(lambda x, rng: np.zeros(len(x), int), action_probs=chances)
+    found = decide(OPEInput(log, [policy], names=["first"], logged=True), ["wis"], alpha=0.025, model=MODEL)
+    assert found.choice.low > 0
+    [line] = found.choice.objections[0]
+    assert f"none of its {(actions[:, 0] == 0).sum()} effective episodes has a return below 1.995, but " in line
+
+
+def test_a_policy_that_no_whole_episode_follows_is_no_error():
+    """Per-decision weights of the first step are enough for an estimate, where the second action was never logged after it."""
+    rng = np.random.default_rng(1)
+    first, second = rng.integers(0, 10, 600), rng.integers(0, 9, 600)
+    second[(first != 0) & (rng.random(600) < 0.02)] = 9
+    time = np.tile([0.0, 1.0], 600)
+    log = Dataset.from_arrays(
+        observations=time[:, None], actions=np.stack([first, second], 1).ravel(), terminals=time == 1,
+        rewards=np.stack([first == 0, np.zeros(600)], 1).ravel().astype(float),
+        behavior_log_probs=np.where(time == 0, -np.log(10.0), np.log(0.02)),
+    )  # fmt: skip
+    policy = BlackBoxPolicy(lambda x, rng: np.where(x[:, 0] == 0, 0, 9),
+                            action_probs=lambda x: np.eye(10)[np.where(x[:, 0] == 0, 0, 9)])  # fmt: skip
+    case = OPEInput(log, [policy], names=["p"], logged=True, discount=0.3)
+    found = ImportanceSampling(normalised=False, interval="t").on(case)
+    assert without_losses(case, found, support(case, MODEL), MODEL, 0.025) == [None]
+
+
+def test_intervals_of_values_hold_where_successes_are_nearly_certain():
+    """An arm that fails once in two hundred: none of its rows has failed in a fifth of logs, and no failure has no spread."""
+    held, rows = 0, 400
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        actions = rng.integers(0, 4, rows)
+        log = Dataset.from_arrays(
+            observations=np.zeros((rows, 1)), actions=actions, terminals=np.ones(rows),
+            rewards=(rng.random(rows) < np.where(actions < 3, 0.995, 0.6)).astype(float),
+            behavior_log_probs=np.full(rows, -np.log(4.0)),
+        )  # fmt: skip
+        good = BlackBoxPolicy(lambda x, rng: rng.integers(0, 3, len(x)),
+                              action_probs=lambda x: np.tile([1 / 3, 1 / 3, 1 / 3, 0.0], (len(x), 1)))  # fmt: skip
+        case = OPEInput(log, [good], names=["good"], logged=True)
+        plain = ImportanceSampling(model=MODEL).on(case)
+        found = with_rare_rewards(case, plain, MODEL)
+        held += found.low[0] <= 0.995 <= found.high[0]
+        assert found.low[1] == plain.low[1]  # the behaviour policy has all rows
+    assert held >= 37
 
 
 def test_a_policy_that_surely_never_loses_is_deployed():

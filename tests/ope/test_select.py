@@ -110,12 +110,55 @@ def estimates(method, gains, bootstrap, ess=None, corrected=True):
     return Estimates(method, names, value, value, value, Estimand(0.9), **known)
 
 
+def test_a_gain_that_is_a_rounding_error_is_not_above_zero():
+    """Of values around 7 a gain of 2e-7, always the same, is what 32-bit numbers make; one of 1e-4 is none of theirs."""
+    for gain, above in ((2e-7, False), (1e-4, True)):
+        found = estimates("DR", [gain], np.full((1000, 1), gain))
+        found = dataclasses.replace(found, value=found.value + 7.3, bootstrap=found.bootstrap + 7.3)
+        assert (gains(found)[0, 1] > 0) == above
+
+
+def test_an_estimate_without_an_interval_is_not_conclusive():
+    """One member of an ensemble has none: its ends are not a rounding error away from the estimate."""
+    found = estimates("FQE", [0.5], np.full((1, 1), 0.5))
+    assert np.isnan(gains(found)[0, 1:]).all()
+    assert not select([found], accept_model_based=True).deploy
+
+
 def test_the_lower_end_decides_and_not_the_estimate():
     draws = np.random.default_rng(0).standard_normal((1000, 1))
     wide, narrow = (select([estimates("DR", [1.0], 1.0 + spread * draws, ess=[900.0])]) for spread in (1.0, 0.1))
     assert (wide.gain, narrow.gain) == (1.0, 1.0)
     assert wide.low < 0 < narrow.low
     assert (wide.deploy, narrow.deploy) == (False, True)
+
+
+def test_the_level_that_is_asked_for_decides():
+    """The lower end of a gain of 2.2 standard errors is above zero at 95 %, and below at 98.75 %."""
+    found = weighted(0.22, 0.1, {})
+    usual, stricter = (select([found], alpha=alpha) for alpha in (0.05, 0.0125))
+    assert (usual.deploy, stricter.deploy) == (True, False)
+    np.testing.assert_array_equal(stricter.gains, gains(found, 0.0125)[:1])
+    np.testing.assert_array_equal([stricter.gain, stricter.low, stricter.high], gains(found, 0.0125)[0])
+    assert stricter.level == 1 - 0.0125
+
+
+@pytest.mark.parametrize("count", [1000, 5], ids=["bootstrap", "ensemble"])
+def test_intervals_by_draws_share_the_level_among_all_policies(count):
+    """Each of six has the interval of one alone at a sixth of the level."""
+    draws = 1.0 + np.random.default_rng(0).standard_normal((count, 6))
+    six = gains(estimates("FQE-L2", [1.0] * 6, draws), 0.06)
+    for i in range(6):
+        np.testing.assert_allclose(six[i], gains(estimates("FQE-L2", [1.0], draws[:, [i]]), 0.01)[0])
+
+
+def test_errors_of_fitted_models_share_the_level_among_all_policies():
+    """Three groups deviate by 3, -3 and 0 from the value of each policy, and by nothing from that of the behaviour policy."""
+    value, deviations = np.zeros(7), np.outer([3.0, -3.0, 0.0], [1.0] * 6 + [0.0])
+    found = Estimates("DR", (*"abcdef", LOGGED), value, value, value, Estimand(0.9), influence=np.zeros((50, 7)),
+                      nuisance=deviations)  # fmt: skip
+    half = stats.t.ppf(1 - 0.05 / 6 / 2, 2) * np.sqrt(18)
+    np.testing.assert_allclose(gains(found)[:6], [[0.0, -half, half]] * 6)
 
 
 def test_a_policy_that_something_speaks_against_is_not_chosen_before_one_without():

@@ -51,6 +51,15 @@ def test_the_influence_is_that_of_an_episode_s_weight(world):
         assert moved == pytest.approx(found.influence[i], rel=1e-3, abs=1e-6)
 
 
+def test_a_tail_rests_on_as_many_episodes_as_fill_it_also_where_many_are_at_the_quantile():
+    """A tenth of forty episodes is four, of which two have returned 0; all others are at the quantile."""
+    returns = np.repeat([0.0, 1.0], [2, 38])
+    assert lower_tail(np.zeros(40), returns, 0.1, least=1).ess == pytest.approx(4.0)
+    assert lower_tail(np.zeros(40), returns + 1e-6 * np.arange(40), 0.1, least=1).ess == pytest.approx(4.0)
+    with pytest.raises(UserError, match=r"rest on 4\.0 of 40 in the log, fewer than the 10"):
+        lower_tail(np.zeros(40), returns, 0.1, least=10)
+
+
 def test_coverage(world):
     """Value +- 1.96 errors holds the truth in about 95 % of 400 drawn logs."""
     log, policy, returns = world
@@ -71,7 +80,7 @@ def test_what_cannot_be_told():
         lower_tail(logs, g, 0.09)
     heavy = logs.copy()
     heavy[0] = 10.0
-    with pytest.raises(UserError, match="rest on 1.0"):
+    with pytest.raises(UserError, match="rest on 0.5"):  # of the first episode, which has nearly all of the weight, a half
         lower_tail(heavy, g, 0.5)
     with pytest.raises(UserError, match="no episode"):
         lower_tail(np.full(100, -np.inf), g, 0.5)

@@ -50,6 +50,8 @@ def test_a_mixture_keeps_its_member_for_an_episode():
     np.testing.assert_array_equal(found[0], found[2])
     with pytest.raises(RowsError, match="one member of which acts in all rows of an episode: give the column day of"):
         policy.predict({"x": 0.0})
+    with pytest.raises(RowsError, match="no column x: did you mean xs?"):  # a single row by its episode alone
+        policy.predict({"day": 3, "xs": 0.0})
     told = policy.predict(frame, probabilities=True, greedy=False, seed=1)
     acted = np.asarray(told.actions)
     own = [told.probabilities[0], told.probabilities[1]]  # of the one that acts

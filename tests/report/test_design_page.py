@@ -17,7 +17,7 @@ from deadreckon.mbo.effects import allowed, best_permitted, permitted
 from deadreckon.mbo.fitted import Fitted
 from deadreckon.mbo.front import Front, targets_of
 from deadreckon.mbo.nn_distance import neighbours, nn_distance
-from deadreckon.mbo.proposal_table import about_front
+from deadreckon.mbo.proposal_table import about, about_front
 from deadreckon.mbo.validation import judged
 from deadreckon.report.axes import Axis
 from deadreckon.report.design import write_design
@@ -122,6 +122,29 @@ def test_of_noise_nothing_is_praised(tmp_path):
     assert not re.search(r"Proposal \d|Around proposal|is the highest\b", said)
 
 
+def test_of_a_model_that_was_not_tested_neither_effects_nor_intervals_are_known(tmp_path):
+    """Of ten rows the process is not tested: of noise it told effects from none, and gave an interval for the one to try."""
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-1, 1, (10, 2)).round(3)
+    data = Designs.from_frame({"a": x[:, 0], "b": x[:, 1], "y": 4 * x[:, 0] + 0.01 * rng.normal(size=10)}, "y")
+    made = designer("gp", rounds=2).propose(data, 4)
+    assert made.quality is None
+    _, said = page(data, made, tmp_path)
+    one = said[said.index("Proposal ") : said.index("Rule: ")]
+    assert f"Proposal {made.predicted.argmax()}" in one
+    assert "it has the highest prediction, which was not tested on unseen rows and may be worthless" in one
+    assert "interval" not in one
+    assert "Whether effects of variables differ from none is not known either, because predictions were not tested" in said
+    assert "its predictions may be worthless. It is not known whether effects differ from none." in said
+    for unfounded in ("distinguish", "interval of this average", "\N{PLUS-MINUS SIGN}"):
+        assert unfounded not in said
+    assert "interval, by the model, not calibrated. A flat curve" in said
+    lines = about(data, made)
+    assert lines["value"][lines["what"].index("predicted_low, predicted_high")].endswith("by the model, not calibrated")
+    tested = dataclasses.replace(made, quality=skill(True, 10))
+    assert "not calibrated" not in "".join(map(str, about(data, tested)["value"]))
+
+
 def test_without_a_model_there_is_no_choice_and_no_effect(tmp_path):
     data = table("noise")
     made = designer("random").propose(data, 4)
@@ -186,6 +209,25 @@ def test_the_page_says_what_was_asked_and_which_rules_bind(tmp_path):
         assert part in said, part
 
 
+def test_scores_that_were_measured_are_not_called_predictions(tmp_path):
+    data = table("noise")
+    made = designer("best").propose(data, 3)
+    _, said = page(data, made, tmp_path)
+    score = f"{float(data.shown(made.predicted.max())):.4g}"
+    assert _told(data, made)[1].startswith(f"BestOfData: 3 proposals, best measured cost {score} (")
+    lines = dict(zip(*about(data, made).values()))
+    assert lines["predicted"] == "the measured score"
+    assert not any("predicted_" in line for line in lines)
+    assert f"The best measured score of the proposals is {number(float(score))}." in said
+    assert "BestOfData predicts no scores." in said
+    assert "best predicted" not in said
+    assert "Below a prediction" not in said
+    random = designer("random").propose(data, 3)
+    assert _told(data, random)[1].startswith("Random: 3 proposals (")
+    assert dict(zip(*about(data, random).values()))["predicted"] == "empty: the method has no model of the score"
+    assert "The best predicted score" not in page(data, random, tmp_path)[1]
+
+
 def test_a_gain_is_one_over_predictions_for_measured_designs_and_not_over_a_lucky_measurement(tmp_path):
     a = np.arange(20) / 20
     frame = {"a": a, "b": np.arange(20) % 7, "y": np.where(np.arange(20) == 3, 5.0, a)}
@@ -209,7 +251,8 @@ def test_a_gain_is_one_over_rows_that_satisfy_the_rules(tmp_path):
     a = np.arange(20) / 20
     data = Designs.from_frame({"a": a, "b": np.arange(20) % 7, "y": a}, "y", constraints=["a <= 0.5"], fixed=["b = 3"])
     x = np.array([[0.5, 3.0], [0.4, 3.0]], np.float32)
-    made = Proposals("m", x, np.array([0.6, 0.55]), np.array([0.1, 0.1]), 0, fitted=Fitted(lambda x: (x[:, 0], None)))
+    fitted = Fitted(lambda x: (x[:, 0], None))
+    made = Proposals("m", x, np.array([0.6, 0.55]), np.array([0.1, 0.1]), 0, quality=skill(True, 20), fitted=fitted)
     _, said = page(data, made, tmp_path)
     assert "The best of the data has y 0.950, within the rules 0.500." in said  # row 10, where b is 3
     assert "above the best score of rows that satisfy the rules, 0.500, but the interval reaches below it" in said
@@ -244,6 +287,23 @@ def test_rules_that_do_not_bind_are_not_told():
     assert at_rules(data, rows([1, 8, 1])) == ['1 stand at the edge of the rule "always a + n <= 9"']
     assert broken_rule(data, 8) == "never kind = x & n >= 5"
     assert broken_rule(data, 4) is None
+
+
+def test_the_edge_of_a_rule_is_where_no_step_of_what_is_free_fits():
+    rng = np.random.default_rng(0)
+    frame = {"a": rng.uniform(size=20), "t": 5.0 * (np.arange(20) % 9), "dose": [10, 20, 50, 100] * 5, "y": rng.normal(size=20)}
+    said = {"kinds": {"dose": "ordinal"}, "steps": {"t": 5}}
+    read = lambda rule, **more: Designs.from_frame(frame, "y", constraints=[rule], **said, **more)  # noqa: E731
+    rows = lambda *each: np.array(each, np.float32)  # noqa: E731
+    data = read("a + t <= 32", fixed=["a = 0.3"])
+    assert at_rules(data, rows([0.3, 30, 0])) == ['1 stand at the edge of the rule "always a + t <= 32"']
+    assert at_rules(data, rows([0.3, 25, 0])) == []
+    assert at_rules(read("a + t <= 32"), rows([0.3, 30, 0])) == []  # a may still grow
+    data = read("t + dose <= 90", fixed=["t = 5"])
+    assert at_rules(data, rows([0, 5, 2])) == ['1 stand at the edge of the rule "always t + dose <= 90"']  # 100 is next
+    assert at_rules(data, rows([0, 5, 1])) == []
+    assert at_rules(read("t + dose <= 900", fixed=["t = 5"]), rows([0, 5, 3])) == []  # it is held by the greatest dose
+    assert at_rules(read("dose - a >= 15", fixed=["a = 0"], bounds={"a": (0, 1)}), rows([0, 5, 1])) != []  # 10 would be too low
 
 
 def test_ends_on_a_log_scale_are_told_by_its_decades(tmp_path):
@@ -354,6 +414,20 @@ def test_where_a_model_has_no_skill_no_gain_is_stated(tmp_path):
     assert "14.2" not in said
     assert about_front(front)["value"][about_front(front)["what"].index("expected to be added")] == "not known"
     assert "what the 2 proposals add to it is not known" in told(front)[1]
+
+
+def test_where_a_model_was_not_tested_no_gain_is_stated(tmp_path):
+    """As of ten rows, of noise too."""
+    front = two_targets(True)
+    untested = dataclasses.replace(front, made=(front.made[0], dataclasses.replace(front.made[1], quality=None)))
+    assert untested.unskilled == ["Cost / EUR"]
+    text, said = front_page(untested, tmp_path)
+    lead = re.search(r'<p class="lead">(.*?)</p>', text)[1]
+    assert lead.startswith("Of Cost / EUR, it was not tested how well the model predicts unseen rows. Proposals may be")
+    assert "their expected gain is not known" in lead
+    assert "14.2" not in said
+    assert about_front(untested)["value"][about_front(untested)["what"].index("expected to be added")] == "not known"
+    assert "what the 2 proposals add to it is not known" in told(untested)[1]
 
 
 def test_an_axis_has_two_ticks_at_least():

@@ -53,6 +53,25 @@ def test_of_a_long_episode_rows_at_regular_distances_are_looked_at():
     assert log.lengths.tolist() == lengths
 
 
+@pytest.mark.parametrize(("over", "guilty"), [(5, False), (7, True)])
+def test_what_lies_outside_is_tested_for_all_columns_at_once(over, guilty):
+    """The five largest of 40 are all among the 20 new ones with a chance of 0.024, the seven largest with one of 0.0042.
+
+    The first test has half of 0.1, and two numbers may lie outside in six ways (above, below, missing): 0.0083 for each.
+    """
+
+    def log(beyond):
+        x = np.stack([np.arange(20.0), np.arange(20.0)], 1)
+        x[:beyond, 0] = 100.0
+        return dr.Dataset.from_arrays(
+            observations=x, actions=np.arange(20) % 2, rewards=np.zeros(20), terminals=np.ones(20, bool)
+        )
+
+    old = log(0)
+    found = compared.outside(old, log(over), compared.whats(old), False, 0.1)
+    assert found.columns == (("observation 0", "above", over, guilty),)
+
+
 def test_shares_of_missing_cells_stand_beside_the_differences():
     def log(gaps):
         x = np.arange(40.0)

@@ -6,6 +6,7 @@ import shutil
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import stats
 
 import deadreckon as dr
 from deadreckon.cli.main import main
@@ -18,9 +19,10 @@ from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy, Mixture
 from deadreckon.policies.kinds import Categorical, Deterministic
 from deadreckon.report.explained import _of, drawing
-from deadreckon.runs.explain import DEPTHS, Explained, _groups, _marks, _names, explain
+from deadreckon.runs.explain import DEPTHS, Explained, _groups, _marks, _mean, _names, _parted, _units, explain
 from deadreckon.runs.explained_tree import Node
 from deadreckon.runs.run import load
+from deadreckon.stats.interval import Interval
 
 ROWS = 1500
 
@@ -68,6 +70,32 @@ def test_a_threshold_is_found_and_so_is_the_column(log, tmp_path):
     assert found.columns[0].low < 0.5 < found.columns[0].high
     assert all(each.high == 0.0 for each in found.columns[1:])
     assert Explained.from_json(found.as_json()) == found
+
+
+def test_rows_of_an_episode_are_no_fresh_ones_of_each_other(tmp_path):
+    """Thirty episodes of fifty near-copies: whatever is said of them rests on as many numbers as there are episodes."""
+    rng = np.random.default_rng(0)
+    episode = np.repeat(np.arange(30), 50)
+    levels = rng.choice([-1.0, 1.0], (30, 3))
+    data = dr.Dataset.from_arrays(
+        observations=levels[episode] + 0.01 * rng.normal(size=(ROWS, 3)), actions=rng.integers(0, 2, ROWS),
+        rewards=np.zeros(ROWS), terminals=np.arange(ROWS) % 50 == 49, name="copies",
+    )  # fmt: skip
+    unit = _units(data, np.arange(ROWS))
+    assert unit.tolist() == episode.tolist()
+    parts = [np.unique(episode[part]) for part in _parted(unit, rng)]
+    assert [len(part) for part in parts] == [18, 6, 6]
+    assert len(np.unique(np.concatenate(parts))) == 30
+    # The interval is Student's of the means of the episodes, which are equally long.
+    mean = levels[:, 0].mean()
+    half = stats.t.ppf(0.975, 29) * levels[:, 0].std(ddof=1) / np.sqrt(30)
+    assert _mean(levels[episode, 0], unit) == Interval(*(pytest.approx(end) for end in (mean, mean - half, mean + half)))
+    # A tree that is never wrong in six fresh episodes may be wrong in others: Clopper and Pearson's end of six, not of 300.
+    found = explain(saved(linear((0, 0, 0), (0, 4, 0)), tmp_path / "p.npz"), data)
+    assert (found.rows, found.fidelity, found.low) == (300, 1.0, pytest.approx(0.025 ** (1 / 6)))
+    # A log of few episodes is divided into blocks of rows that follow each other.
+    few = _units(data.select(range(3)), np.arange(150))
+    assert few.tolist() == np.repeat(np.arange(15), 10).tolist()
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -24,6 +24,7 @@ from deadreckon.data.formats.minari import read_minari, write_minari
 from deadreckon.errors import UserError
 from deadreckon.files import read_json
 from deadreckon.online import Online
+from deadreckon.runs import online
 from deadreckon.runs.callback import StopTraining
 from deadreckon.runs.offline import simulated
 from tests import toy_environments as toys
@@ -78,6 +79,21 @@ def test_a_run_that_was_stopped_goes_on_bit_for_bit(tmp_path, run, task):
         name = f"replay/seed{seed}.bin"
         assert (whole.path / name).read_bytes() == (parts.path / name).read_bytes()
     assert whole.metrics.equals(parts.metrics)
+
+
+def test_wrappers_are_told_apart_by_their_arguments_when_a_run_is_gone_on_with(tmp_path, monkeypatch):
+    def killed(*given):
+        raise StopTraining
+
+    def clipped(least):
+        return gymnasium.wrappers.ClipReward(gymnasium.make("CartPole-v1"), least, 1.0)
+
+    monkeypatch.setattr(online, "Recorder", killed)  # once the folder has been begun
+    for _ in range(2):
+        with pytest.raises(StopTraining):
+            train(tmp_path / "run", clipped(-1.0), resume=True)
+    with pytest.raises(UserError, match="holds another run: task_fields.env_spec was"):
+        train(tmp_path / "run", clipped(0.0), resume=True)
 
 
 @pytest.mark.slow

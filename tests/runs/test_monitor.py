@@ -27,6 +27,7 @@ from deadreckon.runs.reading import Read
 from deadreckon.runs.realised import Realised, finished, realised, returns_of
 from deadreckon.runs.run import load
 from deadreckon.runs.subject import Subject, estimates_of, subject
+from deadreckon.stats.confidence_sequence import confidence_sequence
 from tests.recorded import decision
 
 BC = dr.agents.BC(hidden=(4,), batch_size=8)
@@ -73,6 +74,24 @@ def test_nothing_is_found_where_nothing_has_changed(place):
     assert found.value.interval.low < 0.4 < found.value.interval.high
     assert found.value.range == (0.0, 1.0)  # rewards of 0 and 1 leave no doubt about it
     assert [each.what.name for each in found.columns] == ["age", "kind", "action"]
+
+
+def test_all_that_may_be_reported_shares_the_chance_of_a_false_alarm(place, monkeypatch):
+    """Changes of observations and of actions, what lies outside, and the value, together."""
+    shares = []
+    for name, real in (("compared.drifts", compared.drifts), ("compared.outside", compared.outside), ("realised", realised)):
+
+        def spy(*given, real=real):
+            shares.append(given[-1])
+            return real(*given)
+
+        monkeypatch.setattr(f"deadreckon.runs.monitor.{name}", spy)
+    found = monitor(place / "run", place / "same.csv", estimates=place, alpha=0.08)
+    assert len(shares) == 4
+    assert sum(shares) == pytest.approx(0.08)
+    # The value's half is that of its lower end, below which alone it is reported: both ends together have the whole.
+    sequence = confidence_sequence(pd.read_csv(place / "same.csv")["reward"], (0.0, 1.0), 0.08)
+    np.testing.assert_allclose(found.value.sequence, sequence)
 
 
 @pytest.mark.slow

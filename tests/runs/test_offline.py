@@ -17,6 +17,7 @@ from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
 from deadreckon.files import write_json
 from deadreckon.ope import FQE, BehaviorModel, ImportanceSampling
+from deadreckon.ope.support import Support
 from deadreckon.policies import BlackBoxPolicy, store
 from deadreckon.report import write
 from deadreckon.runs import offline
@@ -165,6 +166,19 @@ def test_policies_are_judged_on_the_episodes_that_taught_none_of_them(noise):
     other = log.select(np.arange(300)[::-1])
     new = dataclasses.replace(other, rewards=other.rewards + 1.0, part_of=None)
     assert judge([run], new, **QUICK).results["judged"]["episodes"] == 300
+
+
+def test_a_policy_is_judged_without_the_episodes_that_taught_it_or_else_not_deployed(noise, monkeypatch):
+    log, run, _ = noise
+    # The other checks of a decision fit models, and are not looked at here.
+    fine = Support(np.zeros(1), np.ones(1), np.ones(1), np.zeros(1, bool))
+    monkeypatch.setattr("deadreckon.ope.decide.support", lambda case, model: fine)
+    monkeypatch.setattr("deadreckon.ope.decide._confounded", lambda case, choice, *given: ({}, choice))
+    told = judge([run], log, "is", counted=False, **QUICK)
+    assert told.results["judged"]["units"] == len(run.held) == 60
+    assert told.choice.objections == ((),)
+    part = log.select(np.flatnonzero(np.isin(log.episode_ids, run.taught)))
+    assert judge([run], part, "is", counted=False, **QUICK).choice.objections == (("it was trained on these episodes",),)
 
 
 @pytest.mark.slow

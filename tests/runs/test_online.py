@@ -9,6 +9,7 @@ import pytest
 
 import deadreckon as dr
 from deadreckon import tasks
+from deadreckon.cli.main import main
 from deadreckon.cli.train import summary
 from deadreckon.data.formats.hdf5 import read_hdf5, write_hdf5
 from deadreckon.data.provenance import Provenance
@@ -42,9 +43,7 @@ def run(tmp_path_factory):
 
 def assert_same(ours, theirs, steps=STEPS):
     """Learner, replay file and tables to the bit."""
-    (mine, meta), (other, other_meta) = (
-        load_arrays(max((run.path / "checkpoints").glob("*.npz"))) for run in (ours, theirs)
-    )
+    (mine, meta), (other, other_meta) = (load_arrays(max((run.path / "checkpoints").glob("*.npz"))) for run in (ours, theirs))
     assert meta == other_meta
     assert mine.keys() == other.keys()
     for name, array in mine.items():
@@ -280,6 +279,17 @@ def test_another_run_is_refused_and_what_is_there_stays(run, change, words, more
     with pytest.raises(dr.UserError, match=f"holds another run: .*{words}"):
         train(tmp_path / "r", resume=True, **({"steps": STEPS + more} | change))
     assert everything(tmp_path / "r") == before
+
+
+def test_a_run_is_gone_on_with_in_a_task_of_the_same_fields_alone(run, capsys):
+    before = everything(run.path)
+    assert run.config["task_fields"] == {"horizon": 20}
+    for other, words in ((replace(HOPPER, horizon=30), "horizon was 20, now 30"), ("hopper", "was {'horizon': 20}, now None")):
+        with pytest.raises(UserError, match=f"holds another run: task_fields.*{words}"):
+            train(run.path, task=other, resume=True)
+    assert main(["evaluate", str(run.path)]) == 2  # in which task: that of this name is another one
+    assert "missing --task: the policies do not say where they belong, or" in capsys.readouterr().err
+    assert everything(run.path) == before
 
 
 @pytest.mark.slow

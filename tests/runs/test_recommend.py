@@ -339,7 +339,8 @@ def test_policies_learn_from_one_part_and_are_judged_by_the_other(small, tmp_pat
         assert len(part) == 48
         assert not np.isin(part, held).any()
     told = read_json(out / "estimates.json")
-    assert told["judged"]["episodes"] == 12
+    # The first is how many episodes there are to judge by, the second how many the estimates rest on.
+    assert (told["judged"]["episodes"], told["judged"]["units"]) == (12, 12)
     assert told["judged"]["fresh"]
     assert not told["estimand"]["greedy"]
     assert told["truth"] is None

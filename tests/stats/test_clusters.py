@@ -35,14 +35,22 @@ def test_rows_alike_within_clusters_are_worth_one_each_and_others_all():
     assert effective(codes, y, y) == pytest.approx(20 / (1 + 3 * intraclass(y, codes) ** 2))
 
 
-def test_scores_that_have_nothing_to_do_with_predictions_correlate_no_more_often_than_said():
-    """Of rows that share much within each of eight clusters, a fifth went beyond the limit of independent ones."""
+def test_large_clusters_of_like_rows_are_worth_less_than_their_number():
+    """Two of ten rows and four of one: 24^2 / (100 + 100 + 4) = 2.8 and not 6, as a mean of rows is mostly that of the two."""
+    codes = np.repeat(np.arange(6), (10, 10, 1, 1, 1, 1))
+    assert effective(codes, np.arange(6.0)[codes]) == pytest.approx(24**2 / 204)
+
+
+@pytest.mark.parametrize("sizes", [(6,) * 8, (20, 20, *(1,) * 10)], ids=["equal", "unequal"])
+def test_scores_that_have_nothing_to_do_with_predictions_correlate_no_more_often_than_said(sizes):
+    """Of rows that share much within each cluster, a fifth went beyond the limit of independent ones."""
     rng = np.random.default_rng(0)
-    codes, beyond, naive = np.repeat(np.arange(8), 6), 0, 0
+    codes, beyond, naive = np.repeat(np.arange(len(sizes)), sizes), 0, 0
     for _ in range(600):
-        a, b = (0.9 * rng.standard_normal(8)[codes] + 0.4 * rng.standard_normal(48) for _ in range(2))
+        a, b = (0.9 * rng.standard_normal(len(sizes))[codes] + 0.4 * rng.standard_normal(len(codes)) for _ in range(2))
         r = float(np.corrcoef(a, b)[0, 1])
-        beyond += r > np.tanh(1.96 / (effective(codes, a, b) - 3) ** 0.5)
-        naive += r > np.tanh(1.96 / 45**0.5)
+        worth = effective(codes, a, b)
+        beyond += worth >= 5 and r > np.tanh(1.96 / (worth - 3) ** 0.5)  # of fewer than five nothing is said
+        naive += r > np.tanh(1.96 / (len(codes) - 3) ** 0.5)
     assert beyond <= 600 * 0.04
     assert naive > 600 * 0.1

@@ -46,6 +46,34 @@ def test_a_change_is_found_in_its_column_alone():
     assert min(p[0], p[2]) > 0.01
 
 
+def test_an_atom_with_fewer_decimals_is_no_change():
+    """Half of the actions saturate at a bound; one sample has it rounded, the other from 32-bit arithmetic."""
+    rng = np.random.default_rng(3)
+    old, new = (np.minimum(rng.normal(0.8, 0.4, (n, 1)), 0.8) for n in (200, 160))
+    old[old == 0.8] = 0.79999995
+    assert p_value(old, np.round(new, 4), rng) > 0.05
+    both = np.full((200, 1), 0.123456), np.full((160, 1), 0.1234)  # an atom inside the range, written with four decimals
+    for atom, sample in zip(both, (old, new)):
+        sample[:50] = atom[:50]
+    assert p_value(old, new, rng) > 0.05
+
+
+@pytest.mark.parametrize("share", [0.01, 0.07])
+def test_large_values_hide_no_change_of_the_others(share):
+    rng = np.random.default_rng(4)
+    old, new = rng.uniform(size=(400, 1)), rng.uniform(0.0, 0.3, size=(200, 1))
+    for part in (old, new):
+        part[: int(share * len(part))] = 1e6
+    assert p_value(old, new, rng) <= 0.05
+
+
+def test_a_change_of_small_values_beside_large_ones_is_seen():
+    rng = np.random.default_rng(5)
+    old, new = (np.exp(6.0 * rng.normal(size=(n, 1))) for n in (400, 200))
+    new[new < 1] /= 1000.0
+    assert p_value(old, new, rng) <= 0.05
+
+
 def test_a_column_that_never_varies_says_nothing():
     old, new = np.zeros((30, 1)), np.zeros((20, 1))
     assert p_value(old, new, np.random.default_rng(0)) == 1.0

@@ -170,6 +170,10 @@ def test_the_walker_is_paid_for_speed_ahead_and_a_fall_ends_its_episode():
     assert not timeouts.any()
 
 
+def test_returns_on_open_ground_have_no_scale():
+    assert REACH_TASK.scores(530.0) is None
+
+
 def test_orders_change_every_sixty_steps():
     simulator, _ = started(REACH_TASK)
     simulator._orders[0] = [7, 0.0, 0.1, 0.2, 0.3, 0.4, 0.5]

@@ -1,5 +1,7 @@
 """Gymnasium environments as tasks: equal to a loop written by hand, whatever their spaces, and no promise broken."""
 
+import dataclasses
+import functools
 import re
 
 import gymnasium
@@ -20,6 +22,7 @@ from deadreckon.policies.policy import BlackBoxPolicy
 from deadreckon.runs.evaluate import episode_seeds
 from deadreckon.tasks import registry
 from deadreckon.tasks.gymnasium_copies import episode_seed
+from deadreckon.tasks.gymnasium_names import options_of, written
 from deadreckon.tasks.simulator_env import SimulatorEnv
 from tests import toy_environments as toys
 
@@ -145,6 +148,18 @@ def test_actions_of_several_integers_are_counted_as_in_logs():
     simulator = task.simulate(range(6))
     simulator.reset()
     np.testing.assert_array_equal(simulator.step(np.arange(6))[1], [-1, 0, 1, 9, 10, 11])
+
+
+def test_environments_may_change_their_actions_in_place():
+    for space in (spaces.MultiDiscrete([2, 3]), spaces.Dict(a=spaces.Discrete(2), b=spaces.MultiBinary(2))):
+        taken = dr.task(lambda space=space: Custom(BOX, space), horizon=5).spaces.act
+        first = taken(np.array(3))
+        if isinstance(first, dict):
+            first.pop("a")
+            first["b"][:] = 7
+        else:
+            first[:] = 7
+        assert space.contains(taken(np.array(3)))
 
 
 def test_numbers_that_do_not_begin_at_zero():
@@ -296,6 +311,27 @@ def test_wrappers_are_kept():
     task = dr.task(wrapped)
     assert task.action_space == Box((-1,), (1,))
     assert task.name == "gymnasium:Pendulum-v1+RescaleAction"
+    limited = gymnasium.wrappers.ClipReward(gymnasium.make("FrozenLake-v1", is_slippery=False), 0.0, 1.0)
+    for name in (task.name, dr.task(limited).name):  # of which options must not hide what follows
+        told = "wrappers cannot be made from a name; give the environment as an object in Python"
+        with pytest.raises(UserError, match=f"^task {re.escape(name)}: {told}$"):
+            dr.task(name)
+
+
+def test_fields_that_a_name_does_not_tell():
+    door, pendulum = registry.task("door"), dr.task("Pendulum-v1")
+    for told in (door, pendulum, dr.task(toys.short_cart), registry.task("hopper:pixels")):
+        assert registry.own_fields(told) == {}
+    assert registry.own_fields(dataclasses.replace(door, horizon=3, reward=np.sum)) == {"horizon": 3, "reward": "numpy:sum"}
+    assert registry.own_fields(dataclasses.replace(pendulum, horizon=3)) == {"horizon": 3}
+    assert registry.own_fields(dataclasses.replace(door, name="mine"))["draw"] == "deadreckon.tasks.adroit:_draw_door"
+    paid = functools.partial(np.sum, axis=toys.Crowd())
+    told = registry.own_fields(dataclasses.replace(door, reward=paid))["reward"]
+    assert told == f"functools.partial({re.sub(' at 0x.*', '>', repr(np.sum))}, axis=<tests.toy_environments.Crowd object>)"
+    kept = [registry.own_fields(dataclasses.replace(door, extra={"map": np.arange(n)})) for n in (2, 2, 3)]
+    assert kept[0] == kept[1] != kept[2]
+    scaled = [dr.task(wrappers.RescaleAction(gymnasium.make("Pendulum-v1"), np.float32(-n), np.float32(n))) for n in (1, 2)]
+    assert registry.own_fields(scaled[0])["action_space"] != registry.own_fields(scaled[1])["action_space"]
 
 
 def test_a_horizon_is_within_a_time_limit_that_stays():
@@ -331,6 +367,9 @@ def test_a_horizon_is_within_a_time_limit_that_stays():
         (toys.Crowd(), "environment of PettingZoo, for several agents"),
         ("tests.toy_environments:_ONE", "no _ONE that is an environment class"),
         (toys.the_same, "gives the same environment twice"),
+        (toys.the_same_in_a_wrapper, "gives the same environment twice"),
+        ("tests.toy_environments:the_same", "gives the same environment twice"),
+        ("tests.toy_environments:the_same_in_a_wrapper", "gives the same environment twice"),
         (gymnasium.make_vec("CartPole-v1", 2), "is a vector of environments"),
         (3, "int is no environment but int"),
         (len, "making it raised TypeError"),
@@ -339,6 +378,8 @@ def test_a_horizon_is_within_a_time_limit_that_stays():
         (lambda: Custom(BOX, spaces.MultiDiscrete([99, 99, 99])), "970,299 combinations"),
         (lambda: Custom(BOX, spaces.Tuple([spaces.Discrete(2), BOX])), "actions are Discrete, Box"),
         (lambda: Custom(spaces.Box(0, 255, (4, 84, 84), np.uint8), BOX), "no image of .height, width, channels.; put its"),
+        (lambda: Custom(spaces.Box(0, 255, (84, 84, 3, 4), np.uint8), BOX), "no image of .height, width, channels.; put its"),
+        (lambda: Custom(spaces.Box(0, 255, (84, 84), np.uint8), BOX), "84. is no image of .* give it channels .*keep_dim=True"),
         (lambda: wrappers.NormalizeReward(toys.short_cart()), "NormalizeReward keeps statistics over episodes"),
         (
             lambda: wrappers.FlattenObservation(wrappers.NormalizeObservation(toys.short_cart())),
@@ -352,6 +393,19 @@ def test_what_is_no_task_is_refused_in_one_line(given, told):
     with pytest.raises(UserError, match=told) as error:
         dr.task(given, horizon)
     assert "\n" not in str(error.value)
+
+
+def test_a_task_keeps_its_horizon_however_it_is_named():
+    path, own = "deadreckon.tasks.battery:TASK", "^battery has a horizon of its own, 8 steps; leave the other out$"
+    assert dr.task(path) is dr.task(lambda: registry.task("battery")) is registry.task("battery")
+    for given in ("battery", path, registry.task("battery"), lambda: registry.task("battery")):
+        with pytest.raises(UserError, match=own):
+            dr.task(given, horizon=3)
+    with pytest.raises(UserError, match=own):
+        dr.task("deadreckon.tasks.registry:task?given=battery&max_episode_steps=3")
+    assert dr.task("deadreckon.tasks.registry:task?given=battery") is registry.task("battery")
+    with pytest.raises(UserError, match=f"^task {path} is a Task, which takes no options; leave .size=9 out$"):
+        dr.task(f"{path}?size=9")
 
 
 def test_what_an_environment_raises_is_told_with_its_name():
@@ -454,6 +508,18 @@ def test_our_own_open_with_a_render_mode(env_id):
     env.close()
 
 
+def test_our_own_say_their_horizon_and_end_there():
+    for task in map(registry.task, registry.names()):
+        assert gymnasium.spec(task.gym_id).max_episode_steps == task.horizon
+    assert dr.task("deadreckon/AdroitDoor-v1").horizon == 200
+    env, simulator = gymnasium.make("deadreckon/CarlaLaneState-v0"), registry.task("carla-lane-state").simulate([3])
+    env.reset(seed=3), simulator.reset()
+    for left in reversed(range(250)):
+        *_, terminated, truncated, _ = env.step(np.zeros(2, np.float32))
+        assert (terminated, truncated) == (False, left == 0)
+        assert simulator.step(np.zeros((1, 2)))[3][0] == truncated
+
+
 def test_flow_draws_its_cars():
     pytest.importorskip("libsumo")
     env = gymnasium.make("deadreckon/Flow-Ring-v0", render_mode="rgb_array")
@@ -465,10 +531,30 @@ def test_flow_draws_its_cars():
     env.close()
 
 
+def test_flow_draws_a_merge_without_the_cars_on_its_ramp():
+    pytest.importorskip("libsumo")
+    env = gymnasium.make("deadreckon/Flow-Merge-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    for _ in range(2):
+        env.step(np.zeros(5, np.float32))
+    places = env.unwrapped.traffic()[:, 1]
+    assert np.isnan(places).any()
+    columns, fronts = np.arange(1024)[:, None], places[~np.isnan(places)].astype(int)
+    drawn = (env.render()[8:16] != 225).any((0, 2))
+    np.testing.assert_array_equal(drawn, ((fronts - 5 <= columns) & (columns <= fronts)).any(1))
+    env.close()
+
+
 def test_a_task_that_nothing_draws_says_so():
     env = SimulatorEnv("battery", render_mode="rgb_array")
     env.reset(seed=0)
     with pytest.raises(UserError, match="^battery cannot be rendered; leave render_mode out$"):
+        env.render()
+
+
+def test_before_its_first_episode_an_environment_is_not_rendered():
+    env = SimulatorEnv("hopper", render_mode="rgb_array")
+    with pytest.raises(UserError, match="^hopper cannot be rendered before its first episode; call reset first$"):
         env.render()
 
 
@@ -507,6 +593,26 @@ def test_dicts_keep_the_order_that_gymnasium_flattens_in():
     seen = task.simulate([3]).reset()[0]
     assert abs(seen[0]) <= 1
     assert (seen[1:] >= 5).all()
+
+
+@pytest.mark.parametrize(
+    "value",
+    [1, 9.0, True, None, -np.inf, np.inf, "8x8", "1", "True", "'a'", "", " 1", "a&b=c", "a=b", r"\&\x26", "inf", "'&\"",
+     ("a&b", 2), {"b&c": [1.5, "2"]}, b"&", "?x=1"],
+    ids=repr,
+)  # fmt: skip
+def test_options_are_read_as_they_were_written(value):
+    name = written({"x": value, "other": 3})
+    found = options_of(name, name.removeprefix("?"))
+    assert found == {"x": value, "other": 3}
+    assert type(found["x"]) is type(value)
+
+
+def test_options_are_written_as_plainly_as_may_be():
+    told = {"a": 9.0, "b": False, "c": "8x8", "d": np.float32(0.5), "e": [1, "x"]}
+    assert written(told) == "?a=9.0&b=False&c=8x8&d=0.5&e=[1, 'x']"
+    assert written({"level": "1"}) == "?level='1'"
+    assert written({}) == ""
 
 
 def test_an_option_may_be_an_array():

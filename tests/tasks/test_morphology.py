@@ -157,6 +157,19 @@ def test_goes_on_from_a_state(task):
     np.testing.assert_array_equal(fresh.designs, whole.designs)
 
 
+@BOTH
+def test_goes_on_from_a_state_before_the_first_reset(task):
+    state, other = task.simulate([5]).state(), task.simulate([6])
+    np.testing.assert_array_equal(state["designs"], [task.usual])
+    other.restore(state)
+    np.testing.assert_array_equal(other.reset(), task.simulate([5]).reset())
+
+
+@BOTH
+def test_returns_have_no_scale_where_no_reference_is_known(task):
+    assert task.scores(np.array([530.0])) is None
+
+
 def test_refuses_designs_of_another_shape():
     with pytest.raises(UserError, match=r"ant-morphology: designs must have shape \(1, 60\)"):
         ANT.simulate([0], 1, np.zeros((1, 56)))

@@ -12,7 +12,6 @@ from deadreckon.tasks.opendrive import parse_xodr, read_xodr, write_xodr
 from deadreckon.tasks.opendrive_text import to_xodr
 from deadreckon.tasks.road_maps import figure_eight, town
 from deadreckon.tasks.road_network import Controller, Network, Signal
-from deadreckon.tasks.road_routes import routes
 from deadreckon.tasks.roads import Geometry, Lane, Link, Road
 
 EIGHT = figure_eight()
@@ -42,7 +41,7 @@ def test_lanes_of_other_kinds_and_one_sided_roads_are_kept(tmp_path):
                       controllers=(Controller(4, (2, 1)),))  # fmt: skip
     assert [signal.id for signal in network.signals] == [1, 2]
     assert parse_xodr(to_xodr(network), "x") == network
-    assert routes(network) == {(7, -1): ((9, -1),), (9, -1): ()}
+    assert network.following == {(7, -1): ((9, -1),), (9, -1): ()}
 
 
 def test_what_a_file_says_beside_the_subset_is_passed_over():
@@ -147,9 +146,9 @@ def test_carla_has_the_same_roads(name):
     network = MAPS[name]
     theirs = carla.Map(name, to_xodr(network))
     pairs = {((a.road_id, a.lane_id), (b.road_id, b.lane_id)) for a, b in theirs.get_topology()}
-    assert pairs == {(lane, next_) for lane, behind in routes(network).items() for next_ in behind}
+    assert pairs == {(lane, next_) for lane, behind in network.following.items() for next_ in behind}
     generator = np.random.default_rng(0)
-    lanes = list(routes(network))
+    lanes = list(network.following)
     worst = np.zeros(3)
     for _ in range(1000):
         road, lane = lanes[generator.integers(len(lanes))]

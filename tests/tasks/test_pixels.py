@@ -23,6 +23,7 @@ from deadreckon.tasks import driving, town
 from deadreckon.tasks.pixels import Pixels
 from deadreckon.tasks.registry import of_run
 from deadreckon.tasks.registry import task as find
+from deadreckon.tasks.simulator_env import SimulatorEnv
 from deadreckon.tasks.task import Reference, Task
 from tests.marks import slow
 
@@ -177,6 +178,30 @@ def test_names():
         find("battery:pixels").simulate([0])
     with pytest.raises(UserError, match="unknown task 'wolker2d'"):
         find("wolker2d:pixels")
+
+
+def test_pictures_may_be_larger_than_the_models_own_buffer(monkeypatch):
+    simulator = find("hopper").simulate([0])
+    drawn = simulator._model.vis.global_
+    own, seen = (drawn.offheight, drawn.offwidth), []
+
+    class Renderer:
+        def __init__(self, model, height, width):
+            seen.append((model.vis.global_.offheight, model.vis.global_.offwidth))
+
+    monkeypatch.setattr(simulator._mujoco, "Renderer", Renderer, raising=False)
+    for size in ((720, 1280), (84, 84), (84, 1280)):
+        simulator.renderer(size)
+    assert seen == [(720, 1280), own, (own[0], 1280)]
+    assert (drawn.offheight, drawn.offwidth) == own == (480, 640)  # the model is shared
+
+
+@needs_opengl
+def test_large_pictures_are_drawn():
+    env = SimulatorEnv("hopper", render_mode="rgb_array", width=1280, height=720)
+    env.reset(seed=0)
+    assert env.render().shape == (720, 1280, 3)
+    env.close()
 
 
 def test_without_opengl_one_line_says_what_is_missing():

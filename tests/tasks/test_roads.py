@@ -1,4 +1,3 @@
-import itertools
 import math
 
 import numpy as np
@@ -8,7 +7,7 @@ from deadreckon.errors import UserError
 from deadreckon.tasks.road_maps import figure_eight, town
 from deadreckon.tasks.road_network import Connection, Junction, Network
 from deadreckon.tasks.road_paths import Path, gaps, joined
-from deadreckon.tasks.road_routes import Route, random_route, routes, shortest_route
+from deadreckon.tasks.road_routes import Route
 from deadreckon.tasks.roads import Geometry, Lane, Link, Road
 
 EIGHT, TOWN = figure_eight(), town()
@@ -24,7 +23,7 @@ def path(*rows: tuple[float, float, float, float, float], closed: bool = False) 
 def lap(network: Network, start: tuple[int, int]) -> Route:
     """The closed route on which no lane has a choice."""
     lanes = [start]
-    while (next_ := routes(network)[lanes[-1]][0]) != start:
+    while (next_ := network.following[lanes[-1]][0]) != start:
         lanes.append(next_)
     return Route(network, tuple(lanes), closed=True)
 
@@ -35,8 +34,14 @@ def beside(pose, lateral) -> np.ndarray:
 
 
 def some_routes(generator: np.random.Generator) -> list[Route]:
-    starts = [(road.id, lane.id) for road in TOWN.roads for lane in road.lanes]
-    chosen = [random_route(TOWN, starts[generator.integers(len(starts))], 400.0, generator) for _ in range(5)]
+    """Three laps, and five routes that turn at random in the town."""
+    chosen = []
+    for start in generator.permutation(list(TOWN.following))[:5].tolist():
+        lanes = [tuple(start)]
+        for _ in range(12):
+            behind = TOWN.following[lanes[-1]]
+            lanes.append(behind[generator.integers(len(behind))])
+        chosen.append(Route(TOWN, tuple(lanes)))
     return [lap(EIGHT, (1, -1)), lap(EIGHT, (1, 1)), lap(MAPS["ring"], (1, 1)), *chosen]
 
 
@@ -75,15 +80,15 @@ def test_lanes_lie_to_the_right_of_who_drives_on_them():
 @pytest.mark.parametrize("name", MAPS)
 def test_all_lanes_begin_where_those_before_end(name):
     network = MAPS[name]
-    assert all(routes(network).values())  # no way ends
-    for lane, behind in routes(network).items():
+    assert all(network.following.values())  # no way ends
+    for lane, behind in network.following.items():
         end = network.lane_path(lane)
         for next_ in behind:
             apart, bent = gaps(end.pose(end.total), network.lane_path(next_).pose(0.0))
             assert apart < 1e-6
             assert bent < 1e-6
     # Each lane is entered, too, and all can be reached from any.
-    assert {next_ for behind in routes(network).values() for next_ in behind} == set(routes(network))
+    assert {next_ for behind in network.following.values() for next_ in behind} == set(network.following)
 
 
 @pytest.mark.parametrize("name", MAPS)
@@ -91,9 +96,9 @@ def test_routes_run_on_without_a_gap_through_every_junction(name):
     network = MAPS[name]
     through = [(road, -1) for road in (road.id for road in network.roads if road.junction != -1)]
     assert len(through) == sum(len(junction.connections) for junction in network.junctions)
-    before = {next_: lane for lane, behind in routes(network).items() for next_ in behind}
+    before = {next_: lane for lane, behind in network.following.items() for next_ in behind}
     for lane in through:
-        route = Route(network, (before[lane], lane, routes(network)[lane][0]))
+        route = Route(network, (before[lane], lane, network.following[lane][0]))
         at = np.array(route.starts[1:-1])
         before_, behind_ = route.pose(at - 1e-9), route.pose(at + 1e-9)
         assert max(map(np.max, gaps(before_, behind_))) < 1e-6
@@ -106,7 +111,7 @@ def test_each_lane_of_a_road_has_its_own_ways_through_a_junction():
     ways = [Road(id, (Geometry(10, y, 0, 5),), lane, before, junction=9) for id, y in ((2, 0.0), (3, -3.0))]
     junction = Junction(9, (Connection(1, 2, "start", ((-1, -1),)), Connection(1, 3, "start", ((-2, -1),))))
     network = Network((two, *ways), (junction,))
-    assert routes(network) == {(1, -1): ((2, -1),), (1, -2): ((3, -1),), (2, -1): (), (3, -1): ()}
+    assert network.following == {(1, -1): ((2, -1),), (1, -2): ((3, -1),), (2, -1): (), (3, -1): ()}
 
 
 def test_the_figure_eight_is_two_arcs_and_two_lines_that_cross():
@@ -231,53 +236,27 @@ def test_windows_of_closed_routes_wrap_around_and_those_of_open_ones_end():
     assert open_.project(np.zeros((0, 2)), np.zeros(0)).distance.shape == (0,)
 
 
-def test_a_route_knows_its_roads_and_what_lies_ahead():
+def test_a_route_knows_what_lies_ahead():
     generator = np.random.default_rng(2)
     for route in some_routes(generator):
-        distance = generator.uniform(0, route.total, 200)
-        which, s = route.locate(distance)
-        pose = route.pose(distance)
-        for i, along, x, y, heading, curvature in zip(which, s, *pose):
-            road, lane = route.lanes[i]
-            mine = route.network.road(road).lane_pose(lane, along)
-            np.testing.assert_allclose([mine.x, mine.y, mine.curvature], [x, y, curvature], atol=1e-9)
-            assert math.cos(mine.heading - heading) == pytest.approx(1.0)
-        assert (route.starts[which] <= distance).all()
-        ahead = np.array([0.0, 5.0, 20.0])
+        distance, ahead = generator.uniform(0, route.total, 200), np.array([0.0, 5.0, 20.0])
         seen = route.curvature_ahead(distance, ahead)
         np.testing.assert_array_equal(seen, np.stack([route.pose(distance + each).curvature for each in ahead], axis=1))
-    one = Route(TOWN, ((1, -1),))
-    assert [int(one.locate(0.0)[0]), float(one.locate(0.0)[1])] == [0, 0.0]
 
 
-def test_the_shortest_route_is_the_shortest():
-    network = MAPS["narrow"]
-    lanes = list(routes(network))
-    length = np.array([network.lane_path(lane).total for lane in lanes])
-    way = np.full((len(lanes), len(lanes)), np.inf)
-    np.fill_diagonal(way, length)
-    for i, lane in enumerate(lanes):
-        for next_ in routes(network)[lane]:
-            way[i, lanes.index(next_)] = length[i] + length[lanes.index(next_)]
-    for k in range(len(lanes)):  # Floyd and Warshall; the lane in the middle counts once
-        way = np.minimum(way, way[:, k : k + 1] + way[k : k + 1] - length[k])
-    for i, j in itertools.product(range(len(lanes)), repeat=2):
-        route = shortest_route(network, lanes[i], lanes[j])
-        assert (route.lanes[0], route.lanes[-1]) == (lanes[i], lanes[j])
-        assert route.total == pytest.approx(way[i, j])
-    with pytest.raises(UserError, match="no way leads from road 1, lane 1 to road 1, lane -1"):
-        shortest_route(MAPS["ring"], (1, 1), (1, -1))
+def test_places_on_a_lane_are_those_beside_its_road():
+    generator = np.random.default_rng(3)
+    for network, key in ((each, key) for each in (EIGHT, TOWN) for key in each.following):
+        road, route = network.road(key[0]), Route(network, (key,))
+        for s in generator.uniform(0, road.length, 5):
+            pose, mine = route.pose(route._distance(key, s)), road.lane_pose(key[1], s)
+            np.testing.assert_allclose([mine.x, mine.y, mine.curvature], [pose.x, pose.y, pose.curvature], atol=1e-9)
+            assert math.cos(mine.heading - pose.heading) == pytest.approx(1.0)
+
+
+def test_lanes_of_a_route_follow_one_another():
+    for lanes, closed in ((((1, 1), (1, -1)), False), (((1, 1),), True)):
+        with pytest.raises(UserError, match="road 1, lane -?1 does not follow road 1, lane 1"):
+            Route(MAPS["narrow"], lanes, closed)
     with pytest.raises(UserError, match="the network: no road 999"):
-        shortest_route(network, (1, 1), (999, 1))
-    with pytest.raises(UserError, match="does not follow"):
-        Route(network, ((1, 1), (1, -1)))
-    with pytest.raises(UserError, match="does not follow"):
-        Route(network, ((1, 1),), closed=True)
-
-
-def test_random_routes_depend_on_the_generator_alone_and_take_every_way():
-    draw = lambda seed: random_route(TOWN, (1, -1), 5000.0, np.random.default_rng(seed))  # noqa: E731
-    assert draw(0).lanes == draw(0).lanes != draw(1).lanes
-    assert 5000.0 <= draw(0).total < 5100.0
-    taken = {lane for seed in range(20) for lane in draw(seed).lanes}
-    assert taken >= {(road.id, -1) for road in TOWN.roads if road.junction != -1}
+        Route(MAPS["narrow"], ((999, 1),))

@@ -8,6 +8,9 @@ import pytest
 from walks import walk
 
 from deadreckon import tasks
+from deadreckon.bench.tune import candidates, suite
+from deadreckon.cli.main import main
+from deadreckon.versions import installed
 
 # Horizons so short that some copies' episodes end with every task; hopper and ant fall, and pens drop, before that, too.
 HORIZONS = {"hopper": 25, "halfcheetah": 9, "ant": 12, "humanoid": 18, "maze2d-umaze-dense": 7, "pen": 22, "antmaze-umaze": 8,
@@ -35,6 +38,26 @@ def assert_same(ours, theirs):
     assert len(ours) == len(theirs)
     for a, b in zip(ours, theirs):
         np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize(
+    ("name", "package"),
+    [("hopper", "gymnasium"), ("antmaze-umaze", "gymnasium"), ("ant-reach", "gymnasium"), ("hopper:pixels", "gymnasium"),
+     ("door", "gymnasium-robotics"), ("kitchen-mixed", "gymnasium-robotics"), ("flow-ring", "libsumo")],
+)  # fmt: skip
+def test_versions_are_of_the_package_that_the_world_is_from(name, package):
+    assert tasks.task(name).versions == installed(package)
+
+
+def test_tasks_that_the_thesis_does_not_split_belong_to_neither_part(capsys):
+    none = [task for task in map(tasks.task, tasks.registry.names()) if not task.split]
+    assert {task.domain for task in none} == {"kitchen", "flow", "carla", "battery", "antmaze"}
+    assert [task.name for task in none if task.domain == "antmaze"] == ["ant-reach"]
+    assert main(["tasks", "--domain", "antmaze"]) == 0
+    shown = capsys.readouterr().out.partition("\n\n")[0].splitlines()[2:]  # of the first table
+    splits = {words[0]: words[6] for words in map(str.split, shown)}
+    assert (splits["antmaze-umaze"], splits["antmaze-eval-umaze"], splits["ant-reach"]) == ("training", "evaluation", "-")
+    assert suite("td3_bc", ["kitchen-mixed-v0"], candidates("td3_bc"), by="simulator", steps=10).on == ("kitchen-mixed-v0",)
 
 
 @pytest.mark.slow

@@ -34,7 +34,7 @@ class Expansion(NamedTuple):
 class MVE(ModelBasedSAC):
     """SAC whose critics learn from H-step targets in an ensemble."""
 
-    revision: ClassVar[int] = 1
+    revision: ClassVar[int] = 2
 
     horizon: CountOrZero = static(1)  # rollout horizon H in steps of the model; 0 is SAC
 

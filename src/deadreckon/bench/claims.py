@@ -30,7 +30,7 @@ from typing import Any, Literal
 import numpy as np
 
 from deadreckon.bench.checked import names_of, number
-from deadreckon.bench.jobs import Job, updates
+from deadreckon.bench.jobs import Job, curve_end
 from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import read
@@ -243,8 +243,8 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
     rows = {row["cell"]: row for row in store.of([job for jobs in plans.values() for job in jobs]).to_pylist()}
     if any(test.metric == AVERAGE for test in claim.tests):
         trained = [job for jobs in plans.values() for job in jobs if job.kind in ("learn", "online")]
-        totals = {cell: updates(job) for job in trained for cell in job.cells}
-        for cell, average in _averages(store, rows, totals).items():
+        ends = {cell: curve_end(job) for job in trained for cell in job.cells}
+        for cell, average in _averages(store, rows, ends).items():
             rows[cell][AVERAGE] = average
 
     def staged(test: Test, rival: str | None, on: tuple[str, ...], alpha: float) -> Comparison:
@@ -257,10 +257,10 @@ def verdict(claim: Claim, store: Store, full: bool = False) -> Verdict:
     return Verdict(claim, tuple(staged(*pair, ALPHA) for pair in pairs))
 
 
-def _averages(store: Store, rows: Mapping[str, Mapping[str, Any]], totals: Mapping[str, int]) -> dict[str, float]:
+def _averages(store: Store, rows: Mapping[str, Mapping[str, Any]], ends: Mapping[str, int]) -> dict[str, float]:
     """The mean of each cell's learning curve, of cells that were evaluated since it began to learn: each evaluation counts as
     long as the time since the one before it, as the last comes when the run ends. A run that diverged keeps the score of its
-    last good policy to the end, which is after as many updates as `totals` has of the cell."""
+    last good policy to the end of its curve, which is after as many updates as `ends` has of the cell."""
     points: dict[str, dict[int, float]] = {}
     curves = store.curves()
     for point in curves.filter(np.isin(curves["cell"].to_numpy(), list(rows))).to_pylist():
@@ -269,7 +269,7 @@ def _averages(store: Store, rows: Mapping[str, Mapping[str, Any]], totals: Mappi
     found = {}
     for cell, scores in points.items():
         if rows[cell]["failure"]:
-            scores.setdefault(totals[cell], scores[max(scores)])
+            scores.setdefault(ends[cell], scores[max(scores)])
         steps = sorted(scores)
         found[cell] = float(np.average([scores[step] for step in steps], weights=np.diff(steps, prepend=0)))
     return found

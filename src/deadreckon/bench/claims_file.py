@@ -36,6 +36,7 @@ from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
 from deadreckon.bench.claims import Claim, Test, task_of
+from deadreckon.bench.methods import Method
 from deadreckon.bench.suite import Suite, read
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml
@@ -140,19 +141,24 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
             raise UserError(f"{where}: {bad[0]}")
         names = [test["suite"], *([test["beside"]] if "beside" in test else [])]
         places = {name: path.parent / safe_path(name, f"{where}: suite") for name in names}
-        agents: dict[str, str] = {}
+        compared = [*own, *(than if isinstance(than, list) else ())]
+        ways: list[dict[str, Method]] = []
         for name in names:
-            suite = _read(where, name, places[name], suites)
-            methods = {method.name: method.agent for method in suite.methods}
-            for method in [*own, *(than if isinstance(than, list) else ())]:
-                if method not in methods:
-                    raise UserError(f"{where}: {unknown(f'method of {name}', method, methods)}")
-            agents |= methods
-        suite = suites[test["suite"]]
+            ways.append({method.name: method for method in _read(where, name, places[name], suites).methods})
+            for method in compared:
+                if method not in ways[-1]:
+                    raise UserError(f"{where}: {unknown(f'method of {name}', method, ways[-1])}")
+        suite = suites[names[0]]
+        if "beside" in test:
+            beside = suites[names[1]]
+            other = [method for method in own if ways[0][method] != ways[1][method]]
+            other += [key for key in _PROTOCOL if getattr(suite, key) != getattr(beside, key)]
+            if other:
+                raise UserError(f"{where}: {other[0]} is not the same in {names[0]} as in {names[1]}, which are compared")
         for on in test.get("on", ()):
             if on not in suite.on:
                 raise UserError(f"{where}: {unknown(f'log, task, problem or case of {names[0]}', on, suite.on)}")
-        judged = {agents[method] for method in [*own, *(than if isinstance(than, list) else ())]}
+        judged = {ways[0][method].agent for method in compared}
         void = {log for agent in judged for log in tuned.get(agent, ())}
         left = tuple(on for on in test.get("on", suite.on) if on not in void)
         other = tuple(on for on in suites[names[1]].on if on not in void) if "beside" in test else ()

@@ -102,8 +102,11 @@ def missing(small: Sequence[Suite], large: Sequence[Suite], store: Store, rates:
     sizes = [(True, large), (False, small)]
     loads, full = [], set[tuple[str, str, str]]()
     for whole, suites in sizes:
-        jobs = store.undone(plan_across([suite for suite in suites if suite.kind == "learn"], LANES))
-        for program in programs(jobs):
+        jobs = plan_across([suite for suite in suites if suite.kind == "learn"], LANES)
+        left = store.undone(jobs)
+        if whole:  # what is done at full size needs no other
+            full |= {(job.suite, job.method, job.on) for job in jobs} - {(job.suite, job.method, job.on) for job in left}
+        for program in programs(left):
             load = load_of(program, whole, rates, store)
             names = {(job.suite, job.method, job.on) for job in program.jobs}
             if whole and load.end(0.0, load.trained(0.0, 0.0)) > seconds:

@@ -11,7 +11,6 @@ from deadreckon.errors import UserError
 from deadreckon.files import digest
 from deadreckon.imports import imported
 from deadreckon.names import file_part
-from deadreckon.training.field_names import with_field_names
 
 
 @dataclass(frozen=True)
@@ -146,17 +145,21 @@ def tuples(value: Any) -> Any:
 
 def turns(job: Job) -> Any:
     """How acting and learning take turns in an online job."""
+    from deadreckon.agents import agent_class
     from deadreckon.runs.online import turns_of
 
     started = job.options.get("log", {}).get("use") == "first"
-    return turns_of(type(agent_of(job)), job.on, started, **job.options.get("acting", {}))
+    return turns_of(agent_class(job.agent), job.on, started, **job.options.get("acting", {}))
+
+
+def curve_end(job: Job) -> int:
+    """The update at which the learning curve of a job ends; online it counts those of acting alone."""
+    return job.options["steps"] if job.kind == "learn" else turns(job).updates(job.options["steps"])
 
 
 def updates(job: Job) -> int:
     """In the whole of a job that learns, those on a log before it acts included."""
-    if job.kind == "learn":
-        return job.options["steps"]
-    return turns(job).updates(job.options["steps"]) + job.options.get("log", {}).get("offline", 0)
+    return curve_end(job) + job.options.get("log", {}).get("offline", 0)
 
 
 def log_name(job: Job) -> str:
@@ -185,7 +188,7 @@ def study_of(job: Job) -> Callable[..., dict[str, float]]:
 
 
 @cache
-def _estimator_class(name: str) -> type:
+def estimator_class(name: str) -> type:
     """That of an estimator of the package by its name.
 
     Raises:
@@ -201,5 +204,4 @@ def estimator_of(job: Job) -> Any:
     from deadreckon.ope.registry import CPU_BUDGET, estimator
 
     changes = {name: tuples(value) for name, value in job.options["fields"].items()}
-    changes = with_field_names(_estimator_class(job.agent), changes)
     return estimator(job.agent, **(CPU_BUDGET.get(job.agent, {}) if job.options["budget"] == "cpu" else {}) | changes)

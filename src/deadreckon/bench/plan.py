@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from deadreckon.bench.identity import log_identity, problem_identity, revisions_of
-from deadreckon.bench.jobs import Job, agent_of, designer_of, estimator_of, study_of, tuples, turns
+from deadreckon.bench.jobs import Job, agent_of, designer_of, estimator_class, estimator_of, study_of, tuples, turns
 from deadreckon.bench.suite import Method, Suite
 from deadreckon.errors import UserError, unknown
 from deadreckon.imports import trusted
@@ -228,11 +228,13 @@ def _online(suite: Suite, method: Method, on: str) -> Job:
 
 def _design(suite: Suite, method: Method, on: str) -> Job:
     from deadreckon.mbo import PROBLEMS
+    from deadreckon.mbo.registry import designer
     from deadreckon.training.hyperparameters import check_fields
 
     if on not in PROBLEMS:
         raise unknown("problem", on, PROBLEMS)
-    options = {"designs": suite.designs, "budget": suite.budget, "fields": method.fields}
+    fields = dict(sorted(with_field_names(type(designer(method.agent)), method.fields).items()))
+    options = {"designs": suite.designs, "budget": suite.budget, "fields": fields}
     data = f"{on} {suite.files[on]}" if on in suite.files else problem_identity(on, PROBLEMS[on].file)
     job = Job("design", method.name, method.agent, {}, "", on, data, options, (0,))
     made = designer_of(job)
@@ -249,7 +251,8 @@ def _ope(suite: Suite, method: Method, on: str) -> Job:
     if task is None:
         raise UserError(f"{on} has no task, so the values of policies on it are not known")
     library(task.name)  # refuses a task without policies of known value
-    options = {"budget": suite.budget, "fields": method.fields}
+    fields = dict(sorted(with_field_names(estimator_class(method.agent), method.fields).items()))
+    options = {"budget": suite.budget, "fields": fields}
     job = Job("ope", method.name, method.agent, {}, "", on, log_identity(on, suite.rows), options, (0,), suite.rows)
     made = estimator_of(job)
     made.check_settings()  # before any job is run, as in `_agent`

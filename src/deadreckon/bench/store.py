@@ -22,7 +22,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from deadreckon.bench.checked import check_part
-from deadreckon.bench.jobs import Job, Program, file_name
+from deadreckon.bench.jobs import Job, Program, estimator_class, file_name
 from deadreckon.errors import reading
 from deadreckon.files import read_json, replacing, write_json
 from deadreckon.foreign.parquet import read_parquet
@@ -183,13 +183,17 @@ def _with_present_names(rows: pa.Table) -> pa.Table:
 
     contents = []
     for row in rows.to_pylist():
-        settings = json.loads(row["settings"])
+        settings, options = json.loads(row["settings"]), json.loads(row["asked"])
         if row["kind"] in ("learn", "online") and known_agent(row["agent"]):
             settings = with_field_names(agent_class(row["agent"]), settings)
         elif row["kind"] == "design":
-            settings = with_field_names(type(designer(row["agent"])), settings)
+            kind = type(designer(row["agent"]))
+            settings = with_field_names(kind, settings)
+            options |= {"fields": with_field_names(kind, options.get("fields", {}))}
+        elif row["kind"] == "ope":
+            options |= {"fields": with_field_names(estimator_class(row["agent"]), options.get("fields", {}))}
         job = Job(**{name: row[name] for name in ("kind", "method", "agent", "preset", "on", "data")}, settings=settings,
-                  options=json.loads(row["asked"]), seeds=(row["seed"],))  # fmt: skip
+                  options=options, seeds=(row["seed"],))  # fmt: skip
         contents.append(job.content(row["seed"]))
     return rows.set_column(rows.schema.get_field_index("content"), "content", pa.array(contents, pa.string()))
 

@@ -42,9 +42,9 @@ Kind = Literal["learn", "online", "design", "ope", "study"]
 PLACES = {"learn": "logs", "online": "tasks", "design": "problems", "ope": "logs", "study": "cases"}
 # Options that not all kinds have.
 OWN = {
-    "learn": ("rows", "steps", "episodes", "evaluations"),
-    "online": ("rows", "steps", "episodes", "evaluations", "data", "offline"),
-    "design": ("designs", "budget", "files"), "ope": ("rows", "budget"), "study": ("metrics",),
+    "learn": ("rows", "steps", "episodes", "evaluations", "lanes"),
+    "online": ("rows", "steps", "episodes", "evaluations", "data", "offline", "lanes"),
+    "design": ("designs", "budget", "files", "lanes"), "ope": ("rows", "budget", "lanes"), "study": ("metrics",),
 }  # fmt: skip
 BUDGETS = ("full", "cpu")
 SIZES = {"seeds", "steps", "offline", "episodes", "evaluations", "rows", "designs", "budget"}  # what [full] may change

@@ -5,7 +5,8 @@ import statistics
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from deadreckon.bench.jobs import Job, Program, updates
+from deadreckon.agents import known_agent
+from deadreckon.bench.jobs import Job, Program, curve_end, updates
 from deadreckon.bench.rates import has_work, work
 from deadreckon.bench.store import Store
 
@@ -47,7 +48,7 @@ def forecast(waiting: Sequence[Program], store: Store, accelerated: bool = False
     like: dict[tuple[Any, ...], list[float]] = {}  # seconds a step, divided by the work of one
     for first, *others in done.values():
         settings, options = json.loads(first["settings"]), json.loads(first["asked"])
-        each = first["seconds"] / max(max(row["steps"] for row in (first, *others)), 1)
+        each = first["seconds"] / _length(_job_of(first), max(row["steps"] for row in (first, *others)))
         each /= _work(first["kind"], first["agent"], settings)
         keys = _keys(first["kind"], first["agent"], 1 + len(others), first["on"], settings, options)
         for key in (*keys, (first["kind"], first["agent"], 1 + len(others))):
@@ -61,7 +62,7 @@ def _expected(program: Program, times: Mapping[tuple[Any, ...], float]) -> Forec
     keys = _keys(job.kind, job.agent, program.lanes, job.on, job.settings, job.options)
     own = _work(job.kind, job.agent, job.settings)
     if found := next((key for key in keys if key in times), None):
-        return Forecast(times[found] * own * max(job.options.get("steps", 1), 1), close=found == keys[0])
+        return Forecast(times[found] * own * _length(job, job.options.get("steps", 1)), close=found == keys[0])
     for name in _lineage(job):
         if (key := ("learn", name, program.lanes)) in times:
             each = own if has_work(job.agent) else work(name, job.settings)
@@ -82,6 +83,18 @@ def _keys(
     other = {name: value for name, value in rest.items() if name != "fields"}  # settings of designers and estimators
     sizes = [json.dumps(each, sort_keys=True) for each in ([shape, rest], other)]
     return [(kind, agent, lanes, size, where) for size in sizes for where in (on, _has_pictures(kind, on))]
+
+
+def _job_of(row: Mapping[str, Any]) -> Job:
+    """The job of a row, as far as its length depends on it."""
+    names = ("kind", "method", "agent", "preset", "on", "data")
+    return Job(**{name: row[name] for name in names}, settings={}, options=json.loads(row["asked"]), seeds=(row["seed"],))
+
+
+def _length(job: Job, steps: int) -> float:
+    """Steps of a job, and as many more as its updates on a log before it acts take."""
+    offline = job.options.get("log", {}).get("offline", 0)
+    return max(steps, 1) * (updates(job) / max(curve_end(job), 1) if offline and known_agent(job.agent) else 1.0)
 
 
 def _has_pictures(kind: str, on: str) -> bool:

@@ -115,7 +115,7 @@ def suite(
         task = of_log(log)
         if task is None:
             raise UserError(f"{log} has no simulator to tune in; --by ope chooses from the log alone")
-        if task.split != "training":
+        if task.split == "evaluation":
             told = f"{task.name} is kept for evaluation (thesis Table D.3), so its simulator must not choose settings"
             raise UserError(f"{told}; tune on a training task, or --by ope")
     agent = canonical_name(agent)
@@ -227,9 +227,14 @@ def _estimated(
 
 
 def _json(found: Tuned, search: Suite) -> dict[str, Any]:
-    trials = [{"fields": t.fields, "scores": _finite(t.scores), "values": t.values.tolist()} for t in found.trials]
+    trials = [{"fields": t.fields, "scores": _finite(t.scores), "values": _each_finite(t.values)} for t in found.trials]
     said = {"agent": found.agent, "by": found.by, "logs": search.on, "steps": search.steps, "seeds": search.seeds}
     return json.loads(json.dumps({**said, "best": found.best.fields, "lost": found.lost, "trials": trials}))
+
+
+def _each_finite(values: np.ndarray) -> list[float | None]:
+    """JSON has no NaN."""
+    return [float(value) if np.isfinite(value) else None for value in values]
 
 
 def _finite(scores: np.ndarray) -> list[Any] | None:

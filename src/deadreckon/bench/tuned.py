@@ -59,7 +59,8 @@ class Tuned:
         for trial in sorted(self.trials, key=self._standing, reverse=True):
             words = [f"{'*' if trial is self.best else ' '} {trial!s:<{width}}"]
             if len(trial.values):
-                words.append(f"estimated {_interval(trial.values)}")
+                told = np.isfinite(trial.values).all()
+                words.append(f"estimated {_interval(trial.values)}" if told else "an estimate is not finite, not chosen")
             if np.isfinite(trial.scores).all():
                 words.append(f"score {_interval(trial.scores.mean(0))}")
             words += [f"FAILED, not chosen: {trial.failure}"] if trial.failure else []
@@ -85,8 +86,9 @@ def named(fields: Mapping[str, Any]) -> str:
 
 
 def standing_of(trial: Trial, by: By) -> float:
-    """What a setting is chosen by: the mean of its estimates, or of its scores."""
-    return -np.inf if trial.failure else float(np.mean(trial.values if by == "ope" else trial.scores))
+    """What a setting is chosen by: the mean of its estimates, or of its scores; one without a finite mean is not chosen."""
+    mean = float(np.mean(trial.values if by == "ope" else trial.scores))
+    return -np.inf if trial.failure or not np.isfinite(mean) else mean
 
 
 def _interval(values: np.ndarray) -> str:

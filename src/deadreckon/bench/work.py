@@ -250,10 +250,15 @@ def _ope(job: Job, folder: Path, watch: Progress) -> JobResult:
                 "seed": seed, "score": found["rank_correlation"] if sound else math.nan, "raw": None, "steps": 0,
                 "log": log.fingerprint,
                 "more": json.dumps(found | {"result": to_json(result)}), "versions": json.dumps(versions()),
-                "failure": "" if sound else " ".join(result.warnings) or "its estimates are not finite",
+                "failure": "" if sound else _told(result.warnings),
             }
         )  # fmt: skip
     return JobResult(rows, [])
+
+
+def _told(warnings: Sequence[str]) -> str:
+    """Why estimates failed: first which are not finite, then what else was noticed."""
+    return "; ".join(sorted(warnings, key=lambda line: not line.startswith("no finite"))) or "its estimates are not finite"
 
 
 def _study(job: Job, folder: Path, watch: Progress) -> JobResult:

@@ -162,6 +162,7 @@ def _write_proposals(method: Any, data: Any, problem: Any, options: Design, out:
 
 def _told(data: Any, made: Any) -> list[str]:
     from deadreckon.mbo.effects import best_permitted, most_expected
+    from deadreckon.mbo.proposal_table import are_measured
 
     best, most = (float(data.shown(scores.max())) for scores in (data.y, made.predicted))
     tied = int((data.y == data.y.max()).sum())
@@ -169,7 +170,8 @@ def _told(data: Any, made: Any) -> list[str]:
     within = float(data.shown(data.y[best_permitted(data)]))
     inside = f", within the rules {within:,.4g}" if within != best else ""
     lines = [f"{size_told(data)}; best {data.target} {best:,.4g}{ties}{inside}"]
-    predicted = f", best predicted {data.target} {most:,.4g}" if made.predicts else ""
+    how = "measured" if are_measured(made) else "predicted"
+    predicted = f", best {how} {data.target} {most:,.4g}" if made.predicts else ""
     if made.predicts and made.fitted is not None:
         predicted += f" (for a measured design {float(data.shown(most_expected(data, made.fitted)[1])):,.4g})"
     lines.append(f"{made.method}: {len(made):,} proposals{predicted} ({made.seconds:,.0f} s)")
@@ -243,11 +245,13 @@ class Methods:
 def bench(args: Sequence[str]) -> None:
     """Runs the protocol and prints its tables."""
     options = parse(Bench, args, "design bench")
+    from deadreckon.mbo.problems.registry import check_known
     from deadreckon.mbo.protocol import evaluate_designers, tables
     from deadreckon.mbo.registry import sized
 
-    if options.seeds < 1:
-        raise UserError(f"--seeds must be 1 or more, got {options.seeds}")
+    for name, count in (("seeds", options.seeds), ("together", options.together)):
+        if count is not None and count < 1:
+            raise UserError(f"--{name} must be 1 or more, got {count}")
     names = [name.strip() for name in options.methods.split(",")]
     wanted = [name.strip() for name in options.problems.split(",")]
     if strangers := set(options.paths) - set(wanted):
@@ -255,6 +259,8 @@ def bench(args: Sequence[str]) -> None:
     seeds = range(options.seed, options.seed + options.seeds)
     results = []
     designers = {p: [(name, sized(name, p, options.budget)) for name in names] for p in wanted}  # names are checked first
+    for name in wanted:
+        check_known(name, **({"path": options.paths[name]} if name in options.paths else {}))
     for name in wanted:
         problem = _problem(name, options.paths.get(name))
         told = lambda r: print(f"{r.method} on {r.problem}: {r.seconds:,.0f} s", flush=True)  # noqa: E731

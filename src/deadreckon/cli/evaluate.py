@@ -42,7 +42,8 @@ def evaluate(args: Sequence[str]) -> None:
     if options.task is None and len(found) > 1:
         raise UserError(f"the runs are of several tasks ({', '.join(found)}); evaluate those of one, or name one with --task")
     if options.task is None and not found:
-        raise UserError("missing --task: the policies do not say where they belong")
+        told = "the policies do not say where they belong, or were trained in a task that its name does not find"
+        raise UserError(f"missing --task: {told}")
     task = find_task(options.task) if options.task else of_run(found[0])
     policies = [each.acting for each in given]
     result = run_evaluation(

@@ -44,7 +44,7 @@ def tasks(args: Sequence[str]) -> None:
     rows = [["task", "steps", "random", "expert", "D4RL random", "D4RL expert", "split", "description"]]
     for t in found:
         known = [(f"{each.random:.1f}", f"{each.expert:.1f}") if each else ("-", "-") for each in (t.reference, t.published)]
-        rows.append([t.name, str(t.horizon), *known[0], *known[1], t.split, t.summary])
+        rows.append([t.name, str(t.horizon), *known[0], *known[1], t.split or "-", t.summary])
     print(table(rows, right=(1, 2, 3, 4, 5), sparse=True))
     print("\nrandom and expert: mean returns that define the scores 0 and 100; D4RL's where it has them, except for Maze2D")
     print("and Flow; in AntMaze, 100 means that all episodes reach the goal. Any Gymnasium environment is a task too, such as")

@@ -32,6 +32,7 @@ from deadreckon.policies.kinds import ClippedGaussian, Gaussian
 from deadreckon.policies.policy import Policy
 from deadreckon.progress import Progress
 from deadreckon.tasks.task import Simulator, Task
+from deadreckon.tasks.turns import simulating
 
 COPIES = 64  # side by side
 MEMORY = 0.25  # largest share of the memory for the rows of unfinished episodes
@@ -161,20 +162,20 @@ def _collect(
     progress: Progress | None,
 ) -> None:
     total = sum(segment.rows for segment in segments)
-    simulator = task.simulate([0] * copies_of(task), threads)
-    for which, segment in enumerate(segments):
-        before = sum(each.rows for each in segments[:which])
-        if stage.rows - before >= segment.rows:
-            continue
-        root = jax.random.fold_in(jax.random.key(seed), which)
-        missing = segment.rows - (stage.rows - before)
-        scene = _Scene(task, simulator, segment.policy, root, [seed, which], dense, missing)
-        first = stage.episodes[which] if which < len(stage.episodes) else 0
-        told = (lambda rows, b=before, m=before + segment.rows: progress(min(b + rows, m), total)) if progress else None
-        for episodes in scene.play(first, stage.rows - before, segment.rows, told):
-            stage.append(episodes, segment.rows - (stage.rows - before), which)
-            if progress:
-                progress(stage.rows, total)
+    with simulating(task, [0] * copies_of(task), threads) as simulator:
+        for which, segment in enumerate(segments):
+            before = sum(each.rows for each in segments[:which])
+            if stage.rows - before >= segment.rows:
+                continue
+            root = jax.random.fold_in(jax.random.key(seed), which)
+            missing = segment.rows - (stage.rows - before)
+            scene = _Scene(task, simulator, segment.policy, root, [seed, which], dense, missing)
+            first = stage.episodes[which] if which < len(stage.episodes) else 0
+            told = (lambda rows, b=before, m=before + segment.rows: progress(min(b + rows, m), total)) if progress else None
+            for episodes in scene.play(first, stage.rows - before, segment.rows, told):
+                stage.append(episodes, segment.rows - (stage.rows - before), which)
+                if progress:
+                    progress(stage.rows, total)
 
 
 def copies_of(task: Task) -> int:

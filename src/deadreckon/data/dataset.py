@@ -9,7 +9,7 @@ import numpy as np
 
 from deadreckon.data.checks import bounds_warnings, breaks, checked_columns, if_needed
 from deadreckon.data.columns import given_columns, in_memory, unmarked
-from deadreckon.data.episodes import content_ids, episode_returns, fingerprint, index_type, returns_to_go, rows_of
+from deadreckon.data.episodes import content_ids, contents, episode_returns, fingerprint, index_type, returns_to_go, rows_of
 from deadreckon.data.legal import check_masks, joined_masks
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Discrete, Spec, spec_of
@@ -40,6 +40,7 @@ class Dataset(Shown):
         provenance: where the log comes from.
         warnings: messages from loading, one line each.
         part_of: for a part of another log, a function that returns the `episode_ids` of its episodes there.
+        selected: whether it is some episodes of another log, by `select`.
     """
 
     observations: np.ndarray
@@ -56,6 +57,7 @@ class Dataset(Shown):
     provenance: Provenance
     warnings: tuple[str, ...] = ()
     part_of: Callable[[], np.ndarray] | None = field(default=None, repr=False)
+    selected: bool = field(default=False, repr=False)
 
     @classmethod
     def from_arrays(
@@ -217,6 +219,11 @@ class Dataset(Shown):
         return known if known is not None and len(known) == self.episodes else content_ids(self)
 
     @cached_property
+    def episode_contents(self) -> np.ndarray:
+        """(episodes,) uint64, the same for equal episodes, in any log."""
+        return contents(self)
+
+    @cached_property
     def usable(self) -> np.ndarray:
         """(rows,) bool: the successor is known, or the row is terminal and needs none."""
         usable = np.ones(len(self), bool)
@@ -277,7 +284,7 @@ class Dataset(Shown):
             final_observations=self.final_observations[episodes], final_known=self.final_known[episodes],
             successors=None if following is None else if_needed(following, observations, terminals | timeouts),
             extras={key: value[rows] for key, value in self.extras.items()},
-            part_of=lambda: self.episode_ids[episodes],
+            part_of=lambda: self.episode_ids[episodes], selected=True,
         )  # fmt: skip
 
     def split(self, fraction: float = 0.8, seed: int = 0, by: str = "episode") -> tuple["Dataset", "Dataset"]:

@@ -44,6 +44,21 @@ def content_ids(log: "Dataset") -> np.ndarray:
     with or without propensities or users. The numbers are the same on every machine and in every version; they do not protect
     against deliberately constructed collisions.
     """
+    found = log.episode_contents
+    return _mixed(found ^ _places("alike", _alike_before(found)))
+
+
+def alike_in(log: "Dataset", ids: np.ndarray) -> np.ndarray:
+    """(episodes,) bool: whether several episodes of another log, whose `content_ids` are given, are equal to the episode.
+
+    Equal episodes are numbered in the order of their log, so a part that is read from a file of its own numbers them otherwise:
+    which of them an episode is can be told only in the whole log.
+    """
+    return np.isin(_mixed(log.episode_contents ^ _places("alike", np.ones(log.episodes, np.uint64))), ids)
+
+
+def contents(log: "Dataset") -> np.ndarray:
+    """(episodes,) uint64 hashes of what episodes hold, the same for equal ones."""
     ids = np.zeros(log.episodes, np.uint64)
     for start in range(0, len(log), _ROWS):
         row = np.arange(start, min(start + _ROWS, len(log)))
@@ -66,8 +81,7 @@ def content_ids(log: "Dataset") -> np.ndarray:
         ids[episode[first]] += np.add.reduceat(rows, first)
     last = np.zeros(log.episodes, np.uint64)
     _add(last, "final_observations", log.final_observations)
-    ids = _mixed(ids + np.where(log.final_known, _mixed(last), np.uint64(0)))
-    return _mixed(ids ^ _places("alike", _alike_before(ids)))
+    return _mixed(ids + np.where(log.final_known, _mixed(last), np.uint64(0)))
 
 
 def returns_to_go(rewards: np.ndarray, ends: np.ndarray, lengths: np.ndarray, discount: float) -> np.ndarray:

@@ -51,9 +51,10 @@ class Ensemble(NamedTuple):
         """Inputs as the networks see them."""
         return (inputs - self.mean) / self.std
 
-    def best(self) -> Any:
-        """Parameters of the elites alone."""
-        return jax.tree.map(lambda leaf: leaf[self.elites], self.params)
+    def best(self, order: Int[Array, "e"] | None = None) -> Any:
+        """Parameters of the elites alone, from the best one on, or in another order."""
+        which = self.elites if order is None else self.elites[order]
+        return jax.tree.map(lambda leaf: leaf[which], self.params)
 
 
 class Report(NamedTuple):

@@ -96,15 +96,16 @@ def transition(
     key: PRNGKeyArray,
 ) -> tuple[Float[Array, "n"], Float[Array, "n o"], Bool[Array, "n"], Bool[Array, "n"]]:  # fmt: skip
     """One transition per row from one elite: reward, next observation, whether the episode ends, whether it diverged."""
-    k_order, k_draw, k_end = keys(key, "order", "next", "end")
+    k_order, k_draw, k_end, k_elites = keys(key, "order", "next", "end", "elites")
     n, elites = len(observation), len(ensemble.elites)
     # Rows are dealt to the elites in equal shares: a draw for each row would have every elite do all rows. Where they do
-    # not divide, the first are done once more.
+    # not divide, the first are done once more, for the last elites, of which a part is not used: these are others each time.
     share = -(-n // elites)
+    params = ensemble.best(jax.random.permutation(k_elites, elites) if n % elites else None)
     order = jax.random.permutation(k_order, n)
     inputs = ensemble.standardise(jnp.concatenate([observation, action], -1))
     dealt = inputs[jnp.resize(order, (elites * share,))].reshape(elites, share, -1)
-    drawn, logit = model.sample(ensemble.best(), dealt, k_draw)
+    drawn, logit = model.sample(params, dealt, k_draw)
     back = jnp.argsort(order)
     drawn, logit = drawn.reshape(elites * share, -1)[back], logit.reshape(-1)[back]
     following = observation + drawn[:, :-1]

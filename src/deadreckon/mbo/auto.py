@@ -2,18 +2,23 @@
 
 Below `networks_from` rows the method is the Gaussian process, with cross-validation: fitting networks several times would take
 too long for a small table. From there on, the process, an ensemble and a ranking model (RaM) are fitted to the same designs,
-about four fifths of them, and predict the rest. The one with the greatest rank correlation is used, because proposals are
-chosen by the order of their predictions. The process is preferred if it is within one standard error of the best (Breiman et
-al. 1984), since it separates the noise of measurements from the uncertainty of the model. If no method's order can be
-distinguished from chance, the process is used and a warning says so. With a non-zero kappa the process is used without a
-comparison, since only it can rank by standard deviations as well. The rule was fixed before it was applied to any table.
+about four fifths of them, and predict the rest. Of the methods with skill, whose order can be distinguished from chance and
+whose predictions increase with the scores, the one with the greatest rank correlation is used, because proposals are chosen by
+the order of their predictions. The process, if it is among them, is preferred if it is within one standard error of the best
+(Breiman et al. 1984), since it separates the noise of measurements from the uncertainty of the model. If no method has skill,
+the process is used and a warning says so. With a non-zero kappa the process is used without a comparison, since only it can
+rank by standard deviations as well. The rule was fixed before it was applied to any table, except that methods without skill
+are left out, which was added later.
 """
 
+import warnings
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 
+from deadreckon.errors import DivergedError
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.forward import Forward, on_held_out
 from deadreckon.mbo.gp import GP
@@ -49,34 +54,49 @@ class Auto(Designer):
         if self.kappa or len(setting.data) < self.networks_from:
             return gp.solve(setting)
         sizes = {"hidden": self.hidden, "steps": self.steps}
-        tried = [gp, Forward(members=5, **sizes), RaM(**sizes)]
-        judged = [on_held_out(method, setting, scored=not isinstance(method, RaM)) for method in tried]
-        compared = [replace(each, tried=len(tried)) for each in judged if each is not None]
-        if not compared:
+        judged: list[tuple[Designer, Quality]] = []
+        for method in (gp, Forward(members=5, **sizes), RaM(**sizes)):
+            try:
+                found = on_held_out(method, setting, scored=not isinstance(method, RaM))
+            except DivergedError as error:
+                told = f"{setting.data.name}: {method.label} is not compared, because its fit diverged ({error})"
+                warnings.warn(told, stacklevel=4)
+                continue
+            if found is not None:
+                judged.append((method, found))
+        if not judged:
             return gp.solve(setting)
+        compared = tuple(replace(quality, tried=len(judged)) for _, quality in judged)
         at, reason = chosen(compared)
-        method, quality = tried[at], compared[at]
+        method, quality = judged[at][0], compared[at]
         # It was evaluated above, and its proposals are calibrated with that result, so it is not cross-validated again.
         if isinstance(method, GP):
             method = method.replace(folds=0)
         method.warn_of_errors(setting.data)
-        found = method.solve(setting._replace(validate=False))
-        return [replace(each.calibrated(quality), compared=tuple(compared), reason=reason) for each in found]
+        made = method.solve(setting._replace(validate=False))
+        return [replace(each.calibrated(quality), compared=compared, reason=reason) for each in made]
 
 
-def chosen(compared: list[Quality]) -> tuple[int, str]:
-    """The index of the method to use (the first, unless another is better by more than one standard error), and the reason."""
+def chosen(compared: Sequence[Quality]) -> tuple[int, str]:
+    """The index of the method to use, and the reason.
+
+    Of the methods with skill it is the first of `compared`, unless that has none or another is better by more than one standard
+    error. If no method has skill, it is the first.
+    """
     first, rank = compared[0], [each.rank_correlation for each in compared]
-    best = int(np.argmax(rank))
-    if not any(each.skilled for each in compared):
-        some = compared[best]
+    skilled = [i for i, each in enumerate(compared) if each.skilled]
+    if not skilled:
+        some = compared[int(np.argmax(rank))]
         told = f"of {some.method}, which ranks unseen designs best of {len(compared)} methods, {some.doubt}"
         return 0, f"{told}; {first.method} is taken"
-    if best == 0:
-        return 0, f"{first.method} ranks unseen designs best ({rank[0]:.3f})"
+    best = max(skilled, key=lambda i: rank[i])
+    told = f"{compared[best].method} ranks unseen designs best ({rank[best]:.3f})"
+    if doubts := [f"of {each.method} ({each.rank_correlation:.3f}), {each.doubt}" for each in compared if not each.skilled]:
+        told = f"{'; '.join(doubts)}; of the others, {told}"
+    if best == 0 or 0 not in skilled:
+        return best, told
     error = standard_error(first.observed, first.predicted, compared[best].predicted, first.units)
-    told = f"{compared[best].method} ranks unseen designs best ({rank[best]:.3f}), {first.method} has {rank[0]:.3f}; "
-    told += f"the standard error of the difference is {error:.3f}"
+    told += f", {first.method} has {rank[0]:.3f}; the standard error of the difference is {error:.3f}"
     if rank[best] - rank[0] <= error:
         return 0, f"{told}, so {first.method} is taken"
     return best, told

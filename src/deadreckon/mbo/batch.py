@@ -28,6 +28,7 @@ Value = Callable[[np.ndarray], np.ndarray]  # (m, variables) designs -> (m,) val
 APART = 0.1
 ROUNDS = 12  # rounds of completion; the least distances are halved in each from the third on, and are 0 in the last four
 TRIED = 4  # designs tried in a round for each that is missing
+WITHIN = 0.98  # share of the largest distance to the data to which designs are moved, so that rounding keeps them within it
 NEAREST, FURTHEST = 0.05, 1.0  # size of the random changes in the first and the last round, in ranges of the data
 
 
@@ -75,9 +76,12 @@ def batch(
         asked = ["differ", *([] if repeat else ["are not in the data (--repeat allows those)"])]
         asked += [f"lie {data.rules.apart:g} typical distances apart"] if strict else []
         said = " and ".join(filter(None, [", ".join(asked[:-1]), asked[-1]]))
+        near = data.rules.max_distance is not None
+        limits = "bounds, constraints and largest distance to the data" if near else "bounds and constraints"
+        remedies = f"{'make --apart smaller, ' if strict else ''}{'make --max-distance larger, ' if near else ''}"
         raise UserError(
             f"{data.name}: {n:,} proposals that {said} were asked for, and only {len(chosen.x):,} were found within the "
-            f"bounds and constraints; ask for fewer, {'make --apart smaller, ' if strict else ''}or allow more"
+            f"{limits}; ask for fewer, {remedies}or allow more"
         )
     return np.stack(chosen.x).astype(np.float32)
 
@@ -169,14 +173,41 @@ def repaired(data: Designs, x: np.ndarray) -> np.ndarray:
 
 
 def pulled(data: Designs, x: np.ndarray, limit: float) -> np.ndarray:
-    """(rows, variables) designs; those more than `limit` typical distances from the data are moved towards the nearest row."""
-    far, rows = nearest_scored(data, x)
-    far = far / usual_distance(data)
-    over = far > limit
-    share = np.where(over, 0.98 * limit / np.maximum(far, 1e-12), 1.0)[:, None]
+    """(rows, variables) designs; those more than `limit` typical distances from the data are moved towards the nearest row.
+
+    Fixed variables keep their values. So rows that are too far by these alone do not count, and if all are, no design is moved.
+    Categories become those of the row only where they alone, beside the fixed variables, are too far from it.
+    """
+    x, view, usual = np.array(x, np.float32), data.coordinates, usual_distance(data)
+    fixed = [column for column, _ in data.rules.fixed]
+    held = data.x.copy()
+    held[:, fixed] = [value for _, value in data.rules.fixed]
+    room = np.square(WITHIN * limit * usual) - _squares(data, held, data.x).sum(1)
+    if (room < 0).all():
+        return x
+    far, near = nearest_scored(data, x, np.flatnonzero(room >= 0))
+    over = far > limit * usual
+    here, row, room = x[over], data.x[near[over]], room[near[over]]
+    squares, open_ = _squares(data, here, row), np.isin(np.arange(x.shape[1]), fixed, invert=True)
+    levels = open_ & [v.kind == "categorical" for v in data.variables]
+    kept = squares[:, levels].sum(1) <= room
+    room = room - np.where(kept, squares[:, levels].sum(1), 0.0)
+    share = np.sqrt(room / np.maximum(squares[:, open_ & ~levels].sum(1), 1e-12)).clip(0.0, 1.0)[:, None]
+    z, to = (view.encode(each).astype(np.float64) for each in (here, row))
+    found = view.decode(to + share * (z - to))
+    found[:, levels] = np.where(kept[:, None], here[:, levels], row[:, levels])
+    found[:, fixed] = here[:, fixed]
+    x[over] = found
+    return x
+
+
+def _squares(data: Designs, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(rows, variables) squared distances of designs by single variables, whose sum is that of `Coordinates.place`."""
     view = data.coordinates
-    z, near = view.encode(x).astype(np.float64), view.encode(data.x[rows]).astype(np.float64)
-    return np.where(over[:, None], view.decode(near + share * (z - near)), x).astype(np.float32)
+    out = 2.0 * (a != b)
+    z, to = (view.encode(each)[:, : len(view.numeric)].astype(np.float64) for each in (a, b))
+    out[:, view.numeric] = np.square(z - to)
+    return out
 
 
 def moved(data: Designs, x: np.ndarray, reach: float, rng: np.random.Generator) -> np.ndarray:

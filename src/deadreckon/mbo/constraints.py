@@ -212,7 +212,7 @@ def read_fixed(text: str, variables: Sequence[Variable], name: str) -> tuple[int
         raise UserError(f"{name}: a fixed value is NAME=VALUE, got {text!r}")
     column = _column(left, variables, name)
     v = variables[column]
-    value = float(_level(right, v, name) if v.leveled else _fraction(right, v, name))
+    value = float(_level(right, v, name) if v.leveled else _fraction(right, v, name, "is fixed at"))
     slack = 2.0 * float(np.spacing(np.float32(abs(value))))  # bounds are rounded inwards to 32 bits
     if not v.leveled and not v.low - slack <= value <= v.high + slack:
         raise UserError(f"{name}: {v.name} is fixed at {value:g}, outside its bounds [{v.low:g}, {v.high:g}]")
@@ -236,14 +236,15 @@ def _level(text: str, v: Variable, name: str) -> int:
     raise UserError(f"{name}: {unknown(f'level of {v.name}', given, list(map(str, v.levels)))}")
 
 
-def _fraction(text: str, v: Variable, name: str) -> Fraction:
+def _fraction(text: str, v: Variable, name: str, how: str = "is compared with") -> Fraction:
+    """The number that a text says; `how` is what a rule says of it and the variable, for errors."""
     try:
         return _exact(text.strip(), name)
     except (ValueError, ZeroDivisionError) as error:
         if isinstance(error, UserError):
             raise
         needed = "a number with a decimal point" if "," in text else "a number"
-        raise UserError(f"{name}: {v.name} is compared with {text.strip()!r}, {needed} is needed") from None
+        raise UserError(f"{name}: {v.name} {how} {text.strip()!r}, {needed} is needed") from None
 
 
 def places(number: Fraction) -> int:

@@ -14,10 +14,10 @@ from deadreckon.data.kinds import check_column
 from deadreckon.data.roles import row_numbers
 from deadreckon.errors import UserError
 from deadreckon.mbo.design_schema import DesignColumn, DesignSchema
-from deadreckon.mbo.design_table import name_of, numbers_of, read_designs, scored, trimmed
+from deadreckon.mbo.design_table import by_scored, name_of, numbers_of, read_designs, scored, trimmed
 from deadreckon.mbo.doubts import of_inputs, of_outcomes, of_target, sum_of, unsaid_sums
 from deadreckon.mbo.rules import Rules
-from deadreckon.mbo.variables import Mend, Variable, name_of_rows, variable_of
+from deadreckon.mbo.variables import Mend, Variable, name_of_rows, texts_told, variable_of
 
 
 def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[DesignSchema, list[str]]:
@@ -42,6 +42,7 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
     else:
         target = _last_of_numbers(name, table, [column for column in names if column not in left])
         told.append(f"the last column of numbers, {target}, is taken as the target (--target)")
+    table, told = by_scored(table, dialect, told, [target])
     rows, planned = scored(name, table, [target])
     told += [planned] if planned else []
     columns: dict[str, DesignColumn] = {}
@@ -84,6 +85,7 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
             told.append(f"{why}: ignored so far")
             del inputs[column]
     variables, x = [v for v, _ in inputs.values()], _stacked(inputs, rows)
+    told += texts_told(table, variables)
     sums = [sum_of([variables[i].name for i in group], whole) for group, whole in unsaid_sums(variables, x)]
     told += [f"{each} in every row, and the draft has it as a constraint of proposals" for each in sums]
     told += of_inputs(variables, x, rows, rules=Rules.of(variables, constraints=sums, name=name))

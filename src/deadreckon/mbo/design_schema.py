@@ -146,26 +146,29 @@ class DesignSchema:
                 values replace them; and options of the reader, which replace those of the schema.
 
         Raises:
-            UserError: there is no target, a column is not in the file, or `Designs.from_frame` refuses the table.
+            UserError: there is no target, a column is not in the file (one that the schema ignores need not be), or
+                `Designs.from_frame` refuses the table.
         """
         ways = {**self.table, **{key: more.pop(key) for key in READING if key in more}}
         called = self.called(more)
         asked = together(called.options(), more)
         targets = set(more.get("targets", ()))
         numbers = targets | {asked["target"], *asked["weights"], *as_numbers(asked["kinds"])}
-        table, _, told = read_designs(path, ways, set(asked["ignore"]) - targets, numbers)
+        table, _, told = read_designs(path, ways, set(asked["ignore"]) - targets, numbers, targets or {asked["target"]})
         warn(path, told)
         target = asked.pop("target")
         if target is None:
             raise UserError(f'{path}: no column is the target; give one the role "target" in the schema, or name it (--target)')
+        name, noticed = asked.pop("name", name_of(path)), asked.pop("noticed", ())
         for column in called.named("input"):
-            check_column(table, column, name_of(path))
+            check_column(table, column, name)
         known = {*self.columns, target, asked["std_error"], asked["groups"], *asked["weights"], *asked["ignore"]}
         strangers = [name for name in table.column_names if name not in known and name.strip()]
         left = [f"not in the schema and left out: {', '.join(strangers)}"] if strangers else []
         warn(path, left)
-        asked["ignore"] = [*asked["ignore"], *strangers]
-        return Designs.from_frame(table, target, name=name_of(path), noticed=[*told, *left], **asked)
+        here = [each for each in asked["ignore"] if each in table.column_names or each in (more.get("ignore") or ())]
+        asked["ignore"] = [*here, *strangers]
+        return Designs.from_frame(table, target, name=name, noticed=[*noticed, *told, *left], **asked)
 
     @classmethod
     def load(cls, path: Path | str) -> "DesignSchema":

@@ -9,18 +9,24 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.arrow import compute, decoded, flat, is_missing, is_text, some_numbers
+from deadreckon.data.arrow import compute, decoded, flat, is_missing, is_string, is_text, some_numbers
 from deadreckon.data.formats.any_table import table_of_kind
-from deadreckon.data.formats.cells import Known
+from deadreckon.data.formats.cells import PLAIN, Known, converted
 from deadreckon.data.formats.dialect import Dialect
 from deadreckon.data.formats.kind import sniff
 from deadreckon.errors import UserError
 
 _SHOWN = 5  # largest number of runs of rows, and of columns, in one message
+_EXACT = 2**53  # up to which float64 holds every whole number
+_KNOWN = Known(pairs=False)  # words of a pair, such as yes and no, stay levels
 
 
 def read_designs(
-    path: Path | str, ways: Mapping[str, Any], ignored: Collection[str] = (), numbers: Collection[str] = ()
+    path: Path | str,
+    ways: Mapping[str, Any],
+    ignored: Collection[str] = (),
+    numbers: Collection[str] = (),
+    targets: Collection[str] = (),
 ) -> tuple[pa.Table, Dialect | None, list[str]]:
     """Reads a table as `data.formats.any_table.read_table` does, except that ignored columns stay texts, without messages.
 
@@ -32,12 +38,94 @@ def read_designs(
         ways: keywords of `read_table`.
         ignored: columns that are no part of the designs.
         numbers: columns that must be numbers, such as scores.
+        targets: columns of the scores, where they are known: rows without any do not decide how columns are read (`by_scored`).
 
     Returns:
         As `read_table`.
     """
-    known = Known(texts=frozenset(ignored), flags=frozenset(numbers), pairs=False)
-    return table_of_kind(path, sniff(path, ways.get("separator")), ways, known)
+    known = _KNOWN._replace(texts=frozenset(ignored), flags=frozenset(numbers))
+    table, dialect, told = table_of_kind(path, sniff(path, ways.get("separator")), ways, known)
+    table, told = by_scored(table, dialect, told, targets, known)
+    return table, dialect, told
+
+
+def by_scored(
+    table: pa.Table, dialect: Dialect | None, told: list[str], targets: Collection[str], known: Known = _KNOWN
+) -> tuple[pa.Table, list[str]]:
+    """A table as read from a file, in which rows without a score do not decide that a column of numbers is one of texts.
+
+    A reader converts columns as a whole, so a word such as TBD in a planned run leaves all cells of its column texts. Where the
+    cells of rows with a score are numbers (truth values, dates), the column is converted, and such words become missing cells.
+
+    Args:
+        table: as read.
+        dialect: of the file.
+        told: messages of the reader.
+        targets: columns of the scores; those that the table lacks do not count.
+        known: the types of some columns.
+
+    Returns:
+        The table, and the messages; those of the reader about a converted column are replaced by one that says so.
+    """
+    scores = [target for target in targets if target in table.column_names]
+    absent = (
+        np.all([is_missing(flat(table, target)) for target in scores], axis=0) if scores else np.zeros(table.num_rows, bool)
+    )
+    if absent.all() or not absent.any():
+        return table, told
+    for column in table.column_names:
+        if column in scores or column in known.texts or not is_string(table.column(column).type):
+            continue
+        cells = np.array(table.column(column).to_pylist(), object)
+        if is_string(_converted(column, cells[~absent], dialect, known)[0].type):
+            continue
+        planned = {cell for cell in cells[absent] if cell is not None}
+        odd = {cell for cell in planned if is_string(_converted(column, [cell], dialect, known)[0].type)}
+        for gone in (odd, planned):  # all of them where those that are left do not go with the others
+            lost = np.array([out and cell in gone for out, cell in zip(absent, cells)])
+            left = [None if out else cell for out, cell in zip(lost, cells)]
+            values, lines = _converted(column, left, dialect, known)
+            if lost.any() and not is_string(values.type):
+                row = int(lost.argmax())
+                mistaken = f"column {column}: ", f"column {column} is read as texts"
+                told = [*(line for line in told if not line.startswith(mistaken)), *lines]
+                text = f"{cells[row]!r} in row {row}, which has none, counts as missing"
+                told.append(f"column {column} is read by the rows with a score; {text}")
+                table = table.set_column(table.column_names.index(column), column, values)
+                break
+    return table, told
+
+
+def _converted(column: str, cells: Any, dialect: Dialect | None, known: Known) -> tuple[Any, list[str]]:
+    """Texts as a reader converts a column of them, and its messages."""
+    table, _, told = converted(pa.table({column: pa.array(cells, pa.string())}), dialect or PLAIN, known=known)
+    return table.column(column), told
+
+
+def whole_again(table: pa.Table, columns: Sequence[str]) -> tuple[pa.Table, list[str]]:
+    """The table of a library whose whole numbers become others where a cell is missing, as in pandas, with these restored.
+
+    Args:
+        table: of which cells in these columns are missing in rows without a score only.
+        columns: whose kind is not given.
+
+    Returns:
+        The table, and a message for each column of whole numbers with missing cells, which becomes one of integers.
+    """
+    told = []
+    for column in columns:
+        if not pa.types.is_floating(table.column(column).type):
+            continue
+        values = flat(table, column).to_numpy(zero_copy_only=False).astype(np.float64)
+        absent = np.isnan(values)
+        whole = np.where(absent, 0.0, values)
+        if absent.any() and (whole == np.round(whole)).all() and np.abs(whole).max() < _EXACT:
+            cells = pa.array(whole.astype(np.int64), mask=absent)
+            table = table.set_column(table.column_names.index(column), column, cells)
+            row = int(absent.argmax())
+            text = f"holds whole numbers beside a missing cell (row {row}), and is read as such; if others may be proposed, say"
+            told.append(f"column {column} {text} kind continuous")
+    return table, told
 
 
 def as_numbers(kinds: Mapping[str, str] | None) -> set[str]:
@@ -110,7 +198,11 @@ def numbers_of(name: str, table: pa.Table, column: str, rows: np.ndarray) -> np.
     Raises:
         UserError: one is not; the line names its row.
     """
-    values = some_numbers(name, column, flat(table, column))[0][rows]
+    cells = flat(table, column)
+    if is_text(cells.type) and len(rows) < len(cells):  # the texts of other rows may be no numbers
+        here = pa.array(np.isin(np.arange(len(cells)), rows))
+        cells = compute.if_else(here, decoded(cells), pa.scalar(None, decoded(cells).type))
+    values = some_numbers(name, column, cells)[0][rows]
     if (wrong := ~np.isfinite(values)).any():
         row = int(np.argmax(wrong))
         what = "is empty" if np.isnan(values[row]) else f"has {values[row]}"

@@ -28,11 +28,21 @@ from deadreckon.mbo.design_table import (
     scored,
     trimmed,
     warn,
+    whole_again,
 )
 from deadreckon.mbo.repair import Repair
 from deadreckon.mbo.replicates import errors_of, pooled, recipes, units, units_told
 from deadreckon.mbo.rules import NO_RULES, Rules
-from deadreckon.mbo.variables import FEWEST, Variable, codes, complete_designs, filled, name_of_rows, variable_of
+from deadreckon.mbo.variables import (
+    FEWEST,
+    Variable,
+    codes,
+    complete_designs,
+    filled,
+    name_of_rows,
+    texts_told,
+    variable_of,
+)
 from deadreckon.provided import Shown
 
 LARGEST = 1e150  # largest absolute score: squares of larger ones would overflow
@@ -143,10 +153,10 @@ class Designs(Shown):
         ways = {key: options.pop(key) for key in READING if key in options}
         ignored = set(options.get("ignore", ())) - set(options.get("targets", ()))
         numbers = {target, *options.get("targets", ()), *(options.get("weights") or ()), *as_numbers(options.get("kinds"))}
-        table, _, told = read_designs(path, ways, ignored, numbers)
+        table, _, told = read_designs(path, ways, ignored, numbers, options.get("targets") or [target])
         warn(path, told)
         options.setdefault("name", name_of(path))
-        return cls.from_frame(table, target, noticed=told, **options)
+        return cls.from_frame(table, target, noticed=[*options.pop("noticed", ()), *told], **options)
 
     @classmethod
     def from_frame(
@@ -210,6 +220,8 @@ class Designs(Shown):
                 raise UserError(f"{name}: {what} is of inputs, and {both[0]} is the target{part}")
             if what != "ignore" and groups in (columns or ()):
                 raise UserError(f"{name}: {what} is of inputs, and {groups} holds the groups of rows")
+            if what != "ignore" and (both := [column for column in columns or () if column in {*ignore} - {*targets}]):
+                raise UserError(f"{name}: {what} is of inputs, and {both[0]} is ignored")
         if groups in outputs:
             raise UserError(f"{name}: {groups} cannot be the target or part of it and hold the groups of rows")
         if table.num_rows == 0:
@@ -227,6 +239,9 @@ class Designs(Shown):
             planned += "; those with all inputs are not proposed again (--repeat allows it)"
         warn(name, told := told + ([planned] if planned else []))
         check_filled(name, table, inputs, [*outputs, *grouped], rows)
+        unsaid, restored = [each for each in inputs if each not in {*(kinds or {}), *(levels or {})}], []
+        if type(frame).__module__.partition(".")[0] not in ("pyarrow", "polars"):  # these have integers that are missing
+            table, restored = whole_again(table, unsaid)
         y, columns, variables = numbers_of(name, table, target, rows), [], []
         raw, slips = y, doubts.of_target(target, y, rows)
         for column, weight in (weights or {}).items():
@@ -250,7 +265,8 @@ class Designs(Shown):
             unscored=complete_designs(name, table, variables, rows) if planned else None,
         )  # fmt: skip
         made.repair.check_possible()
-        slips = [*unknown, *doubts.of_inputs(variables, x, rows, bounds, made.rules), *slips]
+        read = [*restored, *texts_told(table, [v for v in variables if v.name in unsaid])]
+        slips = [*read, *unknown, *doubts.of_inputs(variables, x, rows, bounds, made.rules), *slips]
         warn(name, slips := [*slips, *doubts.of_outcomes(variables, x, target, raw)])
         unused = [f"not used: {', '.join(left)}"] if (left := [each for each in ignore if each not in targets]) else []
         made = replace(made, noticed=(*noticed, *told, *slips, *unused))
@@ -293,7 +309,8 @@ class Designs(Shown):
         low = np.array([0.0 if v.leveled else v.low for v in self.variables])
         high = np.array([len(v.levels) - 1.0 if v.leveled else v.high for v in self.variables])
         whole = np.array([v.kind != "continuous" for v in self.variables])
-        slack = 1e-6 * np.maximum(1.0, np.abs(x))  # float32 does not hold every bound exactly
+        largest = np.where(np.isfinite(self.x), np.abs(self.x), 0.0).max(0, initial=0.0)
+        slack = 1e-6 * np.maximum(largest, np.abs(x))  # float32 does not hold every bound exactly
         with np.errstate(invalid="ignore"):
             good = np.isfinite(x) & (x >= low - slack) & (x <= high + slack) & (~whole | (x == np.round(x)))
         if not good.all():
@@ -319,6 +336,21 @@ class Designs(Shown):
         """(count,) rows with the highest scores, or the lowest, in order; repeated from the first if there are fewer."""
         order = np.argsort(self.y if worst else -self.y, kind="stable")
         return np.resize(order, count)
+
+    def best_and_others(self, most: int, rng: np.random.Generator) -> np.ndarray:
+        """(most,) rows for a fit that takes no more: half of them the best ones, half drawn from the others. If there are not
+        more, all rows, the best first.
+
+        If all these rows had the same score, from which no model learns anything, the worst ones replace those drawn.
+        """
+        order = self.best(len(self))
+        if len(order) <= most:
+            return order
+        best, rest = order[: most // 2], order[most // 2 :]
+        drawn = rng.choice(rest, most - len(best), replace=False)
+        if np.ptp(self.y[np.append(best, drawn)]) == 0:
+            drawn = rest[-len(drawn) :]
+        return np.concatenate([best, drawn])
 
     def encode(self, frame: Any) -> np.ndarray:
         """(rows, variables) float32 designs from a table with these variables as columns.

@@ -41,7 +41,7 @@ def of_inputs(
 
     Args:
         variables: of the designs.
-        x: (rows, variables) float64, as in the table.
+        x: (rows, variables) float64, as designs hold them: for levels their indices.
         rows: (rows,) their rows in the table, counted from 0.
         bounds: bounds given by the user, within which an outlier is intended, unless they are the range of the data, as in a
             draft.
@@ -73,8 +73,18 @@ def of_inputs(
         said = sum_of([variables[column].name for column in columns], whole)
         text = f"{said} in every row, and proposals need not satisfy it; if these are parts of a whole, say"
         lines.append(f"{text} --constraints {shlex.quote(said)}")
-    lines += _of_relations(variables, x, said_in(rules) | {column for columns, _ in sums for column in columns})
-    return lines + [line for each in rules.linear if each.equal for line in _of_sum(each, x, rows)]
+    numbers = measured(variables, x)
+    lines += _of_relations(variables, numbers, said_in(rules) | {column for columns, _ in sums for column in columns})
+    return lines + [line for each in rules.linear if each.equal for line in _of_sum(each, numbers, rows)]
+
+
+def measured(variables: Sequence[Variable], x: np.ndarray) -> np.ndarray:
+    """(rows, variables) designs with levels that are ordered numbers in place of their indices."""
+    x = np.array(x, np.float64)
+    for column, v in enumerate(variables):
+        if v.numeric_levels:
+            x[:, column] = np.array(v.levels, np.float64)[x[:, column].astype(int)]
+    return x
 
 
 def _not_meant(bounds: tuple[float, float] | None, values: np.ndarray) -> bool:
@@ -142,7 +152,8 @@ def said_in(rules: Rules) -> set[int]:
 
 
 def _of_relations(variables: Sequence[Variable], x: np.ndarray, known: set[int]) -> list[str]:
-    """Messages on variables with a linear relation in every row (levels as dummy variables); `known` columns are skipped."""
+    """Messages on variables with a linear relation in every row (levels as dummy variables); `known` columns are skipped, and
+    `x` is `measured`."""
     parts, of = [], []
     for i, v in enumerate(variables):
         if i in known or np.ptp(x[:, i]) == 0:
@@ -190,7 +201,7 @@ def sum_of(names: Sequence[str], whole: int) -> str:
 
 
 def _of_sum(rule: Linear, x: np.ndarray, rows: np.ndarray) -> list[str]:
-    """A message, if any, on rows that violate an equality by more than a hundredth of its terms."""
+    """A message, if any, on rows that violate an equality by more than a hundredth of its terms; `x` is `measured`."""
     terms = np.stack([float(weight) * x[:, column] for column, weight in rule.weights], 1)
     total, slack = terms.sum(1), ROUNDED * np.maximum(np.abs(terms).sum(1), abs(float(rule.bound)))
     broken = np.abs(total - float(rule.bound)) > slack

@@ -5,7 +5,7 @@ unchanged, averaged over rows. If the variable is in a sum that must equal a num
 accordingly, as in Cox's traces for mixtures (Cornell 2002), because a mixture cannot change in only one component.
 """
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +34,8 @@ class Effect:
     Attributes:
         column: of the variable in the designs.
         values: (g,) of the variable, as designs hold them.
-        mean, std: (g,) predictions and their standard deviations; the latter are None if the model has none.
+        mean, std: (g,) predictions and their standard deviations; the latter are None if the model has none, and for averages
+            also if it was not tested or is without skill.
         change: the greatest minus the least of the means.
         change_std: standard deviation of this difference; None if it is not known.
         rows: the 10th and 90th percentile of the same difference in single rows; None for cuts.
@@ -138,11 +139,14 @@ def _most_changing(data: Designs, fitted: Fitted, columns: np.ndarray) -> np.nda
 
 
 def cuts(data: Designs, fitted: Fitted, design: np.ndarray, columns: list[int]) -> list[Effect]:
-    """Cuts through a design (variables,): one variable changes within its bounds, also beyond the data; the others are held."""
-    found = []
+    """Cuts through a design (variables,): one variable changes within its bounds, also beyond the data; the others are held.
+
+    Only other terms of a sum change, if they are not fixed, so that the sum is kept.
+    """
+    found, fixed = [], {column for column, _ in data.rules.fixed}
     for column in columns:
         values = np.unique(np.append(grid(data, column, bounds=True), design[column]))
-        x = with_value(data, np.repeat(design[None].astype(np.float64), len(values), 0), column, values)
+        x = with_value(data, np.repeat(design[None].astype(np.float64), len(values), 0), column, values, fixed)
         mean, std = fitted.predict(x)
         found.append(Effect(column, values, mean, std, float(np.ptp(mean)), allowed=allowed(data, x)))
     return found
@@ -161,11 +165,19 @@ def grid(data: Designs, column: int, bounds: bool = False) -> np.ndarray:
     return np.unique(np.round(values)) if v.kind == "integer" else values
 
 
-def with_value(data: Designs, x: np.ndarray, column: int, value: float | np.ndarray) -> np.ndarray:
+def with_value(data: Designs, x: np.ndarray, column: int, value: float | np.ndarray, held: Collection[int] = ()) -> np.ndarray:
     """(rows, variables) designs with a value of a variable, and the other terms of equalities scaled to keep the sums.
 
-    Terms that reach a bound are held there, as long as others can compensate. Fixed values and steps are not kept: the designs
-    are for predictions, and `allowed` returns which of them satisfy the rules.
+    Terms that reach a bound are held there, as long as others can compensate. Steps are not kept: the designs are for
+    predictions, and `allowed` returns which of them satisfy the rules.
+
+    Args:
+        data: scored designs, with the rules.
+        x: (rows, variables) designs.
+        column: of the variable.
+        value: of the variable, the same in all rows or (rows,).
+        held: columns that are not changed, as those with fixed values in proposals. In rows of the data these may have any
+            value, and change like others.
     """
     x = np.array(x, np.float64)
     x[:, column] = value
@@ -173,7 +185,7 @@ def with_value(data: Designs, x: np.ndarray, column: int, value: float | np.ndar
         weights = {c: float(w) for c, w in each.weights}
         if not each.equal or column not in weights:
             continue
-        others = [c for c in weights if c != column and data.variables[c].kind == "continuous"]
+        others = [c for c in weights if c != column and c not in held and data.variables[c].kind == "continuous"]
         if not others:
             continue
         rest = np.array([0.0 if c in others else weights.get(c, 0.0) for c in range(x.shape[1])])
@@ -210,10 +222,7 @@ def _to_sum(part: np.ndarray, weight: np.ndarray, total: np.ndarray, held: np.nd
 
 def keeping(data: Designs) -> np.ndarray:
     """(rows,) bool: which designs of the data satisfy all rules of proposals but steps, sums up to the rounding of terms."""
-    good = allowed(data, data.x.astype(np.float64), rounded=True)
-    for column, value in data.rules.fixed:
-        good &= at_value(data.x[:, column], value)
-    return good
+    return allowed(data, data.x.astype(np.float64), rounded=True)
 
 
 def on_steps(data: Designs) -> np.ndarray:
@@ -248,7 +257,8 @@ def most_expected(data: Designs, fitted: Fitted) -> tuple[int, float]:
 
 
 def allowed(data: Designs, x: np.ndarray, rounded: bool = False) -> np.ndarray:
-    """(rows,) bool: which designs satisfy bounds, linear constraints and forbidden combinations, up to rounding errors.
+    """(rows,) bool: which designs satisfy bounds, fixed values, linear constraints and forbidden combinations, up to rounding
+    errors.
 
     Args:
         data: scored designs, with the rules.
@@ -256,6 +266,8 @@ def allowed(data: Designs, x: np.ndarray, rounded: bool = False) -> np.ndarray:
         rounded: whether they are from a table, whose decimals are rounded: 0.33, 0.33 and 0.33 count as a mixture.
     """
     good = data.repair.allowed(x)
+    for column, fixed in data.rules.fixed:
+        good &= at_value(x[:, column], fixed)
     for i, v in enumerate(data.variables):
         if not v.leveled:
             slack = SLACK * np.maximum(np.abs(data.x[:, i]).max(), np.abs(x[:, i]))

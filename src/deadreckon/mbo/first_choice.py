@@ -21,11 +21,16 @@ def shown_interval(data: Designs, mean: np.ndarray, std: np.ndarray | None) -> t
     return (high, low) if data.minimise else (low, high)
 
 
+def tested_std(made: Proposals) -> np.ndarray | None:
+    """(n,) standard deviations of predictions; None if these were not tested: what their intervals cover is then not known."""
+    return None if made.quality is None else made.predicted_std
+
+
 def first_choice(made: Proposals, far: np.ndarray) -> int | None:
     """The proposal to try if only one is tried: that with the greatest lower end of its interval, or else prediction.
 
-    If the model predicts only an order, it is the first in that order. Proposals farther than `FAR` from the data are
-    considered only if all are.
+    If the model predicts only an order, it is the first in that order. Intervals that were not tested are not used. Proposals
+    farther than `FAR` from the data are considered only if all are.
 
     Args:
         made: the proposals.
@@ -36,7 +41,7 @@ def first_choice(made: Proposals, far: np.ndarray) -> int | None:
     """
     if made.fitted is None or made.by_chance:
         return None
-    low, _ = interval(made.predicted, made.predicted_std)
+    low, _ = interval(made.predicted, tested_std(made))
     value = low if np.isfinite(low).all() else made.predicted if made.predicts else made.fitted.predict(made.x)[0]
     near = far <= FAR
     return int(np.where(near if near.any() else True, value, -np.inf).argmax())

@@ -49,13 +49,14 @@ class Fitted:
     def average(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """(g, r) means of (g, r, variables) groups of designs, and (g, g) calibrated covariance of their averages or None.
 
-        The covariance is also None if the calibration does not use the model's standard deviations.
+        The covariance is also None if predictions were not tested, because a model that has fitted noise is too certain, and if
+        the calibration does not use the model's standard deviations.
         """
         if self.averages is None:
             return self.predict(x.reshape(-1, x.shape[-1]))[0].reshape(x.shape[:2]), None
         mean, covariance = self.averages(x)
         if self.calibration is None:
-            return mean, covariance
+            return mean, None
         mean, factor = self.calibration.of_true(mean, np.ones(()))
         return mean, factor**2 * covariance if self.calibration.scale else None
 

@@ -75,8 +75,8 @@ class Front:
 
     @property
     def unskilled(self) -> list[str]:
-        """Targets for which the model's order of unseen designs cannot be distinguished from chance: the gain is not known."""
-        return [each.target for each, made in zip(self.data, self.made) if made.by_chance]
+        """Targets whose model was not tested, or cannot be distinguished from chance: the gain is then not known."""
+        return [each.target for each, made in zip(self.data, self.made) if made.quality is None or made.by_chance]
 
     @property
     def noisy(self) -> list[str]:

@@ -6,10 +6,11 @@ it, at a least distance from them. The scores of these are set to their predicte
 believer of Ginsbourger et al. 2010).
 """
 
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 
+from deadreckon.errors import UserError
 from deadreckon.mbo.batch import batch, moved, untried
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.designs import Designs
@@ -18,8 +19,9 @@ from deadreckon.mbo.forward import on_held_out
 from deadreckon.mbo.local_search import improved
 from deadreckon.mbo.process import Process, fit
 from deadreckon.mbo.validation import Predict, Quality, checkable, cross_validated, folds_of
+from deadreckon.mbo.variables import FEWEST
 from deadreckon.randomness import generator
-from deadreckon.training.hyperparameters import Count, CountOrZero, Number, host
+from deadreckon.training.hyperparameters import Count, CountOrZero, Number, Range, host
 
 KEPT = 128  # least number of designs that a search keeps
 DRAWN = 512  # number of random designs at its start
@@ -33,12 +35,13 @@ class GP(Designer):
 
     kappa: Number = host(0.0)
     """standard deviations added to the prediction: below 0 cautious (lower confidence bound), above 0 bold (upper one)"""
-    max_rows: Count = host(3000)  # largest number of designs in the fit: half the best ones, half drawn from the rest
+    max_rows: Annotated[int, Range(ge=FEWEST)] = host(3000)
+    """largest number of designs in the fit: half the best ones, half drawn from the rest"""
     fit_rows: Count = host(400)  # largest number of designs on which the hyperparameters are fitted
     rounds: Count = host(40)  # rounds of the search
     folds: CountOrZero = host(5)
-    """folds of the cross-validation that calibrates the intervals; 0: none; with more than `max_rows` designs a fifth is held
-    out once instead"""
+    """folds of the cross-validation that calibrates the intervals, 2 or more; 0: none; with more than `max_rows` designs a
+    fifth is held out once instead"""
 
     @property
     def label(self) -> str:
@@ -46,7 +49,13 @@ class GP(Designer):
         return "GP"
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
-        """One process for all seeds, which differ only in the random search."""
+        """One process for all seeds, which differ only in the random search.
+
+        Raises:
+            UserError: a single fold.
+        """
+        if self.folds == 1:
+            raise UserError("GP.folds must be 0, for no cross-validation, or 2 or more, got 1")
         process, quality = fit(self.used(setting.data), rows=self.fit_rows), self.quality(setting)
         found = []
         for seed in setting.seeds:
@@ -68,13 +77,9 @@ class GP(Designer):
         return found
 
     def used(self, data: Designs) -> Designs:
-        """The designs in the fit: all, or the best and a random sample of the others (`max_rows`)."""
-        order = data.best(len(data))
-        if len(order) <= self.max_rows:
-            return data
-        best, rest = order[: self.max_rows // 2], order[self.max_rows // 2 :]
-        drawn = generator(0, "rows of the process").choice(rest, self.max_rows - len(best), replace=False)
-        return data.part(np.concatenate([best, drawn]))
+        """The designs in the fit: all, or `max_rows` of them (`Designs.best_and_others`)."""
+        rows = data.best_and_others(self.max_rows, generator(0, "rows of the process"))
+        return data if len(rows) == len(data) else data.part(rows)
 
     def quality(self, setting: DesignInput) -> Quality | None:
         """The quality of its predictions; None if it is not tested, or if there are too few designs.

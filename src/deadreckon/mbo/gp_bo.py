@@ -113,13 +113,9 @@ class GPBO(Designer):
         except ImportError:
             raise UserError(f"gp-bo fits with scikit-learn: {extra('design')}") from None
         data, view = setting.data, setting.data.coordinates
-        order = data.best(len(data))
-        if len(order) > self.max_rows:
-            best, rest = order[: self.max_rows // 2], order[self.max_rows // 2 :]
-            drawn = np.random.default_rng(0).choice(rest, self.max_rows - len(best), replace=False)
-            order = np.concatenate([best, drawn])
-        z = view.encode(data.x[order]).astype(np.float64)
-        y = (data.y[order] - view.y_mean) / view.y_std
+        rows = data.best_and_others(self.max_rows, np.random.default_rng(0))
+        z = view.encode(data.x[rows]).astype(np.float64)
+        y = (data.y[rows] - view.y_mean) / view.y_std
         rbf = self.kernel == "rbf" or (self.kernel == "auto" and not view.discrete)
         size = float(view.size)
         shape = kernels.RBF(size**0.5, (1e-2 * size**0.5, 1e2 * size**0.5)) if rbf else kernels.DotProduct(1.0, (1e-3, 1e3))

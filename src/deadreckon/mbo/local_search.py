@@ -6,6 +6,7 @@ import numpy as np
 
 from deadreckon.mbo.batch import Value, least_distance, moved, pulled
 from deadreckon.mbo.designs import Designs
+from deadreckon.mbo.nn_distance import nn_distance
 
 REACH = 0.5, 0.003  # size of the random changes in the first and the last round, in ranges of the data
 NEAR, AFTER = 0.1, 12  # size of the first changes, and number of rounds, for designs that were found by gradient ascent
@@ -71,10 +72,13 @@ def spaced(data: Designs, x: np.ndarray, value: np.ndarray, apart: float, kept: 
 
 
 def allowed(data: Designs, x: np.ndarray) -> np.ndarray:
-    """(rows, variables) designs moved into bounds and linear constraints, up to rounding errors, without forbidden ones."""
-    x = data.repair.nearly(x)
-    if data.rules.max_distance is not None:
-        x = pulled(data, x.astype(np.float32), data.rules.max_distance).astype(np.float64)
+    """(rows, variables) designs moved into bounds, linear constraints and the largest distance to the data, up to rounding
+    errors, without forbidden ones."""
+    x, limit = data.repair.nearly(x), data.rules.max_distance
+    if limit is not None:
+        x = data.repair.nearly(pulled(data, x, limit))
+        near = nn_distance(data, x) <= limit
+        x = x[near] if near.any() else x
     good = data.repair.allowed(x)
     # If all are forbidden, the nearest ones that are not are computed one by one, for a few.
     return x[good] if good.any() else data.repair.exact(x[:8])[0].astype(np.float64)

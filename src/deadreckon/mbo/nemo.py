@@ -175,7 +175,8 @@ class NEMO(Designer):
     g: Callable[[np.ndarray], np.ndarray] | None = static(None)
     """value of a score for objective="mean", of the table's scores; None: the score itself"""
     confidence: UnitInterval = 0.9  # probability of exceeding the score that objective="confidence" raises
-    steps: Count = host(100)  # updates of the models after pretraining; each moves the designs by about design_lr
+    steps: Count = host(100)
+    """updates of the models after pretraining; the designs move by about design_lr after every model_updates of them"""
     pretrain: CountOrZero = static(2000)  # updates of the models before the designs move
     model_updates: Count = static(1)  # model updates per design update
     batch_size: Count = static(128)  # batch size (designs of the data per update; missing in Algorithm 6)

@@ -53,9 +53,17 @@ def distance_to_tried(data: Designs, x: np.ndarray) -> np.ndarray:
     return _nearest(z, data.coordinates.place(x))[0]
 
 
-def nearest_scored(data: Designs, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) distances of designs to the nearest scored one (`Coordinates.place`), and (n,) its row."""
-    return _nearest(data.coordinates.place(data.x), data.coordinates.place(x))
+def nearest_scored(data: Designs, x: np.ndarray, among: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) distances of designs to the nearest scored one (`Coordinates.place`), and (n,) its row.
+
+    Args:
+        data: scored designs.
+        x: (n, variables) designs.
+        among: (k,) rows of the data that count, at least one; None: all.
+    """
+    among = np.arange(len(data)) if among is None else among
+    far, nearest = _nearest(data.coordinates.place(data.x[among]), data.coordinates.place(x))
+    return far, among[nearest]
 
 
 def neighbours(data: Designs, x: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:

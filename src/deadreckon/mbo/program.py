@@ -104,8 +104,9 @@ class Program:
     def _fails(self, clause: Clause) -> int:
         """Adds a binary column that can be 1 only if a condition does not hold, and returns it."""
         i, v = clause.column, self.variables[clause.column]
-        if i in self.fixed:  # its value need not be on a grid
-            value = Fraction(int(self.fixed[i])) if v.leveled else Fraction(str(np.float32(self.fixed[i])))
+        if i in self.fixed or v.low == v.high:  # its only value need not be on a grid
+            only = self.fixed.get(i, v.low)
+            value = Fraction(int(only)) if v.leveled else Fraction(str(np.float32(only)))
             return self._column(0.0, 0.0 if clause.holds(value) else 1.0, whole=True)
         out = self._column(0.0, 1.0, whole=True)
         if v.leveled:

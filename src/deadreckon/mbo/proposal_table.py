@@ -93,15 +93,26 @@ def about(data: Designs, made: Proposals) -> dict[str, list[Any]]:
         lines["out of fold"] = str(made.quality)
     if made.warning:
         lines["warning"] = made.warning
-    lines |= {
-        "predicted": MEAN,
-        "predicted_std": ONE if made.noisy else TRUE,
-        "predicted_low, predicted_high": f"the {PERCENT} interval of {made.of_what}",
-        **({} if made.mean_std is None else {"mean_std": OF_MEAN}),
-        "distance": DISTANCE,
-        "nearest_row": NEAREST,
-    }
+    if made.fitted is not None:
+        lines |= {
+            "predicted": MEAN,
+            "predicted_std": ONE if made.noisy else TRUE,
+            "predicted_low, predicted_high": interval_of(made),
+        }
+    else:
+        lines["predicted"] = "the measured score" if are_measured(made) else "empty: the method has no model of the score"
+    lines |= {**({} if made.mean_std is None else {"mean_std": OF_MEAN}), "distance": DISTANCE, "nearest_row": NEAREST}
     return {"what": list(lines), "value": list(lines.values())}
+
+
+def are_measured(made: Proposals) -> bool:
+    """Whether proposals are designs of the data, whose `predicted` scores were measured; no model predicts them."""
+    return made.predicts and made.fitted is None
+
+
+def interval_of(made: Proposals) -> str:
+    """What the intervals are of, in words, and whether they were calibrated on unseen designs."""
+    return f"the {PERCENT} interval of {made.of_what}{'' if made.quality else ', by the model, not calibrated'}"
 
 
 def about_front(front: Front) -> dict[str, list[Any]]:
@@ -118,7 +129,7 @@ def about_front(front: Front) -> dict[str, list[Any]]:
         "expected to be added": "not known" if front.unskilled else front.gain,
         "predicted_TARGET": MEAN,
         "predicted_std_TARGET": ONE,
-        "predicted_low_TARGET, predicted_high_TARGET": f"the {PERCENT} interval of {front.made[0].of_what}",
+        "predicted_low_TARGET, predicted_high_TARGET": interval_of(front.made[0]),
         "mean_std_TARGET": OF_MEAN,
         "distance": DISTANCE,
         "nearest_row": NEAREST,

@@ -106,14 +106,19 @@ def evaluate_designers(
         designers: (name in tables, designer) of each method.
         n: number of proposals of each.
         seeds: one set of proposals each.
-        together: seeds of one program; None: all. Fewer take less memory.
+        together: seeds of one program, 1 or more; None: all. Fewer take less memory.
         out: folder for results and checkpoints; existing results are not computed again.
         watch: see `Designer.propose`.
         on_result: called with every result.
 
     Returns:
         One result per method.
+
+    Raises:
+        UserError: `together` is below 1.
     """
+    if together is not None and together < 1:
+        raise UserError(f"together must be 1 or more, got {together}")
     visible = problem.visible
     known = visible.x.tobytes() + visible.y.tobytes() + repr(visible.variables).encode()
     data = hashlib.blake2b(known, digest_size=8).hexdigest()

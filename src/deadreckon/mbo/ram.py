@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
 from deadreckon.mbo.fitted import Fitted
@@ -27,8 +27,18 @@ class Ranking(Surrogate):
     def loss(self, net: MLP, x, y, weight, key):
         """ListNet's loss: cross-entropy between the softmaxes of scores and outputs over a batch, which is one list."""
         wanted = jax.nn.softmax(y)
-        error = -(wanted * jax.nn.log_softmax(net(x)[..., 0])).sum()
-        return error, {"listnet": error, "agreement": jnp.corrcoef(net(x)[..., 0], y)[0, 1]}
+        out = net(x)[..., 0]
+        error = -(wanted * jax.nn.log_softmax(out)).sum()
+        return error, {"listnet": error, "agreement": agreement(out, y)}
+
+
+def agreement(out: Float[Array, "b"], y: Float[Array, "b"]) -> Array:
+    """Pearson's correlation of outputs and scores of a list; 0 if either are all the same.
+
+    Where most designs have the same score, many lists have no order. Not a number would be taken for a fit that diverged.
+    """
+    ordered = (jnp.ptp(out) > 0) & (jnp.ptp(y) > 0)
+    return jnp.where(ordered, jnp.corrcoef(out, y)[0, 1], 0.0)
 
 
 @jax.jit

@@ -17,6 +17,7 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.mbo.constraints import Forbidden, Linear, places
+from deadreckon.mbo.doubts import sum_of
 from deadreckon.mbo.grids import FINE, grids, tied
 from deadreckon.mbo.lattice import AT_ONCE, System, moved
 from deadreckon.mbo.program import SECONDS, Program, ends, possible
@@ -233,11 +234,11 @@ class Repair:
         """A hint to require a sum of 100, if the rule requires 1 and the median in the data is 100; else an empty text."""
         if isinstance(rule, Forbidden) or not rule.equal or rule.bound != 1 or {weight for _, weight in rule.weights} != {1}:
             return ""
-        total = float(np.median(self.data.x[:, [column for column, _ in rule.weights]].astype(float).sum(1)))
+        total = float(np.median(self.measured(self.data.x)[:, [column for column, _ in rule.weights]].sum(1)))
         if abs(total - 100) > 1:
             return ""
-        percent = shlex.quote(rule.text.removesuffix("= 1") + "= 100")
-        return f"; in the data they sum to 100, so say --constraints {percent} instead"
+        percent = sum_of([self.variables[column].name for column, _ in rule.weights], 100)
+        return f"; in the data they sum to 100, so say --constraints {shlex.quote(percent)} instead"
 
     def check_possible(self) -> None:
         """Refuses rules that no design satisfies.

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.arrow import as_dates, category_codes, flat, is_category, is_number, is_text, some_numbers
+from deadreckon.data.arrow import as_dates, category_codes, decoded, flat, is_category, is_number, is_text, some_numbers
 from deadreckon.errors import UserError, unknown
 from deadreckon.mbo.design_table import numbers_of
 
@@ -20,6 +20,8 @@ FEWEST = 10  # least number of rows for a model
 OWN = 0.9  # different texts per design above which the texts are identifiers of rows
 SEVERAL = 3  # least number of different numbers with a unit; fewer may be names, such as 316L and 304L
 FINE = 1e-3  # largest distance between neighbouring float32 numbers, in standard deviations of a column
+_AS_WHOLE = re.compile(r"[-+]?(?:0|[1-9]\d*)", re.ASCII)
+_AS_NUMBER = re.compile(r"[-+]?(?:(?:0|[1-9]\d*)(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
 _RANGE = re.compile(r"\d+(?:[.,]\d*)?\s*[-\u2013\u2014]\s*\d+(?:[.,]\d*)?")
 _WITH_UNIT = re.compile(r"[-+\u2212]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?\s*([^\d\s.,+/:-]\S{0,9}(?:\s\S{1,9})?)")
 
@@ -102,7 +104,9 @@ def variable_of(
     stored, given = table.column(column).type, kind
     if pa.types.is_temporal(stored):
         raise _holds_times(name, column)
-    if kind is None:
+    if kind is None and not levels and _plain_text(stored):
+        kind = _kind_of_texts(filled(name, table, column, rows))
+    elif kind is None:
         kind = "categorical" if is_category(stored) or levels else "integer" if pa.types.is_integer(stored) else "continuous"
     if kind not in KINDS:
         raise UserError(f"{name}: column {column}: {unknown('kind', kind, KINDS)}")
@@ -123,7 +127,7 @@ def _category(
 ) -> tuple[np.ndarray, Variable]:
     """Level indices of a column, and the variable; unless its kind or levels are given (`told`), likely errors are refused."""
     stored, values = table.column(column).type, filled(name, table, column, rows)
-    if not told and is_text(stored) and not pa.types.is_dictionary(stored):
+    if not told and _plain_text(stored):
         _check_texts(name, column, values, rows)
     if levels:
         known = _typed(levels, stored)
@@ -132,6 +136,26 @@ def _category(
     else:
         known = tuple(sorted(set(values)))
     return codes(name, column, values, known, rows), Variable(column, "categorical", levels=known)
+
+
+def _plain_text(stored: pa.DataType) -> bool:
+    return is_text(stored) and not pa.types.is_dictionary(stored)
+
+
+def _kind_of_texts(values: Sequence[str]) -> str:
+    """The kind of a column of texts: that of numbers if all are written as numbers; codes such as 007 are not."""
+    if not all(map(_AS_NUMBER.fullmatch, values)):
+        return "categorical"
+    return "integer" if all(map(_AS_WHOLE.fullmatch, values)) else "continuous"
+
+
+def texts_told(table: pa.Table, variables: Sequence[Variable]) -> list[str]:
+    """A message for each of these variables that is read as numbers from a column of texts."""
+    read = [v.name for v in variables if not v.leveled and is_text(table.column(v.name).type)]
+    return [
+        f"column {name} holds texts that are all numbers, and is read so; if they are names, say kind categorical"
+        for name in read
+    ]
 
 
 def _holds_times(name: str, column: str) -> UserError:
@@ -294,8 +318,12 @@ def complete_designs(name: str, table: pa.Table, variables: Sequence[Variable], 
         if v.leveled:
             index, values = {level: float(i) for i, level in enumerate(v.levels)}, table.column(v.name).to_pylist()
             columns.append([index.get(values[row], math.nan) for row in rows])
-        else:
-            columns.append(some_numbers(name, v.name, flat(table, v.name))[0][rows])
+            continue
+        cells = flat(table, v.name).take(pa.array(rows))
+        if is_text(cells.type):  # others may be no numbers
+            texts = ["nan" if text is None or not is_number(text) else text for text in decoded(cells).to_pylist()]
+            cells = pa.array(texts, pa.string())
+        columns.append(some_numbers(name, v.name, cells)[0])
     with np.errstate(over="ignore"):  # a larger number than 32 bits hold is infinite
         x = np.stack(columns, 1).astype(np.float32)
     return x[np.isfinite(x).all(1)]

@@ -12,7 +12,7 @@ import numpy as np
 from deadreckon.data.batch import TransitionSource, redrawn
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.episodes import rows_of
-from deadreckon.data.normalizer import Normalizer
+from deadreckon.data.normalizer import EDGE, Normalizer
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.estimand import TAIL, discounted_steps
@@ -33,6 +33,7 @@ from deadreckon.randomness import generator, sequence
 from deadreckon.training.pictures import of_pictures
 
 LARGEST = 1e15  # size of a reward: the mean square of such values is still within float32
+WITHIN = 1.0 - 1e-4  # an action on the scale of -1 to 1 that is just within the bounds
 WEIGHTLESS = "need importance weights, which are degenerate for deterministic policies with continuous actions"
 
 
@@ -45,10 +46,12 @@ class CrossFitted:
     Attributes:
         policies: one per fold.
         which: (episodes of the log,) the policy of each episode.
+        drawn: whether `which` was drawn at random for another log, on which none of the policies was trained.
     """
 
     policies: tuple[Any, ...]
     which: np.ndarray
+    drawn: bool = False
 
 
 class OPEInput(Fits):
@@ -326,7 +329,7 @@ class OPEInput(Fits):
     def _beside(self, held: np.ndarray | None) -> "OPEInput":
         # Episodes that are not evaluated only train nuisance models; one that belongs to no fold gets the policy of any fold.
         policies = [
-            CrossFitted(p.policies, np.where(np.asarray(p.which) < 0, np.arange(len(p.which)) % len(p.policies), p.which))
+            dataclasses.replace(p, which=np.where(np.asarray(p.which) < 0, np.arange(len(p.which)) % len(p.policies), p.which))
             if isinstance(p, CrossFitted) else p
             for p in self.policies
         ]  # fmt: skip
@@ -427,22 +430,52 @@ class OPEInput(Fits):
             return found
         return np.stack([found[each, np.arange(found.shape[1])] for each in self._acting(self.data.episode_of)])
 
+    @cached_property
+    def log_densities(self) -> np.ndarray:
+        """(policies, rows) as `log_probs`, to be divided by logged propensities, which are densities also at ends of the data.
+
+        By default the bounds of actions are the range of the logged ones, so that the least and the greatest lie at a bound. A
+        policy that clips its actions has a probability there, which has no unit, while their logged propensities are densities
+        unless actions were clipped. A bound that a single row of the log attains is taken for an end of the data: there the
+        policy's density just within the bounds is used.
+        """
+        if not self.clips.any():
+            return self.log_probs
+        view, logged, actions = Normalizer.of(self.data.spec), np.asarray(self.log.actions), np.asarray(self.data.actions)
+        unit = np.asarray(view.to_unit(actions))
+        lone = np.zeros(unit.shape, bool)
+        for side, end in ((-1.0, logged.min(0)), (1.0, logged.max(0))):
+            lone |= (side * unit >= EDGE) & ((logged == end).sum(0) == 1)
+        rows = np.flatnonzero(lone.any(1))
+        if not len(rows):
+            return self.log_probs
+        within = np.where(lone[rows], view.from_unit(np.sign(unit[rows]) * WITHIN), actions[rows])
+        told = self.actor.log_probs(self.data.observations[rows], np.asarray(within, np.float32))
+        own = np.stack([told[each, np.arange(len(rows))] for each in self._acting(self.data.episode_of[rows])])
+        found = self.log_probs.copy()
+        found[np.ix_(self.clips, rows)] = own[self.clips]
+        return found
+
     @property
     def crossed(self) -> bool:
         """Whether some of the policies are cross-fitted."""
         return len(self.owner) > len(self.policies)
 
     @cached_property
+    def cross_fitted(self) -> np.ndarray:
+        """(policies,) whether each is evaluated on each episode by a policy that was trained on the others."""
+        return np.array([isinstance(policy, CrossFitted) and not policy.drawn for policy in self.policies])
+
+    @cached_property
     def inflation(self) -> np.ndarray:
-        """(policies, with the behaviour policy,) factors of the standard errors: sqrt(2) of cross-fitted policies, else one.
+        """(policies, with the behaviour policy,) factors of the standard errors: sqrt(2) if cross-fitted on the log, else one.
 
         Each fold evaluates the policies of the others. If an action looks good in one fold by chance, the other's policy takes
         it, and vice versa, so their errors are equal and not independent: with t_k the chance error of fold k, the estimate is
         sum_{k != l} t_k t_l, whose variance is twice the sum of those of its folds. No estimate of that from one cross-fit is
         unbiased (Bengio and Grandvalet 2004), so the upper limit is used.
         """
-        crossed = np.bincount(self.owner, minlength=len(self.policies)) > 1
-        return np.where(np.append(crossed, [False] * int(self.logged)), np.sqrt(2.0), 1.0)
+        return np.where(np.append(self.cross_fitted, [False] * int(self.logged)), np.sqrt(2.0), 1.0)
 
     @cached_property
     def degenerate(self) -> np.ndarray:

@@ -21,7 +21,7 @@ from deadreckon.ope.groups import Groups, by_group
 from deadreckon.ope.guarantee import guaranteed, refuse
 from deadreckon.ope.importance import ImportanceSampling, learns, log_ratios
 from deadreckon.ope.linear import Fit, LinearFQE
-from deadreckon.ope.losses import without_losses
+from deadreckon.ope.losses import with_rare_rewards, without_losses
 from deadreckon.ope.registry import as_estimators
 from deadreckon.ope.select import MOVED, Choice, doubted, moved_most, select, unbounded_where_unsupported
 from deadreckon.ope.settings import DecisionOptions, DecisionSettings
@@ -117,7 +117,8 @@ def decide(
     if settings.tail is not None:
         more["tail"], line = _tail(case, which, settings.tail, model, alpha, wider, endless)
         choice = replace(choice, evidence=(*choice.evidence, line))
-    return Decision([unbounded_where_unsupported(each, checked) for each in estimates], checked, choice, more)
+    shown = [unbounded_where_unsupported(with_rare_rewards(case, each, model), checked) for each in estimates]
+    return Decision(shown, checked, choice, more)
 
 
 def check(case: OPEInput, settings: DecisionSettings, groups: Groups | None) -> None:

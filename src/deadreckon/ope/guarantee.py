@@ -45,7 +45,7 @@ def refuse(case: OPEInput, return_range: tuple[float, float] | None) -> None:
         lacks.append(f"whole episodes: {(~episodes.ended).sum():,} are cut off; give a horizon that all of them reach")
     if case.clustered:
         lacks.append("independent episodes: episodes of one cluster are not independent")
-    if case.crossed:
+    if case.cross_fitted.any():
         lacks.append(
             "policies that were trained on none of the evaluated episodes: those of a cross-fit were trained on each other's"
         )
@@ -75,6 +75,6 @@ def guaranteed(case: OPEInput, which: int, return_range: tuple[float, float] | N
     assert return_range is not None
     low, high = return_range
     gained = np.clip(case.data.returns(case.discount) - low, 0.0, high - low)
-    logs = case.log_probs[which] - np.asarray(case.data.extras["behavior_log_probs"], np.float64)
+    logs = case.log_densities[which] - np.asarray(case.data.extras["behavior_log_probs"], np.float64)
     weights = np.exp(np.minimum(case.episodes.cumulate(logs)[case.data.ends], LARGEST))
     return float(lower((weights - 1.0) * gained + (high - low), alpha / len(case.policies))) - (high - low)

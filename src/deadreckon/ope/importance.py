@@ -225,6 +225,7 @@ def log_ratios(
 ) -> np.ndarray:
     """(policies, rows) log of pi(a|s) / beta(a|s) of each logged action; learned propensities are those of `folds` folds."""
     own = case.log_probs  # first: policies without probabilities are refused before anything is fitted
+    own = own if learns(case, behavior) else case.log_densities
     ratios = np.zeros((case.count, own.shape[1]))  # that of the behaviour policy stays zero
     for clipped in np.unique(case.clips).tolist():
         which = np.flatnonzero(case.clips == clipped)

@@ -1,4 +1,4 @@
-"""Losses that are missing from a policy's rows by chance, in logs of single steps.
+"""Rewards that are missing from a policy's rows by chance, in logs of single steps or of whole episodes with one weight each.
 
 If rewards are equal except for rare losses, the few rows with the policy's actions may have no losses. Then no bootstrap sample
 has one either: estimate and interval are those of a policy without losses. So this module computes the probability that this
@@ -6,6 +6,7 @@ many rows have none if losses do not depend on the action, and the lower end of 
 that there may be.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from deadreckon.ope.importance import counting, log_ratios
 from deadreckon.ope.select import doubted, gains
 from deadreckon.ope.support import Support
 from deadreckon.stats import inference
+from deadreckon.stats.interval import ALPHA
 
 
 def without_losses(case: OPEInput, found: Estimates, support: Support, model: BehaviorModel, alpha: float) -> list[str | None]:
@@ -33,21 +35,63 @@ def without_losses(case: OPEInput, found: Estimates, support: Support, model: Be
         alpha: share of logs for which one of the intervals may miss.
     """
     out: list[str | None] = [None] * len(case.policies)
-    if found.ess is None or not one_step(case):
+    single = found.ess is not None and one_step(case)
+    # Of longer episodes it counts where estimates rest on products of weights and the log shows each return as a whole.
+    if not single and ("effective share" not in found.diagnostics or case.data.successors is not None or not case.complete):
         return out
-    rewards, every = np.asarray(case.data.rewards, np.float64), gains(found, alpha, doubted(found, support)[1])
+    unit, what = ("rows", "reward") if single else ("episodes", "return")
+    returns, every = case.data.returns(case.discount), gains(found, alpha, doubted(found, support)[1])
     every = every[[name != LOGGED for name in found.names]]
-    rows = counting(log_ratios(case, "auto", model, None)[: len(out)])
-    for i in np.flatnonzero(~case.degenerate & (every[:, 1] > 0) & np.isfinite(every[:, 1])).tolist():
-        least, low = rewards[rows[i]].min(), every[i, 1]
-        lacks = lacking(case, np.maximum(least - rewards, 0.0), Basis.of(found, i).rest[0], alpha / len(out))
+    rows, bases = _own(case, model)
+    open_to = ~case.degenerate & (every[:, 1] > 0) & np.isfinite(every[:, 1]) & rows.any(1)
+    for i in np.flatnonzero(open_to).tolist():
+        least, low = returns[rows[i]].min(), every[i, 1]
+        count = Basis.of(found, i).rest[0] if single else bases[i]
+        lacks = lacking(case, np.maximum(least - returns, 0.0), count, alpha / len(out))
         if lacks.chance > alpha / 2 / len(out) and low <= lacks.most:
             out[i] = (
-                f"none of its {lacks.rows:.0f} effective rows has a reward below {least:.4g}, but {lacks.share:.1%} of all "
-                f"rows do; this happens by chance in {lacks.chance:.0%} of logs, and with as many of them as the log may have "
-                f"its lower end would be {low - lacks.most:+.4g}"
+                f"none of its {lacks.rows:.0f} effective {unit} has a {what} below {least:.4g}, but {lacks.share:.1%} of all "
+                f"{unit} do; this happens by chance in {lacks.chance:.0%} of logs, and with as many of them as the log may "
+                f"have its lower end would be {low - lacks.most:+.4g}"
             )
     return out
+
+
+def with_rare_rewards(case: OPEInput, found: Estimates, model: BehaviorModel) -> Estimates:
+    """An estimate whose intervals allow for rewards that a policy's rows lack by chance, in logs of single steps.
+
+    What none of n rows has may have the probability 1 - (alpha / 2)^(1 / n) (the exact limit of Clopper and Pearson 1934). The
+    ends reach at least as far as if, with this probability, the smallest of the policy's rewards were the smallest of the log,
+    and likewise the largest. That matters if rewards take few values, such as successes all of whose rows succeed; else
+    intervals are wider.
+
+    Args:
+        case: log and policies, with or without the behaviour policy.
+        found: an estimate of these.
+        model: settings of the behaviour model, if propensities were not logged.
+    """
+    if found.ess is None or not one_step(case):
+        return found
+    rewards, low, high = np.asarray(case.data.rewards, np.float64), found.low.copy(), found.high.copy()
+    rows, _ = _own(case, model)
+    for i in np.flatnonzero(~case.degenerate & (found.ess[: len(case.policies)] > 0) & rows.any(1)).tolist():
+        share = 1.0 - (ALPHA / 2) ** (1.0 / Basis.of(found, i).rest[0])
+        own = rewards[rows[i]]
+        low[i] = min(low[i], found.value[i] - share * (own.min() - rewards.min()))
+        high[i] = max(high[i], found.value[i] + share * (rewards.max() - own.max()))
+    return replace(found, low=low, high=high)
+
+
+def _own(case: OPEInput, model: BehaviorModel) -> tuple[np.ndarray, np.ndarray]:
+    """(policies, episodes) bool, which episodes count for each policy by their weights as a whole, and (policies,) how many
+    effective episodes or clusters these are; made once."""
+
+    def make() -> tuple[np.ndarray, np.ndarray]:
+        ratios, every = log_ratios(case, "auto", model, None)[: len(case.policies)], np.ones(case.data.episodes, bool)
+        rows = counting(np.stack([case.episodes.cumulate(own)[case.data.ends] for own in ratios]))
+        return rows, np.array([Basis.of_weights(case, own, every, whole=True).rest[0] for own in ratios])
+
+    return case.once(("episodes of each policy", model), make)
 
 
 class Lacking(NamedTuple):
@@ -71,8 +115,8 @@ def lacking(case: OPEInput, beyond: np.ndarray, rows: float, alpha: float) -> La
     """What the rows of a policy may lack by chance.
 
     Args:
-        case: a log of single steps.
-        beyond: (rows,) by how much each row is beyond the rows of the policy, 0 if it is not.
+        case: log and policies.
+        beyond: (episodes,) by how much each is beyond those of the policy, 0 if it is not.
         rows: how many effective rows the policy has.
         alpha: the limit is missed in half of this share of logs.
     """

@@ -24,6 +24,7 @@ BOOTSTRAP = 100  # bootstrap samples from which their percentiles are an interva
 # If propensities are learned, intervals are widened by this times the largest change of a gain from normalising the weights.
 # Weights by correct propensities average one, and normalising changes nothing; wrong ones bias gains by up to about this.
 MOVED = 2.0
+ROUNDING = 1e-6  # share of the values below which a gain is a rounding error of 32-bit probabilities and models
 ALARMING = 0.1  # share of an interval's width above which that change gives a warning
 
 
@@ -104,6 +105,9 @@ def gains(found: Estimates, alpha: float = ALPHA, known: np.ndarray | None = Non
         low, high = np.array([[float(low), float(high)] for low, high in ends]).T
     if found.inflation is not None:
         low, high = middle - found.inflation * (middle - low), middle + found.inflation * (high - middle)
+    # Probabilities and fitted models have 32 bits: a difference of a millionth of the values is none.
+    least = ROUNDING * np.maximum(np.abs(found.value), abs(found.value[logged]))
+    low, high = np.minimum(low, middle - least), np.maximum(high, middle + least)
     wider = MOVED * moved_most(found, known)[1]
     low, high = np.where(known, low - wider, -np.inf), np.where(known, high + wider, np.inf)
     out = np.stack([middle, low, high], 1)

@@ -64,7 +64,8 @@ class EvidenceSettings(Settings):
 class DecisionSettings(EvidenceSettings):
     """All settings of a decision: which estimates may decide, what must hold beside a gain, and what is shown."""
 
-    model: BehaviorModel = PROPENSITIES  # how the behaviour policy is learned, for checks and where no propensities were logged
+    model: BehaviorModel = PROPENSITIES
+    """how the behaviour policy is learned, for checks and by "auto"; estimators that are given have settings of their own"""
     guarantee: bool = False
     """whether to deploy only by a bound of the gain that holds for any number of episodes; needs a return range"""
     return_range: tuple[float, float] | None = None  # smallest and largest return that an episode can have

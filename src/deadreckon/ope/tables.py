@@ -200,29 +200,35 @@ class Actor:
         actions only."""
         tells = getattr(self.policies[which], "action_probs", None)
         shape = len(observations), self.spec.action_size
-        if tells is None:
+        if tells is None and not getattr(self.policies[which], "has_log_prob", False):
             found = self._legal(which, self._counted(which, observations, entropy), observations)
         else:
-            told = np.asarray(tells(observations), np.float64)
+            told = np.asarray(self._told(which, observations) if tells is None else tells(observations), np.float64)
             if told.shape != shape or not (told >= 0).all() or np.abs(told.sum(1) - 1).max(initial=0) > 1e-3:
                 sums = f" and sums from {told.sum(1).min():.4g} to {told.sum(1).max():.4g}" if told.shape == shape else ""
+                by = "log_prob" if tells is None else "action_probs"
                 raise UserError(
-                    f"action_probs must give {shape} probabilities that sum to 1 in each row, got shape {told.shape}{sums}"
+                    f"{by} must give {shape} probabilities that sum to 1 in each row, got shape {told.shape}{sums}"
                 )
-            found = self._legal(which, told, observations)
+            found = self._legal(which, told / told.sum(1, keepdims=True), observations)
         return np.eye(shape[1], dtype=np.float32)[found.argmax(1)] if self.greedy else found.astype(np.float32)
+
+    def _told(self, which: int, observations: np.ndarray) -> np.ndarray:
+        """(rows, n) probabilities of a discrete policy that gives log-probabilities of actions."""
+        actions = [np.full(len(observations), each) for each in range(self.spec.action_size)]
+        return np.exp(np.stack([self.policies[which].log_prob(observations, each) for each in actions], 1))
 
     def _counted(self, which: int, observations: np.ndarray, entropy: np.random.SeedSequence) -> np.ndarray:
         """(rows, n) frequencies in `DRAWS` draws from a policy that does not give its probabilities."""
         policy, rng, rows = self.policies[which], np.random.default_rng(entropy), np.arange(len(observations))
-        counts = np.zeros((len(rows), self.spec.action_size), np.float32)
+        counts = np.zeros((len(rows), self.spec.action_size))
         step = Step(observations, np.zeros(len(rows)), np.ones(len(rows), bool))
         for _ in range(DRAWS):
             chosen = np.asarray(policy.act(step, (), rng, greedy=self.greedy)[0])
             if chosen.shape != rows.shape or chosen.min(initial=0) < 0 or chosen.max(initial=0) >= self.spec.action_size:
                 raise UserError(f"a policy of this log gives one of 0 .. {self.spec.action_size - 1} per row")
-            counts[rows, chosen.astype(int)] += 1.0 / DRAWS
-        return counts
+            counts[rows, chosen.astype(int)] += 1.0
+        return counts / DRAWS
 
     def _legal(self, which: int, chances: np.ndarray, observations: np.ndarray) -> np.ndarray:
         """Probabilities (rows, n), normalised over legal actions; those of illegal actions are added to `illegal`."""

@@ -74,8 +74,10 @@ def lower_tail(log_weights: np.ndarray, returns: np.ndarray, share: float, least
     # Rounding must not move a quantile that falls on an edge to the next return.
     last = min(int(np.searchsorted(total, share * total[-1] * (1 - 1e-12))), len(order) - 1)
     quantile = float(returns[order[last]])
-    within = weights[returns <= quantile]
-    ess = float(within.sum() ** 2 / np.square(within).sum())
+    # Of the episodes at the quantile, which may be many, the tail has as much as fills the share.
+    below, at = weights[returns < quantile], weights[returns == quantile]
+    left = np.clip((share * total[-1] - below.sum()) / at.sum(), 0.0, 1.0)
+    ess = float((share * total[-1]) ** 2 / (np.square(below).sum() + left * np.square(at).sum()))
     if ess < least:
         raise UserError(
             f"the worst {100 * share:g} % of episodes rest on {ess:.1f} of {len(returns):,} in the log, fewer than the "

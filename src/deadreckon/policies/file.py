@@ -36,6 +36,7 @@ class _Tree(TypedDict):
 
 class _Meta(TypedDict):
     log: NotRequired[LogValues | None]
+    by: NotRequired[str]
 
 
 def read_policy(path: Path | str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

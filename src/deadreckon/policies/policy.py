@@ -75,7 +75,8 @@ class BlackBoxPolicy:
 
     Args:
         fn: gets observations (n, *shape) and a `numpy.random.Generator`, gives actions (n, size), or (n,) discrete ones.
-        log_prob: gets observations and actions, gives their log-densities (n,); None where it is not known.
+        log_prob: gets observations and actions, gives their log-densities (n,), of discrete actions their log-probabilities;
+            None where it is not known.
         action_probs: of discrete actions: gets observations, gives (n, actions) probabilities; None where it is not known.
     """
 

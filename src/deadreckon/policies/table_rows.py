@@ -51,7 +51,9 @@ def columns_of(
     count = None
     if isinstance(rows, Mapping):
         given: dict[str, Any] = {str(key): value for key, value in rows.items()}
-        if any(not _is_many(given[key]) for key in needed if key in given):
+        if any(not _is_many(given[key]) for key in needed if key in given) or (
+            given and not any(map(_is_many, given.values()))
+        ):
             return {key: _array([value]) for key, value in given.items()}, 1, True
     elif isinstance(rows, Sequence) and not isinstance(rows, str | bytes) and len(rows) and isinstance(rows[0], Mapping):
         given, count = _of_mappings(rows, needed, more, name), len(rows)

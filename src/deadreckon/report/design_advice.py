@@ -5,7 +5,7 @@ import numpy as np
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.effects import best_permitted, most_expected
-from deadreckon.mbo.first_choice import FAR, first_choice, interval, shown_interval
+from deadreckon.mbo.first_choice import FAR, first_choice, interval, shown_interval, tested_std
 from deadreckon.mbo.nn_distance import neighbours
 from deadreckon.report.design_asked import broken_rule, row_name
 from deadreckon.report.design_edges import shown_value
@@ -20,7 +20,7 @@ def one_to_try(data: Designs, made: Proposals, far: np.ndarray) -> Markup:
     chosen = first_choice(made, far)
     if chosen is None:
         return tag("div", tag("p", _no_choice(data, made), class_="because"), class_="card")
-    low, high = (float(end[chosen]) for end in shown_interval(data, made.predicted, made.predicted_std))
+    low, high = (float(end[chosen]) for end in shown_interval(data, made.predicted, tested_std(made)))
     distances, rows = (each[0] for each in neighbours(data, made.x[chosen : chosen + 1], 1))
     near = int(rows[0])
     values = {name: column[0] for name, column in data.decode(made.x[chosen : chosen + 1]).items()}
@@ -72,10 +72,12 @@ def _why(data: Designs, made: Proposals, far: np.ndarray, chosen: int) -> str:
     )  # fmt: skip
     if not made.predicts:
         return f"The model ranks it first among {of}. {made.method} learns an order and predicts no scores."
-    ends = shown_interval(data, made.predicted, made.predicted_std)
+    ends = shown_interval(data, made.predicted, tested_std(made))
     end = float((ends[1] if data.minimise else ends[0])[chosen])
-    if np.isnan(end):
+    if np.isnan(made.predicted_std[chosen]):
         rule = f"Among {of} it has the {highest} prediction; {made.method} gives no standard deviation."
+    elif made.quality is None:
+        rule = f"Among {of} it has the {highest} prediction, which was not tested on unseen rows and may be worthless."
     else:
         rule = f"Among {of} the {lower} end of its {PERCENT} interval, {number(end)}, is the {highest}."
     return f"{rule} {_compared(data, made, chosen)}"
@@ -96,7 +98,7 @@ def _compared(data: Designs, made: Proposals, chosen: int) -> str:
     shown_best = number(float(data.shown(data.y[best])))
     kept = "the data" if best == int(data.y.argmax()) else "rows that satisfy the rules"
     score = f"the best score of {kept}, {shown_best}"
-    worst = interval(made.predicted, made.predicted_std)[0][chosen]
+    worst = interval(made.predicted, tested_std(made))[0][chosen]
     if worst > data.y[best]:
         return f"{compared} The whole interval is {above} {score}."
     if mean > data.y[best]:
@@ -113,7 +115,7 @@ def rule_note(made: Proposals) -> Markup:
     """By which rule the proposal is chosen."""
     return note(
         f"Rule: the proposal whose {PERCENT} interval has the best lower end (the upper end where the target is to be small), "
-        f"or the best prediction where the method gives no interval, among those within {FAR:g} typical distances of a scored "
-        f"row. The interval is of {made.of_what}. Rows are counted from 0, without the line of names; proposals are the rows "
-        "of proposals.csv, counted likewise."
+        "or the best prediction where the method gives no interval or its intervals were not tested, among those within "
+        f"{FAR:g} typical distances of a scored row. The interval is of {made.of_what}. Rows are counted from 0, without the "
+        "line of names; proposals are the rows of proposals.csv, counted likewise."
     )

@@ -173,6 +173,8 @@ def _of_ends(data: Designs, made: Proposals, idle: set[int]) -> list[str]:
 def _of_effects(data: Designs, made: Proposals, effects: list[Effect]) -> list[str]:
     if effects and made.by_chance:
         return ["For the same reason, the effects of variables cannot be distinguished from zero either."]
+    if made.quality is None and made.fitted is not None and made.fitted.averages is not None and effects:
+        return ["Whether effects of variables differ from none is not known either, because predictions were not tested."]
     known = [each for each in effects if each.distinct(len(effects)) is not None]
     if made.fitted is not None and effects and not known:
         return [

@@ -50,18 +50,32 @@ def at_rules(data: Designs, x: np.ndarray) -> list[str]:
     found = []
     for each in data.rules.linear:
         if not each.equal and not {column for column, _ in each.weights} <= fixed:
-            found.append((int(_at_linear(data, each, x).sum()), f"always {each.text}"))
+            found.append((int(_at_linear(data, each, x, fixed).sum()), f"always {each.text}"))
     for each in data.rules.forbidden:
         found.append((int(_at_forbidden(data, each, x, fixed).sum()), f"never {each.text}"))
     found = sorted((each for each in found if 2 * each[0] >= len(x)), key=lambda each: -each[0])
     return [f'{count:,} stand at the edge of the rule "{text}"' for count, text in found[:SHOWN]]
 
 
-def _at_linear(data: Designs, rule: Linear, x: np.ndarray) -> np.ndarray:
+def _at_linear(data: Designs, rule: Linear, x: np.ndarray, fixed: set[int]) -> np.ndarray:
     """(n,) which designs cannot come nearer to the bound of an inequality, but for `NEAR` of its range or a step."""
     seen, sums = (sum(float(w) * data.repair.measured(of)[:, c] for c, w in rule.weights) for of in (data.x, x))
-    steps = [float(abs(w)) * _step(data.variables[c]) for c, w in rule.weights]
-    return np.asarray(float(rule.bound) - sums) < max(NEAR * float(np.ptp(seen)), (1 - NEAR) * min(steps))
+    free = [(data.variables[c], x[:, c], float(w)) for c, w in rule.weights if c not in fixed]
+    step = np.min([abs(w) * _next(v, values, up=w > 0) for v, values, w in free], axis=0)
+    step = np.where(np.isfinite(step), step, 0.0)  # what stands at the ends of its levels is held by these
+    return np.asarray(float(rule.bound) - sums) < np.maximum(NEAR * float(np.ptp(seen)), (1 - NEAR) * step)
+
+
+def _next(v: Variable, values: np.ndarray, *, up: bool) -> np.ndarray:
+    """(n,) distances of values to the next one that may be proposed; of levels that are numbers to the next level above or
+    below, infinite where there is none."""
+    if not v.leveled:
+        return np.full(len(values), _step(v))
+    levels = np.sort(np.array(v.levels, np.float64))
+    here = np.searchsorted(levels, np.array(v.levels, np.float64)[values.astype(int)])
+    there = here + (1 if up else -1)
+    inside = (there >= 0) & (there < len(levels))
+    return np.where(inside, np.abs(levels[there.clip(0, len(levels) - 1)] - levels[here]), np.inf)
 
 
 def _at_forbidden(data: Designs, rule: Forbidden, x: np.ndarray, fixed: set[int]) -> np.ndarray:

@@ -24,14 +24,14 @@ def on_average(data: Designs, made: Proposals, effects: list[Effect]) -> Markup 
         return None
     drawn = _panels(data, made, effects, None)
     captions = [_caption(data, each, len(effects), not made.by_chance) for each in effects]
-    warning = None if made.quality is None else made.quality.warning
+    untested = " It is not known whether effects differ from none." if made.quality is None else ""
     parts = [
         f"Each curve is the prediction averaged over {min(len(data), ROWS):,} rows of the data in which the variable has the "
         "value shown and the others are as they are (partial dependence).",
         f"Vertical axis: {'the order by the model' if made.fitted.is_order else f'predicted {data.target}'}, the same for all.",
     ]
     if any(each.std is not None for each in effects):
-        parts.append(f"Bands and whiskers: {PERCENT} interval of this average, calibrated where the method was tested.")
+        parts.append(f"Bands and whiskers: {PERCENT} interval of this average, calibrated on unseen rows.")
     if any(each.equal for each in data.rules.linear):
         parts.append("Parts that must sum to a number make room for one another in their proportions.")
     parts.append("Marks along the axis are values of the data; between and beyond them there is only the model.")
@@ -39,7 +39,8 @@ def on_average(data: Designs, made: Proposals, effects: list[Effect]) -> Markup 
     left = int((np.ptp(data.x, axis=0) > 0).sum()) - len(effects)
     if left:
         parts.append(f"These are the {MOST} variables with the greatest changes; {left:,} are left out.")
-    said = tag("p", f"{warning.capitalize()}." if warning else None, " This is what the fitted model says, not what is true.")
+    warning = f"{made.warning.capitalize()}.{untested} " if made.warning else None
+    said = tag("p", warning, "This is what the fitted model says, not what is true.")
     return join(said, note(" ".join(parts)), _folded(drawn, captions, OPEN))
 
 
@@ -55,12 +56,13 @@ def around(data: Designs, made: Proposals, chosen: int, effects: list[Effect]) -
     captions = [join(breakable(data.variables[each.column].name), _held(data, made.x[chosen], each.column)) for each in found]
     dashed = any(each.allowed is not None and not each.allowed.all() for each in found)
     sums = any(each.equal for each in data.rules.linear)
+    calibrated = ", by the model, not calibrated" if made.quality is None else ""
     dotted = "" if best is None else " Dotted line: best score of the data."
     text = (
         f"The prediction as one variable of proposal {chosen} changes and the others are held; the marker is the proposal."
         f"{dotted}{' Dashed or hollow: what bounds or rules do not allow.' if dashed else ''} "
-        + (f"Bands and whiskers: {PERCENT} interval. " if found and found[0].std is not None else "")
-        + ("Parts that must sum to a number make room for the one that changes. " if sums else "")
+        + (f"Bands and whiskers: {PERCENT} interval{calibrated}. " if found and found[0].std is not None else "")
+        + ("Parts that must sum to a number make room for the one that changes, unless they are fixed. " if sums else "")
         + "A flat curve says that this setting need not be exact, a steep one that it must be."
     )
     return join(note(text), _folded(drawn, captions, AROUND))

@@ -50,11 +50,10 @@ def _lead(front: Front) -> str:
     """What is not known first, then the hypervolume, and what is expected to be gained where the models have any skill."""
     parts, bad = [], front.unskilled
     if bad:
-        doubts = {each.target: made.quality.doubt for each, made in zip(front.data, front.made) if made.quality}
+        untested = "it was not tested how well the model predicts unseen rows"
+        doubts = {each.target: made.quality.doubt if made.quality else untested for each, made in zip(front.data, front.made)}
         parts += [f"Of {target}, {doubts[target]}." for target in bad]
         parts.append(f"Proposals may be worthless for {words(bad)}, and their expected gain is not known.")
-    elif front.warnings:
-        parts.append(f"{str(front.made[0].warning).capitalize()}.")
     point = ", ".join(f"{each.target} {number(float(v))}" for each, v in zip(front.data, front.shown(front.reference)))
     both, size = ("both targets", "area") if len(front.data) == 2 else ("all targets", "volume")
     parts.append(

@@ -9,6 +9,7 @@ from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.first_choice import shown_interval
 from deadreckon.mbo.nn_distance import neighbours
 from deadreckon.mbo.problems.problem import Scores
+from deadreckon.mbo.proposal_table import are_measured
 from deadreckon.report.design_edges import shown_value
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import heads_of, note, scroll
@@ -36,7 +37,8 @@ def proposals_table(
     order = np.argsort(-made[0].predicted, kind="stable")[:shown]
     table = first.decode(made[0].x[order])
     names = list(table)[:COLUMNS]
-    predicted = [f"{each.target}, predicted" for each in data] if len(data) > 1 else ["predicted"]
+    how = "measured" if len(data) == 1 and are_measured(made[0]) else "predicted"
+    predicted = [f"{each.target}, predicted" for each in data] if len(data) > 1 else [how]
     heads = ["proposal", *predicted, *(["true"] if scores else []), "distance", "nearest rows", *names]
     _, near = neighbours(first, made[0].x[order], NEAREST)
     rows = []
@@ -49,10 +51,11 @@ def proposals_table(
     left = len(table) - len(names)
     more = f" {left:,} more variables are in the CSV." if left else ""
     best = f"best predictions of {first.target}" if len(data) > 1 else "best predictions"
-    which = f"{len(order)} with the {best}" if made[0].predicts else f"first {len(order)}"
+    which = f"{len(order)} with the {best}" if made[0].predicts and how == "predicted" else f"first {len(order)}"
     told = f"The {which}, of {count:,}." if count > len(order) else "All of them."
+    below = f" Below a prediction is its {PERCENT} interval." if how == "predicted" else ""
     meaning = (
-        f" Below a prediction is its {PERCENT} interval. Distance: to the nearest scored row, in typical distances. Nearest "
+        f"{below} Distance: to the nearest scored row, in typical distances. Nearest "
         f"rows: row of the data (counted from 0) and its {words([each.target for each in data])}."
     )
     return join(scroll(tag("table", heads_of(heads), tag("tbody", rows), class_="proposals")), note(f"{told}{more}{meaning}"))

@@ -29,8 +29,9 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.history import stacked
 from deadreckon.data.info import warnings_for
 from deadreckon.data.leaks import leaks
-from deadreckon.data.split import Holdout
+from deadreckon.data.split import RANDOM, TIME, Holdout, clusters
 from deadreckon.errors import UserError
+from deadreckon.ope.basis import UNITS
 from deadreckon.ope.behavior_model import PROPENSITIES
 from deadreckon.ope.costs import limits_of
 from deadreckon.ope.features import Features
@@ -171,19 +172,24 @@ class Attempt:
             raise UserError(f"{log.name}: its rows do not follow each other, which recommend needs; use train and ope")
         given = self.settings.holdout
         holdout = usual(log) if given is None else given if isinstance(given, Holdout) else of_share(log, given)
-        held = len(holdout.parts(log).held)  # an impossible holdout is refused before training
+        parts = holdout.parts(log)  # an impossible holdout is refused before training
         if few := too_few(log, holdout):
             raise UserError(f"{few}, and a card rests on them; hold out by other values, or record more")
         manner = f"{len(log):,} rows, {log.episodes:,} episodes"
         self.send("state", {"log": log.name, "rows": len(log), "episodes": log.episodes})
         by = {"random": "at random", "time": "the latest"}.get(holdout.by, f"by {holdout.by}")
-        share = f"{held:,} of them ({100 * held / log.episodes:.0f} %)"  # whole clusters seldom give the exact share
+        # Whole clusters seldom give the exact share.
+        share = f"{len(parts.held):,} of them ({100 * len(parts.held) / log.episodes:.0f} %)"
         self.send("line", f"{log.name}: {manner}; {share} are held out for the card, {by}")
+        if (count := len(np.unique(clusters(log, holdout.by)[parts.held]))) < UNITS:
+            what = "episodes" if holdout.by in (RANDOM, TIME) else f"values of {holdout.by}"
+            told = f"only {count} {what} are held out, and no policy is recommended on fewer than {UNITS}"
+            self.send("line", f"{told}: hold out a larger share (--holdout), or record more")
         self._warn(log)
         return log, judge_in, holdout
 
     def _warn(self, log: Dataset) -> None:
-        """Reports warnings of `data info`: suspected leaks, an objection to every policy, on the card, all others as lines."""
+        """Reports warnings of `data info`: suspected leaks on the card, as warnings, all others as lines."""
         self.send("state", {"leaks": leaks(log)})
         short = len(log) <= DESCRIBED
         for line in warnings_for(log) if short else log.warnings:

@@ -7,17 +7,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.episodes import alike_in
 from deadreckon.errors import UserError
 from deadreckon.ope.case import CrossFitted
 from deadreckon.policies import library, store
 from deadreckon.policies.dope import load_dope
 from deadreckon.policies.policy import Policy
 from deadreckon.policies.resolve import PICKLES
+from deadreckon.randomness import generator
 from deadreckon.runs.crossfit import NAME as CROSS_FIT
 from deadreckon.runs.crossfit import CrossFit, load_cross_fit
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.reading import Read, check_encoding, check_episodes
-from deadreckon.runs.seen import Seen
+from deadreckon.runs.seen import unseen_by
 from deadreckon.runs.train import Run, load
 
 NOBODY = "it is not known whether it was trained on these episodes (--unseen asserts that it was not)"
@@ -36,7 +38,7 @@ class Gathered(NamedTuple):
         by: column whose values its run kept together when it held out episodes; None: none.
         file: the file of exactly this policy; None: not known.
         read: how the log was read that it was trained on.
-        task: in which its run was evaluated, or whose snapshot it is; None: not known.
+        task: in which its run was evaluated, or whose snapshot it is; None: not known, or not the one that its name finds.
     """
 
     policy: Any
@@ -87,8 +89,9 @@ def gather(given: Any) -> list[Gathered]:
             run = each if isinstance(each, Run) else load(each)
             held = run.config["data"].get("holdout") or (run.config.get("log") or {}).get("holdout")
             by, folder, read = None if held is None else held["by"], Folder(run.path), _read(run)
+            task = None if "task_fields" in run.config else run.config["task"]
             found += [
-                Gathered(policy, run.path.name, seed, run.taught, by, folder.policy(seed), read, run.config["task"])
+                Gathered(policy, run.path.name, seed, run.taught, by, folder.policy(seed), read, task)
                 for policy, seed in zip(run.policies, run.seeds)
             ]
         elif path.exists() or path.suffix:
@@ -110,7 +113,7 @@ def _saved(file: Path, name: str) -> Gathered:
     # Older online runs recorded an empty list of episodes.
     taught = None if saved.taught is None or not len(saved.taught) else saved.taught
     read = Read.of(saved.meta.get("log") or NO_LOG, taught, saved.held)
-    return Gathered(saved.policy, name, None, taught, file=file, read=read)
+    return Gathered(saved.policy, name, None, taught, saved.meta.get("by"), file, read)
 
 
 def _read(run: Run) -> Read:
@@ -157,30 +160,30 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
         for each in {id(g.read): g for g in found}.values():  # the seeds of a run share theirs
             check_episodes(each.run, each.read, data)
     left = np.ones(data.episodes, bool)
-    for each in {id(g.policy[0]): g.policy[0] for g in found if isinstance(g.policy, tuple)}.values():
-        if (fold := each.fold_of(data)).max() >= 0:  # it was not trained on another log
+    for each in {id(g.policy[0]): g for g in found if isinstance(g.policy, tuple)}.values():
+        if (fold := _folds(each, data, unseen)) is not None:
             left &= fold >= 0
-    known = Seen.of([g.taught for g in found if not isinstance(g.policy, tuple)], data)
+    known = unseen_by([g.taught for g in found if not isinstance(g.policy, tuple)], data)
     unknown = [not isinstance(g.policy, tuple) and g.taught is None for g in found]
-    taught = int((~known.unseen).sum())
+    taught = int((~known).sum())
     against: list[str | None] = [None] * len(found)
     if unseen:
         if not left.any():
             raise UserError("no episode is left that all of these cross-fits have held out; evaluate each by itself")
         # If a policy's file lists all of these episodes, the log is its training log, and its training episodes are known.
         own = [g for g in found if g.taught is not None and not isinstance(g.policy, tuple) and _covers(g.read.episodes, data)]
-        fresh_too = left & Seen.of([g.taught for g in own], data).unseen
+        fresh_too = left & unseen_by([g.taught for g in own], data)
         if not fresh_too.any():
             against = [LEARNED if any(g is each for each in own) else None for g in found]
             told = f"{int(left.sum()):,} episodes, on which policies were trained: their estimates are optimistic"
             return Fresh(np.flatnonzero(left), against, told)
         held = np.flatnonzero(fresh_too)
-        equal = int((~known.unseen[held]).sum())
+        equal = int((~known[held]).sum())
         more = f", although {equal:,} of them equal a policy's training episodes" if equal else ""
         told = f"{len(held):,} episodes on which no policy was trained, according to --unseen{more}"
         return Fresh(held, against, told)
     crossed = not left.all()
-    left &= known.unseen
+    left &= known
     if not left.any() and crossed:
         raise UserError("no episode is left on which all of these policies can be evaluated; evaluate the cross-fit by itself")
     if not left.any():
@@ -205,18 +208,42 @@ def _of_training(each: Gathered, data: Dataset) -> bool:
 def _covers(episodes: np.ndarray | None, data: Dataset) -> bool:
     """Whether a log is the one whose episodes a policy's file lists, or a part of it.
 
-    Episodes of one step may be equal by chance, so of these the log must have as many as the file.
+    Episodes of one step, and others that occur several times in that log, may be equal by chance. If the log is not known to be
+    a part, there must be as many of these as the file lists.
     """
     if episodes is None or not np.isin(data.episode_ids, episodes).all():
         return False
-    return bool(data.lengths.max() > 1) or len(np.unique(episodes)) == data.episodes
+    if data.selected or len(np.unique(episodes)) == data.episodes:
+        return True
+    return bool(data.lengths.max() > 1 and alike_in(data, episodes).mean() < 0.5)
 
 
-def for_case(g: Gathered, data: Dataset) -> Any:
-    """A policy in the form that `OPEInput` takes."""
+def _folds(g: Gathered, data: Dataset, unseen: bool) -> np.ndarray | None:
+    """(episodes,) the fold of a cross-fit in which each episode was held out, -1 for none; None for another log, whose episodes
+    may still equal some of its own by chance."""
+    fold = g.policy[0].fold_of(data)
+    own = _covers(g.read.episodes, data) if unseen else fold.max() >= 0
+    return fold if own else None
+
+
+def for_case(g: Gathered, data: Dataset, unseen: bool = False) -> Any:
+    """A policy in the form that `OPEInput` takes.
+
+    Of a cross-fit, on its own log that is each fold's policy on the fold's episodes. On another log the policy to deploy is
+    evaluated; if that is the mixture of the folds' policies, each episode is given one of them at random, as when it acts.
+
+    Args:
+        g: the policy.
+        data: the log.
+        unseen: see `fresh`.
+    """
     if not isinstance(g.policy, tuple):
         return g.policy
     cross, seed = g.policy
-    if (fold := cross.fold_of(data)).max() < 0:  # another log: the policy to deploy is evaluated, not those of the folds
-        return g.acting
-    return CrossFitted(tuple(run.policies[run.seeds.index(seed)] for run in cross.runs), fold)
+    members = tuple(run.policies[run.seeds.index(seed)] for run in cross.runs)
+    if (fold := _folds(g, data, unseen)) is None:
+        if cross.config["deliver"] != "mixture":
+            return g.acting
+        fold = generator(0, "policies of a mixture").permutation(np.arange(data.episodes) % len(cross.runs))
+        return CrossFitted(members, fold, drawn=True)
+    return CrossFitted(members, fold)

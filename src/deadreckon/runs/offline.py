@@ -109,8 +109,8 @@ def judge_alone(
     held_by = (each.by for each in candidates if each.by not in (None, RANDOM, TIME))
     cluster = settings.cluster or next(held_by, None) or group_of(data)
     case = OPEInput(
-        data, [for_case(each, data) for each in candidates], names=_names(candidates), logged=True, held=episodes.held,
-        clusters=None if cluster is None else clusters_of(data, cluster), noise=None,
+        data, [for_case(each, data, settings.unseen) for each in candidates], names=_names(candidates), logged=True,
+        held=episodes.held, clusters=None if cluster is None else clusters_of(data, cluster), noise=None,
         **_with_fits_apart(settings).only(EstimateSettings),
     )  # fmt: skip
     check(case, settings, groups)  # before a look is counted
@@ -123,7 +123,7 @@ def judge_alone(
     if settings.counted:
         # What the intervals of gains depend on: with another estimator, or other clusters, it is another look.
         digested = digest([case.manner, case.estimand.as_json(), _told_apart(estimators[0]), cluster], 16)
-        current = look(data.episode_ids[episodes.held], digested, len(candidates))
+        current = look(data, episodes.held, digested, len(candidates))
     decision = decide(
         case, estimators, seen=episodes.against, alpha=current.alpha, groups=groups, **settings.only(DecisionSettings)
     )

@@ -31,7 +31,7 @@ from deadreckon.runs.started import Beside, Start, beside, start_of
 from deadreckon.runs.trackers.feed import tracked
 from deadreckon.runs.trackers.tracker import trackers_of
 from deadreckon.runs.train import Run, load
-from deadreckon.tasks.registry import of_run
+from deadreckon.tasks.registry import of_run, own_fields
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Fit
@@ -134,6 +134,8 @@ def _train_online(
         "versions": versions() | {"lanes": len(numbers), **task.versions},
         "revisions": of_learning() | {"method": revisions(lanes[0])},
     }
+    if own := own_fields(task):  # its name does not tell it from others
+        config["task_fields"] = own | task.described
     if shown is not None:
         known = {"fingerprint": shown.fingerprint, "rows": len(shown), "episodes": shown.episodes}
         config["demonstrations"] = {"name": shown.name, **known, "return": float(shown.returns().mean())}

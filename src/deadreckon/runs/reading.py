@@ -13,6 +13,7 @@ import numpy as np
 
 from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.episodes import alike_in
 from deadreckon.data.formats.io import read as read_file
 from deadreckon.data.formats.kind import TABLES, sniff
 from deadreckon.data.formats.tables import is_written
@@ -22,6 +23,7 @@ from deadreckon.data.schema_file import table_of
 from deadreckon.data.spec import action_space_to_json
 from deadreckon.errors import UserError
 
+ALIKE = 0.01  # share of episodes that equal several others up to which these are of no account
 HORIZON = "horizon"  # in `Provenance.extra`: steps after which episodes were cut when a file was read
 ENCODED = {
     "observation_names": "observations are", "observation_levels": "levels of observations are",
@@ -132,6 +134,13 @@ def check_episodes(name: str, read: Read, data: Dataset) -> None:
         return
     known = np.isin(data.episode_ids, read.episodes)
     if known.all():
+        part = not data.selected and data.episodes < len(np.unique(read.episodes))
+        if part and (alike := alike_in(data, read.episodes)).mean() > ALIKE:
+            raise UserError(
+                f"{int(alike.sum()):,} of {data.episodes:,} episodes of {data.name} equal several of the log that {name} was "
+                "trained on, so only the whole log tells which were training episodes: evaluate on that or, if these are other "
+                "episodes that are equal by chance, state with --unseen that it was not trained on them"
+            )
         return
     new = f"{int((~known).sum()):,} of {data.episodes:,} episodes of {data.name} are not known to {name}"
     if not known.any():

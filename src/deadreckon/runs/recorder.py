@@ -54,16 +54,18 @@ class Recorder:
             finished, because the episodes of its own steps are among them; files of earlier policies do not record any.
         held: (episodes,) uint64 `episode_ids` of the held-out episodes of the log.
         history: number of last observations that policies act on.
+        by: column whose values were kept together when episodes were held out; None: none.
     """
 
     def __init__(
         self, folders: Sequence[Folder], job: Fit | Part, judge: Task | None, log: Dataset | None, every: int, episodes: int,
         taught: np.ndarray | Callable[[], np.ndarray | None], held: np.ndarray, history: int = 1,
+        by: str | None = None,
     ):  # fmt: skip
         self.folders, self.job, self.judge = list(folders), job, judge
         self.seeds = len(job.seeds) // len(folders)  # of a run
         self.every, self.episodes, self.taught, self.held = every, episodes, taught, held
-        self.read = {} if log is None else {"log": noted(log)}
+        self.read = {} if log is None else {"log": noted(log)} | ({} if by is None else {"by": by})
         self.discounts = [float(getattr(lane, "discount", 0.99)) for lane in job.learners]
         self.history, self.spec = history, job.each[0].spec if log is None else log.spec
         self.probe = _nothing if log is None else LogProbe(stacked(log, history))  # an online run has no log to compare with

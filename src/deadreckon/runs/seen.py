@@ -1,7 +1,6 @@
 """Which episodes of a log policies were trained on, by the contents of episodes and never by names of logs or files."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,24 +17,15 @@ def seen(taught: np.ndarray, log: Dataset) -> np.ndarray:
     return np.isin(log.episode_ids, taught)
 
 
-@dataclass(frozen=True)
-class Seen:
-    """Which episodes of a log some policies were trained on.
+def unseen_by(taught: Sequence[np.ndarray | None], log: Dataset) -> np.ndarray:
+    """(episodes,) bool: whether no policy whose training episodes are known was trained on the episode.
 
-    Attributes:
-        unseen: (episodes,) bool: no policy whose training episodes are known was trained on the episode.
-        unknown: indices of policies whose training episodes are not known: files of older versions or from elsewhere, and
-            functions.
+    Args:
+        taught: as in `seen`, of each policy; None where they are not known.
+        log: any log, whole or a part.
     """
-
-    unseen: np.ndarray
-    unknown: tuple[int, ...]
-
-    @classmethod
-    def of(cls, taught: Sequence[np.ndarray | None], log: Dataset) -> "Seen":
-        """For policies with these training episodes each; None where they are not known."""
-        known = {each.tobytes(): each for each in taught if each is not None}  # the seeds of a run share theirs
-        unseen = np.ones(log.episodes, bool)
-        for each in known.values():
-            unseen &= ~seen(each, log)
-        return cls(unseen, tuple(i for i, each in enumerate(taught) if each is None))
+    known = {each.tobytes(): each for each in taught if each is not None}  # the seeds of a run share theirs
+    unseen = np.ones(log.episodes, bool)
+    for each in known.values():
+        unseen &= ~seen(each, log)
+    return unseen

@@ -147,6 +147,7 @@ def train_lanes(
                 Recorder(
                     one.folders, job if len(learned) == 1 else Part(job, lanes_of_log), one.judge, one.part.learning, every,
                     settings.episodes, one.part.taught, one.part.held, settings.history,
+                    None if one.part.told is None else one.part.told["by"],
                 )
             )  # fmt: skip
         with tracked(folders, trackers) as tracking:

@@ -27,11 +27,12 @@ def intraclass(values: np.ndarray, codes: np.ndarray) -> float:
 
 
 def effective(codes: np.ndarray, *values: np.ndarray) -> float:
-    """Effective number of independent rows among rows in clusters, at least the number of clusters.
+    """Effective number of independent rows among rows in clusters.
 
     n / (1 + (m - 1) r), with m the mean over rows of the size of a row's cluster, and r the intraclass correlation: of one list
     of values for statistics of these (Kish 1965), the product of both for a correlation or regression of one on the other
-    (Scott and Holt 1982).
+    (Scott and Holt 1982). Where rows of a cluster are alike it is n^2 over the sum of the clusters' squared sizes, which is
+    less than the number of clusters if these are of unequal size: statistics count rows, so large clusters count more.
 
     Args:
         codes: (rows,) 0, 1, ..., the cluster of each row.
@@ -39,4 +40,4 @@ def effective(codes: np.ndarray, *values: np.ndarray) -> float:
     """
     n, size = len(codes), np.bincount(codes)
     shared = float(np.prod([intraclass(each, codes) for each in values]))
-    return max(n / (1.0 + (np.square(size).sum() / n - 1.0) * shared), float((size > 0).sum()))
+    return float(n / (1.0 + (np.square(size).sum() / n - 1.0) * shared))

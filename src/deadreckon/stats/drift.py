@@ -21,6 +21,9 @@ MOST = 4_000  # most units of either sample in a test; of more, a random sample 
 THRESHOLDS = 16  # quantiles at which the distribution of numbers is compared
 ENOUGH = 20  # permutations at least as extreme after which sampling stops (Besag and Clifford 1991)
 BLOCK = 256  # permutations at a time
+# Differences that are none: the same numbers may come with fewer decimals (a ten-thousandth of the shortest range of nine
+# tenths, but no more than a thousandth of their own size), or from another order of operations in 32 bits.
+SAME, OWN, ROUNDING = 1e-4, 1e-3, 5e-7
 
 
 class Epoch(NamedTuple):
@@ -53,10 +56,18 @@ def epochs(units: int, alpha: float) -> list[Epoch]:
 
 
 def number_features(reference: np.ndarray, new: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(rows, thresholds) 0/1 features of numbers: whether each is at most a quantile of both samples together."""
+    """(rows, thresholds) 0/1 features of numbers: whether each is at most a quantile of both samples together.
+
+    Numbers just above a quantile count as equal to it: without that, an atom (a bound at which actions saturate) that one
+    sample holds with fewer decimals than the other would be on both sides of a threshold.
+    """
+    reference, new = np.asarray(reference, np.float64), np.asarray(new, np.float64)
     pooled = np.concatenate([reference, new])
     cuts = np.unique(np.quantile(pooled, np.linspace(0, 1, THRESHOLDS + 2)[1:-1], method="inverted_cdf"))
-    cuts = cuts[cuts < pooled.max()] if len(cuts) and pooled.min() < pooled.max() else cuts[:0]
+    inner, ordered = int(0.9 * len(pooled)), np.sort(pooled)
+    usual = (ordered[inner:] - ordered[: len(ordered) - inner]).min()
+    cuts = np.unique(cuts + np.abs(cuts) * ROUNDING + np.minimum(SAME * usual, OWN * np.abs(cuts)))
+    cuts = cuts[cuts < pooled.max()]
     return (reference[:, None] <= cuts).astype(np.float32), (new[:, None] <= cuts).astype(np.float32)
 
 

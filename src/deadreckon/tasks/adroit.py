@@ -15,6 +15,7 @@ import numpy as np
 from deadreckon.data.spec import Box
 from deadreckon.tasks.copies import MujocoCopies, load_model
 from deadreckon.tasks.task import Reference, Task
+from deadreckon.versions import installed
 
 FRAME_SKIP = 5
 _ROOM = np.finfo(np.float64).eps * 4.0  # what counts as zero: below it, two of Euler's angles cannot be told apart
@@ -74,6 +75,11 @@ class Adroit(Task):
     def simulate(self, seeds: Sequence[int], threads: int | None = None) -> "AdroitSimulator":
         """One copy of the environment for each seed; see `Task.simulate`."""
         return AdroitSimulator(self, seeds, threads)
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """See `Task.versions`: of the package that the hand is from."""
+        return installed("gymnasium-robotics")
 
 
 class AdroitSimulator(MujocoCopies[Adroit]):

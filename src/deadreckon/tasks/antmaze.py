@@ -15,6 +15,7 @@ from deadreckon.data.spec import Box
 from deadreckon.tasks.copies import MujocoCopies, asset, bindings
 from deadreckon.tasks.mazes import Maze
 from deadreckon.tasks.task import Reference, Task
+from deadreckon.versions import installed
 
 SCALE = 4.0  # m, width of a cell
 GOAL_NOISE = (1.0, 0.5)  # m: a goal lies off its cell's middle by the sum of two uniform numbers up to these
@@ -99,6 +100,11 @@ class AntMaze(Maze):
         """One copy of the environment for each seed; see `Task.simulate`."""
         return AntMazeSimulator(self, seeds, threads)
 
+    @property
+    def versions(self) -> dict[str, str]:
+        """See `Task.versions`: of the package that the body is from."""
+        return installed("gymnasium")
+
 
 class AntMazeSimulator(MujocoCopies[AntMaze]):
     """Copies of one maze; see `MujocoCopies`.
@@ -162,6 +168,11 @@ class AntReach(Task):
     def simulate(self, seeds: Sequence[int], threads: int | None = None) -> "AntReachSimulator":
         """One copy of the environment for each seed; see `Task.simulate`."""
         return AntReachSimulator(self, seeds, threads)
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """See `Task.versions`: of the package that the body is from."""
+        return installed("gymnasium")
 
 
 class AntReachSimulator(MujocoCopies[AntReach]):
@@ -284,7 +295,7 @@ def _make(maze: str, kind: str) -> AntMaze:
 
 REACH_TASK = AntReach(
     name="ant-reach", domain="antmaze", horizon=300, observation_shape=(POSITIONS + VELOCITIES - 2,), action_space=_ACTIONS,
-    gym_id="deadreckon/AntReach-v0", reference=Reference(0.0, 1.0, "returns as they are"),
+    gym_id="deadreckon/AntReach-v0", reference=None,
     summary="walk on four legs to given positions on open ground; the walker of the AntMaze logs",
 )  # fmt: skip
 

@@ -3,6 +3,8 @@
 It has two axles, each as far from its middle, which is what a position means.
 """
 
+from typing import Any
+
 import numpy as np
 
 AXLE = 1.25  # m from the middle to an axle
@@ -48,3 +50,13 @@ def curvature(wheels: np.ndarray, speed: np.ndarray) -> np.ndarray:
 def course(cars: np.ndarray) -> np.ndarray:
     """(n,) rad, the direction in which the middles of cars (n, 5) move."""
     return cars[:, YAW] + np.arcsin(curvature(cars[:, WHEEL], cars[:, VELOCITY]) * AXLE)
+
+
+def off_the_road(offset: Any, width: float) -> Any:
+    """(...) bool: beyond the right edge of the lane, or the left one of the lane beside it.
+
+    Args:
+        offset: (...) m of the middles of cars from the middle of the lane, positive to the left, as numpy or JAX arrays.
+        width: m, of a lane.
+    """
+    return (offset < -0.5 * width) | (offset > 1.5 * width)

@@ -8,8 +8,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from deadreckon.tasks.car import off_the_road
 from deadreckon.tasks.carla_server import Server
-from deadreckon.tasks.driving import LEFT_THE_ROAD, MOST, START_HEADING, START_OFFSET, TASK
+from deadreckon.tasks.driving import LEFT_THE_ROAD, MOST, TASK
 from deadreckon.tasks.opendrive_text import to_xodr
 
 ABOVE = 0.3  # m, from which a car is set down
@@ -55,7 +56,7 @@ class Lane:
 
     def draw(self, generator: np.random.Generator) -> np.ndarray:
         """See `Scene.draw`: distance along the lane, offset and heading."""
-        return generator.uniform([0.0, -START_OFFSET, -START_HEADING], [self.route.total, START_OFFSET, START_HEADING])
+        return TASK.start(generator)
 
     def begin(self, server: Server, start: np.ndarray) -> None:
         """See `Scene.begin`."""
@@ -73,7 +74,7 @@ class Lane:
         self.distance, lateral, heading = (float(each[0]) for each in (found.distance, found.lateral, found.heading))
         along = velocity.x * math.cos(heading) - velocity.y * math.sin(heading)
         across = abs(velocity.x * math.sin(heading) + velocity.y * math.cos(heading))
-        over = server.bumped or not -0.5 * self.width <= lateral <= 1.5 * self.width
+        over = server.bumped or off_the_road(lateral, self.width)
         return float(np.clip(along - 5.0 * across, -MOST, MOST)) - LEFT_THE_ROAD * over, over
 
 

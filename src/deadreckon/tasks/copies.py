@@ -130,12 +130,14 @@ class MujocoCopies(Generic[Own]):
             plain: without smoothed edges, shadows and reflections, which take a CPU a hundred times as long.
         """
         model, flags = self._models[0], self._mujoco.mjtRndFlag
-        samples = model.vis.quality.offsamples
+        buffer, samples = model.vis.global_, model.vis.quality.offsamples
+        height, width = buffer.offheight, buffer.offwidth
+        buffer.offheight, buffer.offwidth = max(height, size[0]), max(width, size[1])  # which pictures must not exceed
         model.vis.quality.offsamples = 0 if plain else samples
         try:
             found = self._mujoco.Renderer(model, *size)
-        finally:
-            model.vis.quality.offsamples = samples  # the model is shared
+        finally:  # the model is shared
+            buffer.offheight, buffer.offwidth, model.vis.quality.offsamples = height, width, samples
         for flag in (flags.mjRND_SHADOW, flags.mjRND_REFLECTION) if plain else ():
             found.scene.flags[flag] = 0
         return found

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from deadreckon.data.spec import Box
-from deadreckon.tasks.car import VELOCITY, WHEEL, YAW, X, Y, course, moved
+from deadreckon.tasks.car import VELOCITY, WHEEL, YAW, X, Y, course, moved, off_the_road
 from deadreckon.tasks.pixels import Pixels
 from deadreckon.tasks.road_maps import figure_eight
 from deadreckon.tasks.road_routes import Route
@@ -57,9 +57,13 @@ class LaneDriving(Task):
         return self.off_the_road
 
     def off_the_road(self, observations: Any) -> Any:
-        """(n,) bool of observations (n, 8): beyond the right edge of the lane, or the left one of the lane beside it."""
-        offset = observations[..., OFFSET]
-        return (offset < -0.5 * self.width) | (offset > 1.5 * self.width)
+        """(n,) bool of observations (n, 8); see `car.off_the_road`."""
+        return off_the_road(observations[..., OFFSET], self.width)
+
+    def start(self, generator: np.random.Generator) -> np.ndarray:
+        """(3,) distance in m, offset in m and heading in rad: anywhere on the route, nearly in the middle of the lane."""
+        most = np.array([self.route.total, START_OFFSET, START_HEADING])
+        return generator.uniform([0.0, -START_OFFSET, -START_HEADING], most)
 
     def simulate(self, seeds: Sequence[int], threads: int | None = None) -> "LaneSimulator":
         """See `Task.simulate`; all copies are stepped at once, without threads."""
@@ -76,14 +80,9 @@ class LaneSimulator:
 
     def __init__(self, task: LaneDriving, seeds: Sequence[int]):
         self.task, copies = task, len(seeds)
-        self._starts = Starts(seeds, self._start)
+        self._starts = Starts(seeds, task.start)
         self.cars, self.distance = np.zeros((copies, 5)), np.zeros(copies)
         self._age, self._alive = np.zeros(copies, int), np.zeros(copies, bool)
-
-    def _start(self, generator: np.random.Generator) -> np.ndarray:
-        """(3,) distance, offset and heading: anywhere on the route, nearly in the middle of the lane."""
-        most = np.array([self.task.route.total, START_OFFSET, START_HEADING])
-        return generator.uniform([0.0, -START_OFFSET, -START_HEADING], most)
 
     def reset(self, which: np.ndarray | None = None, seeds: Sequence[int] | None = None) -> np.ndarray:
         """See `Simulator.reset`. Cars stand still at first."""

@@ -26,4 +26,5 @@ for _name, _env in (("ant", "PaddedAntEnv"), ("humanoid", "PaddedHumanoidEnv")):
 _DRIVING = *driving.TASKS, *town.TASKS
 for _task in (*adroit.TASKS, *kitchen.TASKS, *antmaze.TASKS, antmaze.REACH_TASK, *_DRIVING, *control.TASKS, battery.TASK):
     if _task.gym_id not in registered:
-        register(_task.gym_id, "deadreckon.tasks.simulator_env:SimulatorEnv", kwargs={"task": _task.name})
+        where = "deadreckon.tasks.simulator_env:SimulatorEnv"
+        register(_task.gym_id, where, max_episode_steps=_task.horizon, kwargs={"task": _task.name})

@@ -15,6 +15,7 @@ from deadreckon.tasks.flow_roads import STEP, Road
 from deadreckon.tasks.flow_world import ROADS
 from deadreckon.tasks.sumo import FEW, Traffic
 from deadreckon.tasks.task import Reference, Simulator, Starts, Task, checked_actions, thread_count
+from deadreckon.versions import installed
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,11 @@ class Flow(Task):
     def simulate(self, seeds: Sequence[int], threads: int | None = None) -> "FlowSimulator":
         """One copy of the environment for each seed; see `Task.simulate`."""
         return FlowSimulator(self, seeds, threads)
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """See `Task.versions`: of SUMO."""
+        return installed("libsumo")
 
     def shown(self, simulator: Simulator, observations: np.ndarray, which: np.ndarray) -> np.ndarray:
         """(which, cars, 2) position in m and speed in m/s of all cars by number; see `Task.shown`."""

@@ -19,7 +19,8 @@ class FlowEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """One road, step by step equal to `Flow.simulate([seed])`. The horizon is kept by Gymnasium's `TimeLimit`.
 
     SUMO runs in a process that ends with `close()`, or with this object or Python. `render()` draws the road as a straight
-    line, one pixel a metre of the way along it, (24, 1024, 3) uint8: learners red, other cars blue.
+    line, one pixel a metre of the way along it, (24, 1024, 3) uint8: learners red, other cars blue. Cars on the merge's ramp,
+    which have no place along the highway, are left out.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 10}  # noqa: RUF012 (Gymnasium's own protocol)
@@ -47,7 +48,7 @@ class FlowEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         return seen[0], float(rewards[0]), bool(crashed[0]), False, {}
 
     def traffic(self) -> np.ndarray:
-        """(cars, 3) number, position in m and speed in m/s of each car that is on the road."""
+        """(cars, 3) number, position in m and speed in m/s of each car that is on the road; positions on a ramp are NaN."""
         return self._traffic.look(ONE)[:, 1:]
 
     def render(self) -> np.ndarray | None:
@@ -56,6 +57,8 @@ class FlowEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             return None
         picture = np.full((24, 1024, 3), 225, np.uint8)
         for number, place, _ in self.traffic():
+            if np.isnan(place):
+                continue
             front = int(np.clip(place, 0, picture.shape[1] - 1))
             colour = (210, 50, 50) if int(number) in self.task.learners else (50, 90, 190)
             picture[8:16, max(front - int(CAR), 0) : front + 1] = colour

@@ -15,6 +15,7 @@ from deadreckon.data.terminations import Fallen
 from deadreckon.tasks import copies
 from deadreckon.tasks.copies import MujocoCopies
 from deadreckon.tasks.task import Reference, Task
+from deadreckon.versions import installed
 
 SPEED_LIMIT = 10.0  # of observed velocities, where they are clipped
 
@@ -61,6 +62,11 @@ class GymMujoco(Task):
     def simulate(self, seeds: Sequence[int], threads: int | None = None) -> "GymSimulator":
         """One copy of the environment for each seed; see `Task.simulate`."""
         return GymSimulator(self, seeds, threads)
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """See `Task.versions`: of the package that the body is from."""
+        return installed("gymnasium")
 
     @property
     def ends(self) -> Fallen:

@@ -1,5 +1,6 @@
 """Gymnasium's spaces as tasks have them: observations as vectors, actions as bounded vectors or as numbers 0 .. n-1."""
 
+import copy
 import itertools
 import math
 from collections.abc import Mapping
@@ -50,16 +51,19 @@ class Spaces:
         """Those of an environment; `name` is for errors.
 
         Raises:
-            UserError: a space that is no vector of fixed size, or actions without finite bounds.
+            UserError: a space that is no vector of fixed size, an image of another form than (height, width, channels), or
+                actions without finite bounds.
         """
         left_out: list[str] = []
         observed = _numeric(env.observation_space, f"{name}: the observation", left_out)
         if (count := spaces.flatdim(observed)) > MOST_NUMBERS:
             raise UserError(f"{name}: an observation has {count:,} numbers, at most {MOST_NUMBERS:,} are taken")
         pixels = tuple(observed.shape or ()) if isinstance(observed, spaces.Box) and observed.dtype == np.uint8 else ()
-        picture = min((*pixels, 0)[:2]) >= PICTURE
-        if not picture and _large(pixels):
+        picture = len(pixels) == 3 and min(pixels[:2]) >= PICTURE
+        if not picture and sum(size >= PICTURE for size in pixels) > 1:  # several pictures, or one of another form
             how = "put its channels last (gymnasium.wrappers.TransformObservation, numpy.moveaxis)"
+            if len(pixels) == 2:
+                how = "give it channels (gymnasium.wrappers.GrayscaleObservation with keep_dim=True, or ReshapeObservation)"
             raise UserError(f"{name}: an observation of {pixels} is no image of (height, width, channels); {how}")
         shape, dtype = (pixels, "uint8") if picture else ((count,), "float32")
         actions, choices = _actions(env.action_space, name)
@@ -74,7 +78,7 @@ class Spaces:
     def act(self, action: np.ndarray) -> Any:
         """What the environment takes for (size,) continuous actions, or for the number of a discrete one."""
         if self.choices:
-            return self.choices[int(action)]
+            return copy.deepcopy(self.choices[int(action)])  # an environment may change its action in place
         flat = self._flat
         action = _within(action.reshape(flat.shape).astype(flat.dtype), flat.low, flat.high)
         return action if flat is self.acted else spaces.unflatten(self.acted, action)
@@ -83,11 +87,6 @@ class Spaces:
     def _flat(self) -> spaces.Box:
         """Of continuous actions the space as one box."""
         return _one_box(self.acted)
-
-
-def _large(shape: tuple[int, ...]) -> bool:
-    """Whether numbers of this shape are several pictures, or one whose channels come first."""
-    return len(shape) > 2 and sum(size >= PICTURE for size in shape) > 1
 
 
 def _within(action: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ from deadreckon.imports import imported
 from deadreckon.tasks.gymnasium_copies import GymnasiumCopies
 from deadreckon.tasks.gymnasium_names import options_of, written
 from deadreckon.tasks.gymnasium_spaces import DISCRETE, Spaces
-from deadreckon.tasks.task import Task
+from deadreckon.tasks.task import Task, keeping_horizon
 
 PREFIX = "gymnasium:"
 LIMIT = "max_episode_steps"  # as `gymnasium.make` calls the horizon
@@ -92,6 +92,8 @@ def named(name: str, horizon: int | None = None) -> Task | None:
     if path.startswith("pettingzoo"):
         raise _for_several(name)
     if path.startswith(PREFIX):
+        if "+" in path:
+            raise UserError(f"task {name}: wrappers cannot be made from a name; give the environment as an object in Python")
         return _of_id(path.removeprefix(PREFIX), options, horizon)
     if ":" in path:
         return _of_module(path, options, horizon)
@@ -112,13 +114,7 @@ def of(given: Any, horizon: int | None = None) -> Task:
     """
     if isinstance(given, gymnasium.Env) or not callable(given):
         return _of_object(given, horizon)
-    name = _name_of(given) + written({} if horizon is None else {LIMIT: horizon})
-    made = _called(given, {}, name)
-    if isinstance(made, Task):
-        return made
-    if _called(given, {}, name) is made:
-        raise UserError(f"{name} gives the same environment twice; a function that makes a new one with every call is needed")
-    return _task(made, lambda: given(), name, horizon)
+    return _of_maker(given, _name_of(given), {}, horizon)
 
 
 def _of_id(env_id: str, options: dict[str, Any], horizon: int | None) -> Task:
@@ -147,13 +143,32 @@ def _of_module(path: str, options: dict[str, Any], horizon: int | None) -> Task:
     found = imported(path, "task", "Class")
     module, _, attribute = path.partition(":")
     if isinstance(found, Task):
-        return found
+        if options:
+            raise UserError(f"task {path} is a Task, which takes no options; leave {written(options)} out")
+        return keeping_horizon(found, horizon)
     if not callable(found):
         raise UserError(f"task {path}: {module} has no {attribute} that is an environment class, or a function that makes one")
+    return _of_maker(found, path, options, horizon)
+
+
+def _of_maker(make: Callable[..., Any], path: str, options: dict[str, Any], horizon: int | None) -> Task:
+    """The task of what a class or a function makes with these options, a new environment with every call.
+
+    Raises:
+        UserError: it makes something else, or gives the same environment twice, in whatever wrappers.
+    """
     options = options if horizon is None else options | {LIMIT: horizon}
     name, limit = path + written(options), options.pop(LIMIT, None)
-    made = _called(found, options, name)
-    return made if isinstance(made, Task) else _task(made, lambda: found(**options), name, limit)
+    made = _called(make, options, name)
+    if isinstance(made, Task):
+        return keeping_horizon(made, limit)
+    found = _task(made, lambda: make(**options), name, limit)  # which closes it: there may be room for a single one
+    other = _called(make, options, name)
+    _check(other, name)
+    if other.unwrapped is made.unwrapped:
+        raise UserError(f"{name} gives the same environment twice; a function that makes a new one with every call is needed")
+    other.close()
+    return found
 
 
 def _called(make: Callable[..., Any], options: Mapping[str, Any], name: str) -> Any:
@@ -182,7 +197,7 @@ def _of_object(env: Any, horizon: int | None) -> Task:
     own |= {} if usual or spec.max_episode_steps is None else {LIMIT: spec.max_episode_steps}
     own |= {} if horizon is None else {LIMIT: horizon}
     wrapped = "".join(f"+{wrapper.name}" for wrapper in spec.additional_wrappers)
-    name = PREFIX + spec.id + written(own) + wrapped
+    name = PREFIX + spec.id + wrapped + written(own)
     spec.kwargs = options
     known, limit = spec, {} if horizon is None else {LIMIT: horizon}
 

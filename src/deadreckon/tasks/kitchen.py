@@ -15,6 +15,7 @@ from deadreckon.data.kitchen import ELEMENTS, JOINTS, KITCHENS, kitchen_goal
 from deadreckon.data.spec import Box
 from deadreckon.tasks.copies import MujocoCopies, load_model
 from deadreckon.tasks.task import Reference, Task
+from deadreckon.versions import installed
 
 if TYPE_CHECKING:
     from deadreckon.data.dataset import Dataset
@@ -81,6 +82,11 @@ class Kitchen(Task):
     def simulate(self, seeds: Sequence[int], threads: int | None = None) -> "KitchenSimulator":
         """One copy of the environment for each seed; see `Task.simulate`."""
         return KitchenSimulator(self, seeds, threads)
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """See `Task.versions`: of the package that the kitchen is from."""
+        return installed("gymnasium-robotics")
 
 
 class KitchenSimulator(MujocoCopies[Kitchen]):
@@ -151,6 +157,7 @@ def kitchen() -> Any:
 
 
 # ---- the tasks ----------------------------------------------------------------------------------------------------------
+
 
 def _make(name: str, elements: tuple[str, ...]) -> Kitchen:
     published = Reference(0.0, 4.0, "D4RL: nothing, and all four sub-tasks")

@@ -18,11 +18,10 @@ from scipy.spatial.transform import Rotation
 
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
-from deadreckon.tasks.task import Reference, Starts, Task, checked_actions, thread_count
+from deadreckon.tasks.task import Starts, Task, checked_actions, thread_count
 
 LEGS = 4
 HORIZON = 100
-_NO_REFERENCE = Reference(0.0, 1.0, "returns as they are")
 
 
 @dataclass(frozen=True)
@@ -103,13 +102,13 @@ class MorphologySimulator:
     """Robots side by side, each with a body of its own.
 
     Attributes:
-        designs: (copies, size) their bodies.
+        designs: (copies, size) their bodies; before the first reset the usual ones.
     """
 
     def __init__(self, task: Morphology, seeds: Sequence[int], threads: int | None, designs: np.ndarray | None):
         self.task, copies = task, len(seeds)
         self._fixed = designs is not None
-        self.designs = np.zeros((copies, len(task.usual))) if designs is None else np.array(designs, np.float64)
+        self.designs = np.tile(task.usual, (copies, 1)) if designs is None else np.array(designs, np.float64)
         if self.designs.shape != (copies, len(task.usual)):
             raise UserError(f"{task.name}: designs must have shape {(copies, len(task.usual))}, got {self.designs.shape}")
         self._starts = Starts(seeds, self._draw)
@@ -364,7 +363,7 @@ class KittyMorphology(Morphology):
 def _make(kind: type[Morphology], name: str, seen: int, summary: str, **fields: Any) -> Morphology:
     size = LEGS * len(fields["numbers"])
     return kind(
-        name=name, domain="morphology", horizon=HORIZON, observation_shape=(seen + size,), gym_id="", reference=_NO_REFERENCE,
+        name=name, domain="morphology", horizon=HORIZON, observation_shape=(seen + size,), gym_id="", reference=None,
         action_space=Box((-1.0,) * 3 * LEGS, (1.0,) * 3 * LEGS), summary=summary, **fields,
     )  # fmt: skip
 

@@ -1,18 +1,25 @@
 """The tasks by name, and Gymnasium environments as tasks. Importing this loads neither MuJoCo nor Gymnasium."""
 
+import contextlib
+import dataclasses
 import importlib
+import math
+import re
 import sys
+import warnings
 from collections.abc import Mapping
 from typing import Any
+
+import numpy as np
 
 from deadreckon.data import terminations
 from deadreckon.data.entries import ENTRIES, ORIGINAL
 from deadreckon.errors import UserError, unknown
 from deadreckon.imports import trusted
 from deadreckon.tasks import adroit, antmaze, battery, carla_task, control, driving, flow, gym_mujoco, kitchen, maze2d, town
-from deadreckon.tasks.gymnasium_names import options_of
+from deadreckon.tasks.gymnasium_names import array_text, options_of
 from deadreckon.tasks.pixels import SUFFIX, of_pixels
-from deadreckon.tasks.task import Task
+from deadreckon.tasks.task import Task, keeping_horizon
 
 _TASKS: dict[str, Task] = {}
 
@@ -35,9 +42,9 @@ def task(given: Any, horizon: int | None = None) -> Task:
         return of_pixels(task(given.removesuffix(SUFFIX), horizon))
     known = given if isinstance(given, Task) else _TASKS.get(given) if isinstance(given, str) else None
     if known is not None:
-        return _without(known, horizon)
+        return keeping_horizon(known, horizon)
     if isinstance(given, str) and given.startswith(carla_task.PREFIX):
-        return _without(carla_task.named(given), horizon)
+        return keeping_horizon(carla_task.named(given), horizon)
     environments = importlib.import_module("deadreckon.tasks.gymnasium_task")  # which loads Gymnasium
     if not isinstance(given, str):
         return environments.of(given, horizon)
@@ -46,10 +53,36 @@ def task(given: Any, horizon: int | None = None) -> Task:
     return found
 
 
-def _without(known: Task, horizon: int | None) -> Task:
-    if horizon is not None:
-        raise UserError(f"{known.name} has a horizon of its own, {known.horizon} steps; leave the other out")
-    return known
+def own_fields(given: Task) -> dict[str, Any]:
+    """The fields in which a task differs from the one that its name finds, as JSON values; none where its name tells it.
+
+    Such a task is an object that a user has made, as by `dataclasses.replace`. Where its name finds none, these are all of its
+    fields. Functions and other objects are known by their names, and arrays by a digest.
+    """
+    if given is _TASKS.get(given.name):
+        return {}
+    own, found = _told(given), {}
+    with contextlib.suppress(UserError), warnings.catch_warnings(action="ignore"):  # they have been shown already
+        found = _told(task(given.name))
+    return {name: value for name, value in own.items() if name not in found or found[name] != value}
+
+
+def _told(value: Any) -> Any:
+    """A task, or what its fields hold, as JSON values."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        own = {each.name: _told(getattr(value, each.name)) for each in dataclasses.fields(value) if each.compare}
+        return {"class": _told(type(value))} | own
+    if isinstance(value, Mapping):
+        return {str(key): _told(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_told(each) for each in value]
+    if isinstance(value, np.ndarray):
+        return array_text(value)
+    if value is None or isinstance(value, str | int) or (isinstance(value, float) and math.isfinite(value)):
+        return value
+    name = getattr(value, "__qualname__", None)
+    # Where an object lies in memory differs from process to process.
+    return re.sub(" at 0x[0-9a-f]+", "", repr(value)) if name is None else f"{value.__module__}:{name}"
 
 
 def of_run(name: str) -> Task:

@@ -1,7 +1,5 @@
 """Routes through networks: which lanes are driven one after the other, where a car is on its way, and what lies ahead."""
 
-import heapq
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -69,22 +67,6 @@ class Route:
         """Where points (n, 2) are on the route; see `Path.project`."""
         return self.path.project(points, near, window)
 
-    def locate(self, distance: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
-        """Which lane a distance lies on.
-
-        Args:
-            distance: (...) m.
-
-        Returns:
-            (...) int index into `lanes`, and (...) m along the reference line of that lane's road, OpenDRIVE's s.
-        """
-        distance = self.path.within(distance)
-        piece = self.path.piece(distance)
-        along = (distance - self.path.starts[piece]) / self.path.length[piece]
-        span = self._s[piece]
-        s = span[..., 0] + along * (span[..., 1] - span[..., 0])
-        return np.searchsorted(self._first_pieces, piece, "right") - 1, s
-
     def signals(self) -> tuple[tuple[float, Signal], ...]:
         """Traffic lights that hold for who drives along, each with its distance in m, in the order of travel."""
         found = []
@@ -106,74 +88,3 @@ class Route:
     def _first_pieces(self) -> np.ndarray:
         """(lanes + 1,) the first piece of each lane, and behind these how many there are."""
         return np.cumsum([0, *(len(self.network.lane_path(lane).length) for lane in self.lanes)])
-
-    @cached_property
-    def _s(self) -> np.ndarray:
-        """(pieces, 2) s of their roads, in m, where pieces are entered and left."""
-        spans = []
-        for road, lane in self.lanes:
-            starts = self.network.road(road).path.starts
-            span = np.stack([starts[:-1], starts[1:]], axis=1)
-            spans.append(span[::-1, ::-1] if lane > 0 else span)
-        return np.concatenate(spans)
-
-
-def routes(network: Network) -> dict[LaneKey, tuple[LaneKey, ...]]:
-    """The graph of lanes: for each that is driven on, those that follow it, through junctions too."""
-    return network.following
-
-
-def shortest_route(network: Network, start: LaneKey, goal: LaneKey) -> Route:
-    """The route of least length from the beginning of one lane to the end of another; of several, always the same.
-
-    Args:
-        network: of roads.
-        start: ids of a road and of a lane on it.
-        goal: the same; if it is `start`, the route is that lane alone.
-
-    Raises:
-        UserError: no way leads there, or there is no such lane.
-    """
-    for lane in (start, goal):
-        network.lane_path(lane)
-    before: dict[LaneKey, LaneKey | None] = {}
-    queue: list[tuple[float, LaneKey, LaneKey | None]] = [(0.0, start, None)]
-    while queue:
-        way, lane, previous = heapq.heappop(queue)
-        if lane in before:
-            continue
-        before[lane] = previous
-        if lane == goal:
-            return Route(network, tuple(_back(before, goal))[::-1])
-        length = network.lane_path(lane).total
-        for next_ in network.following.get(lane, ()):
-            heapq.heappush(queue, (way + length, next_, lane))
-    raise UserError(f"no way leads from road {start[0]}, lane {start[1]} to road {goal[0]}, lane {goal[1]}")
-
-
-def random_route(network: Network, start: LaneKey, length: float, generator: np.random.Generator) -> Route:
-    """A route that takes any way at each junction, all with the same probability.
-
-    Args:
-        network: of roads.
-        start: ids of the first road and of the lane on it.
-        length: m, that it has at least, unless it ends before where no lane follows.
-        generator: draws at each place where several lanes follow, and nowhere else.
-
-    Raises:
-        UserError: there is no such lane.
-    """
-    lanes, total = [start], network.lane_path(start).total
-    while total < length and (options := network.following.get(lanes[-1], ())):
-        choice = int(generator.integers(len(options))) if len(options) > 1 else 0
-        lanes.append(options[choice])
-        total += network.lane_path(lanes[-1]).total
-    return Route(network, tuple(lanes))
-
-
-def _back(before: dict[LaneKey, LaneKey | None], lane: LaneKey) -> Iterable[LaneKey]:
-    """The lanes from `lane` back to the first."""
-    at: LaneKey | None = lane
-    while at is not None:
-        yield at
-        at = before[at]

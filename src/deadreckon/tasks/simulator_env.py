@@ -13,7 +13,8 @@ from deadreckon.tasks.pixels import choose_opengl, needs_opengl
 
 
 class SimulatorEnv(gymnasium.Env[np.ndarray, np.ndarray], EzPickle):
-    """One copy of a task: step by step equal to `Task.simulate([seed])`. The horizon is kept by the simulator.
+    """One copy of a task: step by step equal to `Task.simulate([seed])`. The horizon is kept by the simulator, and said by the
+    registered id.
 
     `info["success"]` says whether the goal is reached, where the simulator knows (`achieved`). `render()` draws what a camera
     sees, (height, width, 3) uint8, where MuJoCo finds an OpenGL: without a screen EGL or OSMesa, unless `MUJOCO_GL` says which.
@@ -57,10 +58,12 @@ class SimulatorEnv(gymnasium.Env[np.ndarray, np.ndarray], EzPickle):
         """What the task's camera sees.
 
         Raises:
-            UserError: nothing draws this task, or MuJoCo finds no OpenGL.
+            UserError: no episode has begun, nothing draws this task, or MuJoCo finds no OpenGL.
         """
         if self.render_mode is None:
             return None
+        if self.simulator is None:
+            raise UserError(f"{self.task.name} cannot be rendered before its first episode; call reset first")
         if self._renderer is None:
             if not hasattr(self.simulator, "renderer"):
                 raise UserError(f"{self.task.name} cannot be rendered; leave render_mode out")

@@ -157,7 +157,7 @@ class Task:
         reference: for normalised scores: measured on this simulator, or the benchmark's where its scale is everybody's. None
             where none is known: then there are raw returns, and no scores.
         published: the original benchmark's reference scores, where they exist.
-        split: "training" (settings may be tuned here) or "evaluation", thesis Table D.3.
+        split: "training" or "evaluation" (where settings must not be tuned), thesis Table D.3; empty where the table has none.
         summary: one line on what is to be done.
         properties: what makes it hard, among `PROPERTIES`: thesis 7.3, and Table 8.1 where it has the task.
         source: where the task comes from, thesis Table D.2.
@@ -175,7 +175,7 @@ class Task:
     gym_id: str
     reference: Reference | None
     published: Reference | None = None
-    split: str = "training"
+    split: str = ""
     summary: str = ""
     properties: tuple[str, ...] = ()
     source: str = ""
@@ -238,3 +238,18 @@ class Task:
         None where observations alone do not tell.
         """
         return None
+
+
+def keeping_horizon(task: Task, horizon: int | None) -> Task:
+    """The task, whose horizon is its own.
+
+    Args:
+        task: such as one of the package, or of a user.
+        horizon: that is asked for; None: none.
+
+    Raises:
+        UserError: another one is asked for.
+    """
+    if horizon is not None:
+        raise UserError(f"{task.name} has a horizon of its own, {task.horizon} steps; leave the other out")
+    return task

@@ -14,7 +14,7 @@ import numpy as np
 
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
-from deadreckon.tasks.car import VELOCITY, WHEEL, YAW, X, Y, course, moved
+from deadreckon.tasks.car import VELOCITY, WHEEL, YAW, X, Y, course, moved, off_the_road
 from deadreckon.tasks.lane_table import LaneTable
 from deadreckon.tasks.pixels import Pixels
 from deadreckon.tasks.road_maps import town
@@ -158,7 +158,8 @@ class TownSimulator:
         seen = self._observe()
         self.reds = (self._front > line) & (shown[np.arange(len(line)), light] == RED) & running
         others = np.stack(self.traffic.pose(), 2)
-        self.crashes = (self._off_the_road() | touching(self.cars[:, [X, Y, YAW]], others).any(1)) & running
+        off = off_the_road(self._offset, self.task.width)
+        self.crashes = (off | touching(self.cars[:, [X, Y, YAW]], others).any(1)) & running
         along = self.cars[:, VELOCITY] * np.cos(course(self.cars) - self._lane)
         rewards = np.where(self.crashes, CRASHED, np.where(self.reds, 0.0, along))
         terminals = self.crashes | self.reds
@@ -225,10 +226,6 @@ class TownSimulator:
         speed = self.cars[:, VELOCITY, None] * np.cos(course(self.cars)[:, None] - found.heading)
         present = np.abs(found.lateral) < BESIDE
         return Learner(present, found.distance, speed, table.incoming[self._ahead(np.array([0]))[0][:, 0]])
-
-    def _off_the_road(self) -> np.ndarray:
-        """(copies,) bool: beyond the right edge of the lane, or the left one of the lane beside it."""
-        return (self._offset < -0.5 * self.task.width) | (self._offset > 1.5 * self.task.width)
 
     def _light(self) -> tuple[np.ndarray, np.ndarray]:
         """(copies,) m along the route to the line before the next light, and the controller of that."""

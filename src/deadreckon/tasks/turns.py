@@ -16,9 +16,9 @@ def turns(task: Task, episodes: int) -> list[np.ndarray]:
 
 
 @contextlib.contextmanager
-def simulating(task: Task, seeds: Sequence[int]) -> Iterator[Simulator]:
+def simulating(task: Task, seeds: Sequence[int], threads: int | None = None) -> Iterator[Simulator]:
     """A simulator of the first turn's copies, which is closed at the end, however that comes, if it is to be closed."""
-    simulator: Any = task.simulate(seeds[: task.most_copies])
+    simulator: Any = task.simulate(seeds[: task.most_copies], threads)
     try:
         yield simulator
     finally:

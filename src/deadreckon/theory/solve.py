@@ -85,21 +85,6 @@ def occupancy(
     return linear(discount * moves(transitions, policy).T, (1.0 - discount) * initial)[:, None] * policy
 
 
-def value_iteration(
-    transitions: Float[Array, "s a t"], rewards: Float[Array, "s a"], discount: Any, tolerance: float = 1e-10
-) -> Float[Array, "s a"]:
-    """Q*, to within `tolerance`, by Q <- r + discount P max_a Q."""
-
-    def backup(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        q, _ = carry
-        new = ahead(transitions, rewards, q.max(1), discount)
-        return new, jnp.abs(new - q).max()
-
-    # What is left to do is at most discount / (1 - discount) times the last change.
-    going = lambda carry: carry[1] > tolerance * (1.0 - discount)  # noqa: E731
-    return jax.lax.while_loop(going, backup, (rewards, jnp.asarray(jnp.inf, rewards.dtype)))[0]
-
-
 def policy_iteration(transitions: Float[Array, "s a t"], rewards: Float[Array, "s a"], discount: Any) -> Float[Array, "s a"]:
     """Q*, to rounding: each policy is solved exactly, and the next one is greedy where that is better."""
 

@@ -124,7 +124,7 @@ class MDP:
             for column, now in zip((seen, taken, got, ended, lasted), (state, action, reward, ends, alive)):
                 column.append(now)
             alive = alive & ~ends
-            state = np.where(ends, state, following)
+            state = np.where(alive, following, state)  # an episode that has ended stays where it was
         kept = np.stack(lasted, 1)  # (episodes, steps)
         seen, taken, got, ended = (np.stack(column, 1) for column in (seen, taken, got, ended))
         timeouts = np.zeros_like(ended)

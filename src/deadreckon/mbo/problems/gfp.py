@@ -16,6 +16,7 @@ from jaxtyping import Array, Float, Int
 from pyarrow import csv
 
 from deadreckon.errors import UserError, reading, unknown
+from deadreckon.mbo.design_table import numbers_of
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.problems.oracle import Arrays, kept, split
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden
@@ -71,10 +72,10 @@ def gfp(
     if not {"variant", "score"} <= set(table.column_names):
         raise UserError(f"{place}: columns variant and score are needed, separated by tabs")
     x, rows = _sequences(table.column("variant").to_pylist(), place)
-    y = np.asarray(table.column("score"), np.float64)[rows]
-    judge = Epistasis.of(x, y) if oracle == "epistasis" else SequenceGP.of("gfp", x, y)
+    y = numbers_of(str(place), table, "score", rows)
     variables = tuple(Variable(f"acid{i}", "categorical", levels=tuple(ACIDS)) for i in range(len(WILD_TYPE)))
     full = Designs(x, y, variables, "gfp", "log10 brightness")
+    judge = Epistasis.of(x, y) if oracle == "epistasis" else SequenceGP.of("gfp", x, y)
     return hidden(name, full, judge, judge.about, least=least, most=most, limit=limit)
 
 

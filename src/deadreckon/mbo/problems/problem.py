@@ -101,7 +101,12 @@ def hidden(
         most: percentile of the greatest.
         limit: designs shown at most, drawn from the others with a seed that never changes.
         optimum: see `Problem`.
+
+    Raises:
+        UserError: the percentiles are not in order between 0 and 100, or too few designs are left (`Designs`).
     """
+    if not 0 <= least <= most <= 100:
+        raise UserError(f"{name}: percentiles of shown scores ascend from 0 to 100 at most, got {least:g} and {most:g}")
     low, high = np.percentile(full.y, [least, most])
     rows = np.flatnonzero((full.y >= low) & (full.y <= high))
     if limit is not None and len(rows) > limit:

@@ -18,7 +18,9 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
+from deadreckon.data.arrow import flat, some_numbers
 from deadreckon.errors import UserError, reading, unknown
+from deadreckon.mbo.design_table import numbers_of
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden
 from deadreckon.mbo.problems.trees import boosted, forest
@@ -141,17 +143,18 @@ def superconductor(
     columns = set(table.column_names)
     wide = _names(form) if form == "composition" else [f for f in table.column_names if f != "critical_temp"]
     if {"name", "Tc"} <= columns:
-        x, y = _of_formulas(table, form)
+        x, y = _of_formulas(table, form, str(place))
         names = _names(form)
     elif "critical_temp" in columns and set(wide) <= columns and len(wide) == (86 if form == "composition" else 81):
-        x = np.stack([np.asarray(table.column(n), np.float64) for n in wide], 1)
-        y, names = np.asarray(table.column("critical_temp"), np.float64), wide
+        rows = np.arange(table.num_rows)
+        x = np.stack([numbers_of(str(place), table, column, rows) for column in wide], 1)
+        y, names = numbers_of(str(place), table, "critical_temp", rows), wide
     else:
         raise UserError(f"{place}: neither columns name and Tc, nor critical_temp and the columns of {form}, as in {SOURCE}")
-    judge = ORACLES[oracle](f"superconductor-{form}", x, y)
     ends = [_ends(column) if bounded else (-math.inf, math.inf) for column in x.astype(np.float32).T]
     variables = tuple(Variable(column, "continuous", *each) for column, each in zip(names, ends))
     full = Designs(x, y, variables, "superconductor", "critical temperature, K")
+    judge = ORACLES[oracle](f"superconductor-{form}", x, y)
     return hidden(name, full, judge, judge.about, most=shown)
 
 
@@ -165,16 +168,19 @@ def _names(form: str) -> list[str]:
     return ["number_of_elements", *(f"{statistic}_{name}" for name in properties() for statistic in STATISTICS)]
 
 
-def _of_formulas(table: pa.Table, form: str) -> tuple[np.ndarray, np.ndarray]:
+def _of_formulas(table: pa.Table, form: str, place: str) -> tuple[np.ndarray, np.ndarray]:
     """Designs and temperatures, a row a material."""
     found: dict[tuple[tuple[str, float], ...], list[float]] = {}
-    for formula, temperature in zip(table.column("name").to_pylist(), table.column("Tc").to_pylist()):
-        if temperature is None or not temperature > 0:
+    temperatures = some_numbers(place, "Tc", flat(table, "Tc"))[0].tolist()  # NaN where it is missing
+    for formula, temperature in zip(table.column("name").to_pylist(), temperatures):
+        if not temperature > 0:
             continue
         try:
             parts = amounts(str(formula))
         except UserError:
             continue
-        found.setdefault(tuple(sorted(parts.items())), []).append(float(temperature))
+        found.setdefault(tuple(sorted(parts.items())), []).append(temperature)
+    if not found:
+        raise UserError(f"{place}: no row has a formula of elements H to Rn and a temperature above 0")
     of = composition if form == "composition" else statistics
     return np.stack([of(dict(parts)) for parts in found]), np.array([np.mean(t) for t in found.values()])
