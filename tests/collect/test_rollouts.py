@@ -543,6 +543,17 @@ def test_a_killed_log_is_gone_on_with_in_a_task_of_the_same_fields_alone(tmp_pat
     assert extra["task_fields"] == {"horizon": 16, "action_space": bounds}
 
 
+def test_a_killed_log_is_not_gone_on_with_in_another_registered_task_of_the_same_name(tmp_path):
+    asked = {"steps": 300, "out": tmp_path / "log.hdf5"}
+    for horizon, found in ((16, Killed), (17, UserError)):
+        tasks.register(replace(HOPPER, name="own-hopper", horizon=horizon))
+        try:
+            with pytest.raises(found, match="task_registered.horizon was 16, now 17" if horizon == 17 else None):
+                collect_in_task("own-hopper", **asked, progress=lambda done, total: _kill_at(done, 100))
+        finally:
+            tasks.registry._TASKS.pop("own-hopper")
+
+
 def test_tasks_of_one_copy_are_collected_one_episode_after_the_other(tmp_path):
     class Single(type(HOPPER)):
         most_copies = 1

@@ -60,6 +60,15 @@ def test_of_noise_no_method_is_praised():
     assert among.doubt == "the model's order of unseen rows cannot be distinguished from chance"
 
 
+def test_of_a_single_method_no_order_among_methods_is_told():
+    """The others diverged."""
+    good = dataclasses.replace(quality("GP", 1.0), tried=1)
+    alone = "GP is the only method that could be compared"
+    assert chosen([good]) == (0, f"{alone} ({good.rank_correlation:.3f})")
+    none = dataclasses.replace(good, rank_correlation=0.0)
+    assert chosen([none]) == (0, f"of {alone.replace(' is', ',')}, {none.doubt}; GP is taken")
+
+
 def test_a_method_without_skill_is_not_taken_where_another_has_skill():
     """Neither the process for being about as good, nor the greatest rank, of which the predictions fall with the scores."""
     gp, net = (dataclasses.replace(quality(name, 1.0), rank_correlation=rank) for name, rank in (("GP", 0.11), ("net", 0.13)))

@@ -109,6 +109,73 @@ def test_rows_without_a_score_do_not_decide_how_a_column_is_read(tmp_path, europ
     np.testing.assert_array_equal(told(schema.read, tmp_path / "t.csv")[0].x[:, :3], data.x)
 
 
+def test_cells_of_planned_runs_are_kept_where_others_are_words(tmp_path):
+    """Lost ones could be proposed again."""
+    full = frame(15, t=[50 + 10 * (i % 5) for i in range(15)])
+    planned = {"temp": [60.5] * 3, "solvent": ["DMF"] * 3, "t": ["65", "2024-01-05", "55"], "y": [None] * 3}
+    path = write(tmp_path / "t.csv", {name: full[name] + planned[name] for name in full})
+    data, lines = told(Designs.from_csv, path, "y")
+    assert data.unscored[:, 2].tolist() == [65, 55]
+    assert any("column t is read by the rows with a score; '2024-01-05' in row 16, which has" in line for line in lines)
+    forms = write(tmp_path / "f.csv", {"t": [*range(1990, 2005), "55", "'1,234'", "TBD"], "y": [*range(15), "", "", ""]})
+    forms.write_text(forms.read_text().replace("'", '"'))
+    assert told(Designs.from_csv, forms, "y", thousands=",")[0].unscored.tolist() == [[55]]  # 1990 is of another form
+
+
+def test_the_levels_that_are_said_decide_how_planned_runs_are_read(tmp_path):
+    full = frame(15, g=["1", "2", "3"] * 5)
+    planned = {"temp": [60.5] * 2, "solvent": ["DMF"] * 2, "g": ["4A", "2"], "y": [None] * 2}
+    path = write(tmp_path / "t.csv", {name: full[name] + planned[name] for name in full})
+    names = {"g": ["1", "2", "3", "4A"]}
+    schema = DesignSchema({"y": DesignColumn("target"), "temp": DesignColumn("input"), "solvent": DesignColumn("input"),
+                           "g": DesignColumn("input", "categorical", levels=tuple(names["g"]))})  # fmt: skip
+    for read in (lambda: Designs.from_csv(path, "y", kinds={"g": "categorical"}, levels=names), lambda: schema.read(path)):
+        data, _ = told(read)
+        assert data.variables[2].levels == ("1", "2", "3", "4A")
+        assert data.unscored[:, 2].tolist() == [3, 1]
+    assert told(Designs.from_csv, path, "y", kinds={"g": "categorical"})[0].variables[2].levels == ("1", "2", "3")
+    for levels in ([1, 2, 3], ["1", "2", "3"]):  # numbers stay numbers, in order
+        data, _ = told(Designs.from_csv, path, "y", kinds={"g": "ordinal"}, levels={"g": levels})
+        assert data.variables[2].levels == (1, 2, 3)
+        assert data.unscored[:, 2].tolist() == [1]
+
+
+def test_texts_of_parquet_are_not_converted_for_the_sake_of_planned_runs(tmp_path):
+    full = frame(15, t=[str(50 + 10 * (i % 5)) for i in range(15)], code=["1e5", "2e3", "3e4"] * 5)
+    planned = {"temp": [60.5] * 2, "solvent": ["DMF"] * 2, "t": ["55", "65"], "code": ["2e3"] * 2, "y": [None] * 2}
+    parquet.write_table(pa.table({name: full[name] + planned[name] for name in full}), tmp_path / "t.parquet")
+    data, lines = told(Designs.from_csv, tmp_path / "t.parquet", "y", kinds={"code": "categorical"})
+    assert data.variables[3].levels == ("1e5", "2e3", "3e4")
+    assert data.unscored[:, 2].tolist() == [55, 65]
+    assert not any("counts as missing" in line for line in lines)
+    schema, _ = describe(tmp_path / "t.parquet", "y")
+    assert schema.columns["t"].kind == "integer"
+    assert told(schema.read, tmp_path / "t.parquet")[0].unscored[:, 2].tolist() == [55, 65]
+
+
+def test_what_a_reader_leaves_as_texts_is_no_number(tmp_path):
+    """Versions in a file with decimal commas, and numbers with points that are said to separate no thousands."""
+    full = frame(version=["1.1", "1.10", "1.2"] * 6, mass=["1.500", "2.500", "1.500"] * 6)
+    rows = ["temp;solvent;y;version;mass"]
+    rows += [";".join(map(str, row[:3])).replace(".", ",") + ";" + ";".join(row[3:]) for row in zip(*full.values())]
+    (tmp_path / "t.csv").write_text("\n".join(rows) + "\n")
+    data, lines = told(Designs.from_csv, tmp_path / "t.csv", "y", thousands="none")
+    assert [(v.kind, v.levels) for v in data.variables[2:]] == [
+        ("categorical", ("1.1", "1.10", "1.2")), ("categorical", ("1.500", "2.500"))
+    ]  # fmt: skip
+    assert not any("is read so" in line for line in lines)
+    schema, _ = describe(tmp_path / "t.csv", "y", thousands="none")
+    assert [schema.columns[name].kind for name in ("version", "mass")] == ["categorical"] * 2
+    assert told(schema.read, tmp_path / "t.csv")[0].variables == data.variables
+
+
+def test_codes_of_more_digits_than_designs_hold_stay_texts():
+    for pair in (["4012345678901", "4012345678918"], ["2e400", "1"], ["16777217", "3"]):
+        assert told(Designs.from_frame, frame(code=pair * 9), "y")[0].variables[2].levels == tuple(sorted(pair))
+    for pair in (["16777216", "3"], ["2e7", "1e8"]):
+        assert told(Designs.from_frame, frame(code=pair * 9), "y")[0].variables[2].high == max(map(float, pair))
+
+
 def test_texts_that_are_all_numbers_are_read_as_numbers(tmp_path):
     full = frame()
     temp, codes = [str(value) for value in full["temp"]], [f"{i % 4:02}" for i in range(18)]
@@ -148,8 +215,24 @@ def test_whole_numbers_stay_so_beside_the_missing_cell_of_a_planned_run():
         assert told(Designs.from_frame, full | {"layers": other, "y": y}, "y")[0].variables[2].kind == "continuous"
     kinds = {"layers": "continuous"}
     assert told(Designs.from_frame, full | {"layers": layers, "y": y}, "y", kinds=kinds)[0].variables[2].kind == "continuous"
+    listed = [None if np.isnan(value) else value for value in layers]  # 1.0 in Python is meant so
+    assert told(Designs.from_frame, full | {"layers": listed, "y": y}, "y")[0].variables[2].kind == "continuous"
     table = pa.table(full | {"layers": pa.array(layers, mask=np.isnan(layers)), "y": y})  # which has
     assert told(Designs.from_frame, table, "y")[0].variables[2].kind == "continuous"
+
+
+@pytest.mark.parametrize(
+    "said",
+    [{"steps": {"t": 0.5}}, {"bounds": {"t": (49.5, 80.5)}}, {"bounds": {"t": (0, np.inf)}}, {"fixed": ["t = 52.5"]}],
+)
+def test_what_is_said_of_other_numbers_makes_them_no_whole_numbers(said):
+    full = frame(t=np.r_[50 + 10.0 * (np.arange(17) % 4), np.nan])
+    columns = pd.DataFrame(full | {"y": [*full["y"][:-1], None]})
+    data, lines = told(Designs.from_frame, columns, "y", **said)
+    assert data.variables[2].kind == "continuous"
+    assert not any("holds whole numbers" in line for line in lines)
+    whole = {"steps": {"t": 5.0}, "bounds": {"t": (40.0, 90)}, "fixed": ["t = 50.0", "solvent = DMF"]}
+    assert told(Designs.from_frame, columns, "y", **whole)[0].variables[2].kind == "integer"
 
 
 def test_runs_without_a_score_are_not_proposed_again():

@@ -228,6 +228,19 @@ def test_scores_that_were_measured_are_not_called_predictions(tmp_path):
     assert "The best predicted score" not in page(data, random, tmp_path)[1]
 
 
+def test_a_score_for_which_designs_are_made_is_not_called_measured(tmp_path):
+    """That of a diffusion model is neither measured nor predicted by a model."""
+    data = table("noise")
+    asked = np.full(3, data.y.max())
+    made = dataclasses.replace(designer("random").propose(data, 3), method="DDOM", predicted=asked)  # as that method gives them
+    assert _told(data, made)[1].startswith("DDOM: 3 proposals, best predicted cost ")
+    assert dict(zip(*about(data, made).values()))["predicted"].startswith("the score for which the method makes its designs")
+    _, said = page(data, made, tmp_path)
+    assert "measured score" not in said
+    assert "DDOM predicts no scores." not in said
+    assert "The best predicted score is" in said
+
+
 def test_a_gain_is_one_over_predictions_for_measured_designs_and_not_over_a_lucky_measurement(tmp_path):
     a = np.arange(20) / 20
     frame = {"a": a, "b": np.arange(20) % 7, "y": np.where(np.arange(20) == 3, 5.0, a)}

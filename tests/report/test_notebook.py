@@ -1,5 +1,6 @@
 """What objects show of themselves in notebooks: whole HTML without scripts, names escaped, styles for the cell alone."""
 
+import dataclasses
 import html.parser
 import re
 
@@ -158,7 +159,9 @@ def test_proposals_for_a_target_to_be_made_small_have_its_sign():
     assert made.predicted.max() < 0.0
     shown = [float(value) for value in re.findall(r"</th><td><b>([^<]*)</b>", told)]
     assert shown == sorted(round(cost, 1) for cost in table["cost"])[:3]
-    assert "those with the lowest predictions first" in told
+    assert "those with the lowest measured scores first" in told
+    assert "predict" not in told
+    assert "those with the lowest predictions first" in dataclasses.replace(made, measured=False)._repr_html_()
     assert not re.search(">[-\N{MINUS SIGN}][0-9]", told)  # in table and histogram
 
 

@@ -8,6 +8,8 @@ from run_folders import write_run
 
 from deadreckon.cli.options import TrainOnline
 from deadreckon.cli.parse import parse
+from deadreckon.errors import UserError
+from deadreckon.files import read_json, write_json
 from deadreckon.online import Online
 from deadreckon.report import headline, picture, table
 from deadreckon.report.entries import read
@@ -18,8 +20,12 @@ from deadreckon.report.simulated import compare
 TURNS = {"copies": 4, "explore": 40, "updates_per_step": 0.5, "block": 20}  # 10 updates after every 20 steps
 
 
-def online(path, **options):
-    return write_run(path, "sac", 90.0, task="halfcheetah", online=TURNS, promised=70.0, **options)
+def online(path, fields=None, **options):
+    """A run; with `fields`, in a task whose name does not tell these."""
+    run = write_run(path, "sac", 90.0, task="halfcheetah", online=TURNS, promised=70.0, **options)
+    if fields is not None:
+        write_json(run / "run.json", read_json(run / "run.json") | {"task_fields": fields})
+    return run
 
 
 def shown(text):
@@ -104,3 +110,23 @@ def test_the_command_makes_the_run_again(tmp_path, every):
     turns = Online(given.copies, given.explore, given.updates_per_step, given.block)
     assert (turns, turns.updates(given.steps)) == (Online(**TURNS), 200)
     assert given.settings.evaluate_every == (None if every is None else 200)
+
+
+def test_no_command_makes_a_run_in_a_task_that_its_name_does_not_find(tmp_path):
+    page = read([online(tmp_path / "run", {"horizon": 20})])
+    assert command(page.entries[0]).startswith("# no command: it was trained in a task that its name does not find")
+    assert page.task is None
+    assert "--task halfcheetah" not in render(page)
+
+
+def test_runs_in_tasks_of_one_name_with_different_fields_are_not_shown_as_one_task(tmp_path):
+    runs = [online(tmp_path / str(i), fields) for i, fields in enumerate((None, {"horizon": 20}, {"horizon": 30}))]
+    told = (
+        "1 is halfcheetah with other fields, .*0 is halfcheetah;",
+        "2 is halfcheetah with .*1 is halfcheetah with other fields;",
+    )
+    for pair, words in zip((runs[:2], runs[1:]), told):
+        with pytest.raises(UserError, match=f"a report shows runs of one task: .*{words}"):
+            read(pair)
+    online(tmp_path / "more", {"horizon": 20}, first=2)
+    assert len(read([runs[1], tmp_path / "more"]).entries) == 1

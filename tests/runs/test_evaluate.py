@@ -75,6 +75,20 @@ def test_episodes_in_turns_are_those_side_by_side():
     np.testing.assert_array_equal(*(first_observations(of(**given), range(7)) for of in (LaneDriving, FewCopies)))
 
 
+class SeedsAlone(LaneDriving):
+    """A user's task, whose simulator takes no threads."""
+
+    def simulate(self, seeds):
+        return super().simulate(seeds)
+
+
+def test_a_users_task_may_take_seeds_alone():
+    given = {each.name: getattr(task("carla-lane-state"), each.name) for each in dataclasses.fields(LaneDriving)}
+    given |= {"horizon": 20}
+    run = [evaluate(DRAWN, of(**given), episodes=2, seed=3) for of in (LaneDriving, SeedsAlone)]
+    np.testing.assert_array_equal(*(each.returns for each in run))
+
+
 class NothingAfterEnds(LaneDriving):
     """Driving whose rewards are no numbers once an episode is over."""
 

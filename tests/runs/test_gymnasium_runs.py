@@ -1,7 +1,9 @@
 """What a Gymnasium environment is used for as a task: learned in, gone on with, collected in, judged in, without a scale."""
 
 import dataclasses
+import functools
 import json
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -94,6 +96,21 @@ def test_wrappers_are_told_apart_by_their_arguments_when_a_run_is_gone_on_with(t
             train(tmp_path / "run", clipped(-1.0), resume=True)
     with pytest.raises(UserError, match="holds another run: task_fields.env_spec was"):
         train(tmp_path / "run", clipped(0.0), resume=True)
+
+
+def test_going_on_in_an_environment_that_nothing_tells_from_others_is_warned_about(tmp_path, monkeypatch):
+    def killed(*given):
+        raise StopTraining
+
+    monkeypatch.setattr(online, "Recorder", killed)  # once the folder has been begun
+    for given, warned in ((functools.partial(toys.Shifted), True), (toys.Shifted, False), (toys.short_cart, False)):
+        for again in (False, True):
+            with warnings.catch_warnings(record=True) as told:
+                warnings.simplefilter("always")
+                with pytest.raises(StopTraining):
+                    train(tmp_path / str(given), dr.task(given, horizon=9), resume=again)
+            texts = [str(each.message) for each in told if "has no spec: whether" in str(each.message)]
+            assert len(texts) == (warned and again), texts
 
 
 @pytest.mark.slow

@@ -14,7 +14,7 @@ from deadreckon.cli.train import summary
 from deadreckon.data.formats.hdf5 import read_hdf5, write_hdf5
 from deadreckon.data.provenance import Provenance
 from deadreckon.errors import UserError
-from deadreckon.files import read_json
+from deadreckon.files import read_json, write_json
 from deadreckon.online import Online, replay_log
 from deadreckon.online.rows import row_width
 from deadreckon.policies import store
@@ -287,9 +287,48 @@ def test_a_run_is_gone_on_with_in_a_task_of_the_same_fields_alone(run, capsys):
     for other, words in ((replace(HOPPER, horizon=30), "horizon was 20, now 30"), ("hopper", "was {'horizon': 20}, now None")):
         with pytest.raises(UserError, match=f"holds another run: task_fields.*{words}"):
             train(run.path, task=other, resume=True)
+    assert gather(run)[0].task is None
     assert main(["evaluate", str(run.path)]) == 2  # in which task: that of this name is another one
-    assert "missing --task: the policies do not say where they belong, or" in capsys.readouterr().err
+    assert "missing --task: whole was trained in a task that its name does not find" in capsys.readouterr().err
     assert everything(run.path) == before
+
+
+def test_a_run_in_a_task_that_its_name_does_not_find_is_not_evaluated_in_the_task_of_another_run(run, tmp_path, capsys):
+    shutil.copytree(run.path, tmp_path / "named")
+    config = read_json(tmp_path / "named" / "run.json")
+    del config["task_fields"]
+    write_json(tmp_path / "named" / "run.json", config)
+    given = [str(tmp_path / "named"), str(run.path)]
+    assert [(each.task, each.unnamed) for each in gather(given)] == [("hopper", False), (None, True)]
+    assert main(["evaluate", *given]) == 2
+    assert "missing --task: whole was trained in a task that its name does not find" in capsys.readouterr().err
+
+
+def test_a_run_is_opened_again_in_its_own_task_alone(run):
+    for other, words in (
+        (None, "was trained in a task that its name does not find; give it as task$"),
+        ("hopper", r"was trained in another task: task_fields was {'horizon': 20}, now None; give that one as task$"),
+        (replace(HOPPER, horizon=30), "another task: task_fields.horizon was 20, now 30; give that one as task$"),
+        ("walker2d", "was trained in another task: task was hopper, now walker2d; give that one as task$"),
+    ):
+        with pytest.raises(UserError, match=words):
+            module.reopened(run.path, task=other)
+    assert module.reopened(run.path, task=replace(HOPPER)).step == UPDATES
+
+
+def test_a_registered_task_with_another_horizon_is_another_task(tmp_path, monkeypatch):
+    def killed(*given):
+        raise Stop
+
+    monkeypatch.setattr(module, "Recorder", killed)  # once the folder has been begun
+    other = "holds another run: task_registered.horizon was 20, now 30"
+    for horizon, found, words in ((20, Stop, None), (20, Stop, None), (30, UserError, other)):
+        tasks.register(replace(HOPPER, name="own-hopper", horizon=horizon))
+        try:
+            with pytest.raises(found, match=words):
+                train(tmp_path / "run", task="own-hopper", resume=True)
+        finally:
+            tasks.registry._TASKS.pop("own-hopper")
 
 
 @pytest.mark.slow
@@ -341,7 +380,7 @@ def test_what_does_not_fit_is_told_before_anything_is_written(agent, change, wor
 def test_a_run_is_opened_again_to_look_into(run, tmp_path):
     lanes = [Little(lr=lr) for lr in (1e-3, 1e-2)]
     trained = train(tmp_path / "run", lanes, seeds=2)
-    job = module.reopened(trained.path)
+    job = module.reopened(trained.path, task=HOPPER)
     assert job.step == UPDATES
     assert [(agent.lr, agent.hidden) for agent in job.learners] == [(1e-3, (4,)), (1e-2, (4,))]
     seen = np.random.default_rng(0).normal(size=(5, 11)).astype(np.float32)
@@ -354,7 +393,7 @@ def test_a_run_is_opened_again_to_look_into(run, tmp_path):
         module.reopened(tmp_path)
     shutil.rmtree(trained.path / "checkpoints")
     with pytest.raises(UserError, match="has no checkpoint with an update yet"):
-        module.reopened(trained.path)
+        module.reopened(trained.path, task=HOPPER)
 
 
 def test_by_default_a_run_has_its_name_from_agent_and_task(tmp_path, monkeypatch):

@@ -334,6 +334,28 @@ def test_fields_that_a_name_does_not_tell():
     assert registry.own_fields(scaled[0])["action_space"] != registry.own_fields(scaled[1])["action_space"]
 
 
+def test_all_fields_of_a_registered_task_of_ones_own_are_told():
+    battery = registry.task("battery")
+    own = dataclasses.replace(battery, name="own-battery")
+    for given in (battery, own, dr.task("Pendulum-v1"), dataclasses.replace(battery, horizon=3)):
+        assert registry.registered_fields(given) == {}
+    registry.register(own)
+    try:
+        assert registry.own_fields(own) == {}  # its name finds it here
+        for given in (own, dataclasses.replace(own)):
+            told = registry.registered_fields(given)
+            assert (told["name"], told["horizon"]) == ("own-battery", 8)
+    finally:
+        registry._TASKS.pop("own-battery")
+
+
+def test_a_class_is_opened_once_for_a_task(monkeypatch):
+    opened = []
+    monkeypatch.setattr(toys.Shifted, "__init__", lambda self: opened.append(self))
+    dr.task("tests.toy_environments:Shifted", horizon=9)
+    assert len(opened) == 1
+
+
 def test_a_horizon_is_within_a_time_limit_that_stays():
     assert dr.task("Pendulum-v1", horizon=500).horizon == 500  # a limit of Gymnasium's own is replaced
     assert dr.task(gymnasium.make("Pendulum-v1"), horizon=500).horizon == 500
@@ -343,6 +365,12 @@ def test_a_horizon_is_within_a_time_limit_that_stays():
             UserError, match=r"ends its episodes after 9 steps by itself; the horizon must be 9 or less, got 50$"
         ):
             dr.task(given, horizon=50)
+
+    for given in ("deadreckon/AdroitDoor-v1", lambda: gymnasium.make("deadreckon/AdroitDoor-v1")):  # the simulator's own
+        with pytest.raises(UserError, match=r"200 steps by itself; the horizon must be 200 or less, got 500$"):
+            dr.task(given, horizon=500)
+    assert dr.task(gymnasium.make("deadreckon/AdroitDoor-v1", max_episode_steps=500)).horizon == 200
+    assert dr.task("deadreckon/AdroitDoor-v1", horizon=50).horizon == 50
 
     def declared():
         env = toys.Shifted()
@@ -399,8 +427,9 @@ def test_a_task_keeps_its_horizon_however_it_is_named():
     path, own = "deadreckon.tasks.battery:TASK", "^battery has a horizon of its own, 8 steps; leave the other out$"
     assert dr.task(path) is dr.task(lambda: registry.task("battery")) is registry.task("battery")
     for given in ("battery", path, registry.task("battery"), lambda: registry.task("battery")):
-        with pytest.raises(UserError, match=own):
-            dr.task(given, horizon=3)
+        for horizon in (3, 8):  # an equal one, too
+            with pytest.raises(UserError, match=own):
+                dr.task(given, horizon=horizon)
     with pytest.raises(UserError, match=own):
         dr.task("deadreckon.tasks.registry:task?given=battery&max_episode_steps=3")
     assert dr.task("deadreckon.tasks.registry:task?given=battery") is registry.task("battery")

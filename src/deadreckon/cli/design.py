@@ -162,7 +162,6 @@ def _write_proposals(method: Any, data: Any, problem: Any, options: Design, out:
 
 def _told(data: Any, made: Any) -> list[str]:
     from deadreckon.mbo.effects import best_permitted, most_expected
-    from deadreckon.mbo.proposal_table import are_measured
 
     best, most = (float(data.shown(scores.max())) for scores in (data.y, made.predicted))
     tied = int((data.y == data.y.max()).sum())
@@ -170,7 +169,7 @@ def _told(data: Any, made: Any) -> list[str]:
     within = float(data.shown(data.y[best_permitted(data)]))
     inside = f", within the rules {within:,.4g}" if within != best else ""
     lines = [f"{size_told(data)}; best {data.target} {best:,.4g}{ties}{inside}"]
-    how = "measured" if are_measured(made) else "predicted"
+    how = "measured" if made.measured else "predicted"
     predicted = f", best {how} {data.target} {most:,.4g}" if made.predicts else ""
     if made.predicts and made.fitted is not None:
         predicted += f" (for a measured design {float(data.shown(most_expected(data, made.fitted)[1])):,.4g})"

@@ -39,11 +39,12 @@ def evaluate(args: Sequence[str]) -> None:
 
     given = gather(options.policies)
     names, found = [each.name for each in given], sorted({each.task for each in given if each.task})
+    if options.task is None and (unnamed := [each.run for each in given if each.unnamed]):
+        raise UserError(f"missing --task: {unnamed[0]} was trained in a task that its name does not find")
     if options.task is None and len(found) > 1:
         raise UserError(f"the runs are of several tasks ({', '.join(found)}); evaluate those of one, or name one with --task")
     if options.task is None and not found:
-        told = "the policies do not say where they belong, or were trained in a task that its name does not find"
-        raise UserError(f"missing --task: {told}")
+        raise UserError("missing --task: the policies do not say where they belong")
     task = find_task(options.task) if options.task else of_run(found[0])
     policies = [each.acting for each in given]
     result = run_evaluation(

@@ -21,7 +21,7 @@ from deadreckon.names import file_part
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.resolve import policies_of
 from deadreckon.progress import Progress
-from deadreckon.tasks.registry import own_fields
+from deadreckon.tasks.registry import own_fields, registered_fields
 from deadreckon.tasks.registry import task as find_task
 
 RANDOM = "random"  # uniform actions, in place of a policy
@@ -44,8 +44,9 @@ def collect_in_task(
     Actions are drawn, not greedy, and their log-probabilities are logged where the policy has any of its actions within the
     task's bounds (see `collect.rollouts.has_densities`). After a kill the same command goes on where it was: what is done so
     far lies in a hidden folder beside the file. A task with other fields than the one of its name, such as another horizon,
-    is another collection; the log notes these fields. A policy of code of its own, or an environment that is an object without
-    a spec, cannot be told from another: it begins anew once that folder is deleted.
+    is another collection; the log notes these fields, and all of a task that the user has registered. A policy of code of its
+    own, or an environment that is an object without a spec, cannot be told from another: it begins anew once that folder is
+    deleted.
 
     Args:
         task: a task, its name, or a Gymnasium environment; see `tasks.registry.task`.
@@ -88,6 +89,7 @@ def collect_in_task(
     content = None if chance else _content(found[0])
     extra |= task.described | ({} if content is None else {"policy_content": content})
     extra |= {"task_fields": own} if (own := own_fields(task)) else {}
+    extra |= {"task_registered": registered} if (registered := registered_fields(task)) else {}
     provenance = Provenance("collected", None, seed, {**versions, **task.versions}, extra=extra)
     scratch = path.parent / f".{path.name}.part"
     # Of an environment that is given as an object nobody knows the settings, unless Gymnasium can make it again.

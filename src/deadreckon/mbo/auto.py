@@ -28,13 +28,14 @@ from deadreckon.randomness import generator
 from deadreckon.stats.ranks import spearman
 from deadreckon.training.hyperparameters import Count, Number, Sizes, host
 
+ALONE = "the only method that could be compared"
 DRAWS = 200  # bootstrap resamples for the standard error of a difference
 
 
 class Auto(Designer):
     """The Gaussian process, an ensemble or a ranking model, chosen by their predictions of held-out designs."""
 
-    revision: ClassVar[int] = 5
+    revision: ClassVar[int] = 6
     equal_rows: ClassVar[bool] = False  # the chosen method warns itself
 
     kappa: Number = host(0.0)
@@ -87,9 +88,11 @@ def chosen(compared: Sequence[Quality]) -> tuple[int, str]:
     skilled = [i for i, each in enumerate(compared) if each.skilled]
     if not skilled:
         some = compared[int(np.argmax(rank))]
-        told = f"of {some.method}, which ranks unseen designs best of {len(compared)} methods, {some.doubt}"
-        return 0, f"{told}; {first.method} is taken"
+        which = f"which ranks unseen designs best of {len(compared)} methods" if len(compared) > 1 else ALONE
+        return 0, f"of {some.method}, {which}, {some.doubt}; {first.method} is taken"
     best = max(skilled, key=lambda i: rank[i])
+    if len(compared) == 1:
+        return best, f"{first.method} is {ALONE} ({rank[best]:.3f})"
     told = f"{compared[best].method} ranks unseen designs best ({rank[best]:.3f})"
     if doubts := [f"of {each.method} ({each.rank_correlation:.3f}), {each.doubt}" for each in compared if not each.skilled]:
         told = f"{'; '.join(doubts)}; of the others, {told}"

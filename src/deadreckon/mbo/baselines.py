@@ -31,8 +31,8 @@ class BestOfData(Designer):
         if n > len(rows):
             within = "" if data.repair.free else " that satisfy the rules"
             raise UserError(f"{data.name} has {len(rows):,} designs{within}, fewer than the {n:,} asked for")
-        # The predictions are measured scores, and the standard deviation of a new measurement is not known.
-        return [Proposals(self.label, data.x[rows], data.y[rows], np.full(n, np.nan), seed) for seed in setting.seeds]
+        nan = np.full(n, np.nan)  # the standard deviation of a new measurement is not known
+        return [Proposals(self.label, data.x[rows], data.y[rows], nan, seed, measured=True) for seed in setting.seeds]
 
 
 class Jitter(Designer):

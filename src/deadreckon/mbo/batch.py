@@ -28,7 +28,9 @@ Value = Callable[[np.ndarray], np.ndarray]  # (m, variables) designs -> (m,) val
 APART = 0.1
 ROUNDS = 12  # rounds of completion; the least distances are halved in each from the third on, and are 0 in the last four
 TRIED = 4  # designs tried in a round for each that is missing
-WITHIN = 0.98  # share of the largest distance to the data to which designs are moved, so that rounding keeps them within it
+# Share of the largest distance to the data to which designs are moved, so that rounding keeps most of them within it. Whole
+# numbers and levels in order may be rounded beyond it; `repaired` leaves such designs out.
+WITHIN = 0.98
 NEAREST, FURTHEST = 0.05, 1.0  # size of the random changes in the first and the last round, in ranges of the data
 
 

@@ -34,7 +34,7 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
     Raises:
         UserError: the file cannot be read, or has no column of numbers.
     """
-    table, dialect, told = read_designs(path, ways, numbers=() if target is None else (target,))
+    table, dialect, told, converts = read_designs(path, ways, numbers=() if target is None else (target,))
     table, name, names = trimmed(table, table.column_names), name_of(path), table.column_names
     left = row_numbers(names)
     if target is not None:
@@ -42,7 +42,8 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
     else:
         target = _last_of_numbers(name, table, [column for column in names if column not in left])
         told.append(f"the last column of numbers, {target}, is taken as the target (--target)")
-    table, told = by_scored(table, dialect, told, [target])
+    if converts:
+        table, told = by_scored(table, dialect, told, [target])
     rows, planned = scored(name, table, [target])
     told += [planned] if planned else []
     columns: dict[str, DesignColumn] = {}
@@ -63,7 +64,7 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
             columns[column] = DesignColumn("ignore", about="looks like a row number")
             continue
         try:
-            values, v = variable_of(name, table, column, None, None, None, rows)
+            values, v = variable_of(name, table, column, None, None, None, rows, converts)
         except Mend as error:  # drafted as an input that is refused, as leaving it out could go unnoticed
             columns[column] = DesignColumn("input", about=str(error).removeprefix(f"{name}: "))
             told.append(f"{columns[column].about}; it is drafted as an input, and refused until then")

@@ -23,7 +23,7 @@ from deadreckon.errors import UserError, unknown
 from deadreckon.files import read_toml, replacing
 from deadreckon.foreign.shapes import checked, wrong
 from deadreckon.mbo.constraints import quoted
-from deadreckon.mbo.design_table import as_numbers, name_of, read_designs, warn
+from deadreckon.mbo.design_table import as_numbers, name_of, named_levels, read_designs, warn
 from deadreckon.mbo.design_values import DesignValues
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.variables import KINDS
@@ -154,7 +154,8 @@ class DesignSchema:
         asked = together(called.options(), more)
         targets = set(more.get("targets", ()))
         numbers = targets | {asked["target"], *asked["weights"], *as_numbers(asked["kinds"])}
-        table, _, told = read_designs(path, ways, set(asked["ignore"]) - targets, numbers, targets or {asked["target"]})
+        ignored, texts = set(asked["ignore"]) - targets, named_levels(asked["kinds"], asked["levels"])
+        table, _, told, converts = read_designs(path, ways, ignored, numbers, targets or {asked["target"]}, texts)
         warn(path, told)
         target = asked.pop("target")
         if target is None:
@@ -168,6 +169,7 @@ class DesignSchema:
         warn(path, left)
         here = [each for each in asked["ignore"] if each in table.column_names or each in (more.get("ignore") or ())]
         asked["ignore"] = [*here, *strangers]
+        asked.setdefault("converted", converts)
         return Designs.from_frame(table, target, name=name, noticed=[*noticed, *told, *left], **asked)
 
     @classmethod

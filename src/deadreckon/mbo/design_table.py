@@ -2,14 +2,14 @@
 
 import shlex
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.arrow import compute, decoded, flat, is_missing, is_string, is_text, some_numbers
+from deadreckon.data.arrow import compute, decoded, flat, is_missing, is_number, is_string, is_text, some_numbers
 from deadreckon.data.formats.any_table import table_of_kind
 from deadreckon.data.formats.cells import PLAIN, Known, converted
 from deadreckon.data.formats.dialect import Dialect
@@ -27,7 +27,8 @@ def read_designs(
     ignored: Collection[str] = (),
     numbers: Collection[str] = (),
     targets: Collection[str] = (),
-) -> tuple[pa.Table, Dialect | None, list[str]]:
+    texts: Collection[str] = (),
+) -> tuple[pa.Table, Dialect | None, list[str], bool]:
     """Reads a table as `data.formats.any_table.read_table` does, except that ignored columns stay texts, without messages.
 
     Levels such as yes and no stay texts, too, unless the column is among `numbers`: proposals have the words of the table, so
@@ -39,14 +40,18 @@ def read_designs(
         ignored: columns that are no part of the designs.
         numbers: columns that must be numbers, such as scores.
         targets: columns of the scores, where they are known: rows without any do not decide how columns are read (`by_scored`).
+        texts: columns that stay texts if the reader leaves them so (`named_levels`).
 
     Returns:
-        As `read_table`.
+        As `read_table`, and whether the reader converts texts that are numbers, as all do but the one of Parquet.
     """
     known = _KNOWN._replace(texts=frozenset(ignored), flags=frozenset(numbers))
-    table, dialect, told = table_of_kind(path, sniff(path, ways.get("separator")), ways, known)
-    table, told = by_scored(table, dialect, told, targets, known)
-    return table, dialect, told
+    kind = sniff(path, ways.get("separator"))
+    table, dialect, told = table_of_kind(path, kind, ways, known)
+    known = known._replace(texts=known.texts | {*texts})
+    if converts := kind != "parquet":
+        table, told = by_scored(table, dialect, told, targets, known)
+    return table, dialect, told, converts
 
 
 def by_scored(
@@ -56,9 +61,10 @@ def by_scored(
 
     A reader converts columns as a whole, so a word such as TBD in a planned run leaves all cells of its column texts. Where the
     cells of rows with a score are numbers (truth values, dates), the column is converted, and such words become missing cells.
+    Other cells of planned runs are kept, so that these are not proposed again.
 
     Args:
-        table: as read.
+        table: as read by a reader that converts texts.
         dialect: of the file.
         told: messages of the reader.
         targets: columns of the scores; those that the table lacks do not count.
@@ -79,9 +85,7 @@ def by_scored(
         cells = np.array(table.column(column).to_pylist(), object)
         if is_string(_converted(column, cells[~absent], dialect, known)[0].type):
             continue
-        planned = {cell for cell in cells[absent] if cell is not None}
-        odd = {cell for cell in planned if is_string(_converted(column, [cell], dialect, known)[0].type)}
-        for gone in (odd, planned):  # all of them where those that are left do not go with the others
+        for gone in _odd(column, cells[~absent].tolist(), cells[absent].tolist(), dialect, known):
             lost = np.array([out and cell in gone for out, cell in zip(absent, cells)])
             left = [None if out else cell for out, cell in zip(lost, cells)]
             values, lines = _converted(column, left, dialect, known)
@@ -96,6 +100,16 @@ def by_scored(
     return table, told
 
 
+def _odd(column: str, scored: list[Any], others: list[Any], dialect: Dialect | None, known: Known) -> Iterator[set[str]]:
+    """Cells among `others` without which the column may be converted as the `scored` cells are; the fewest first."""
+    planned = {cell for cell in others if cell is not None}
+    alone = {cell for cell in planned if is_string(_converted(column, [cell], dialect, known)[0].type)}
+    yield alone
+    # Some are converted alone but not beside the others: dates beside numbers, or 1,234 beside 1234.
+    yield alone | {cell for cell in planned - alone if is_string(_converted(column, [*scored, cell], dialect, known)[0].type)}
+    yield planned
+
+
 def _converted(column: str, cells: Any, dialect: Dialect | None, known: Known) -> tuple[Any, list[str]]:
     """Texts as a reader converts a column of them, and its messages."""
     table, _, told = converted(pa.table({column: pa.array(cells, pa.string())}), dialect or PLAIN, known=known)
@@ -107,7 +121,7 @@ def whole_again(table: pa.Table, columns: Sequence[str]) -> tuple[pa.Table, list
 
     Args:
         table: of which cells in these columns are missing in rows without a score only.
-        columns: whose kind is not given.
+        columns: that may hold whole numbers: of NumPy's floats (`numpy_floats`), and nothing that is given says otherwise.
 
     Returns:
         The table, and a message for each column of whole numbers with missing cells, which becomes one of integers.
@@ -126,6 +140,19 @@ def whole_again(table: pa.Table, columns: Sequence[str]) -> tuple[pa.Table, list
             text = f"holds whole numbers beside a missing cell (row {row}), and is read as such; if others may be proposed, say"
             told.append(f"column {column} {text} kind continuous")
     return table, told
+
+
+def numpy_floats(frame: Any) -> set[str]:
+    """The columns of a pandas table, or of a mapping, that are of NumPy's float64, which has no missing whole numbers."""
+    types = {str(key): getattr(frame[key], "dtype", None) for key in (frame.keys() if hasattr(frame, "keys") else ())}
+    return {name for name, stored in types.items() if isinstance(stored, np.dtype) and stored == np.float64}
+
+
+def named_levels(kinds: Mapping[str, str] | None, levels: Mapping[str, Sequence[Any]] | None) -> set[str]:
+    """The columns whose given kind or levels say that texts in them are names, also where most of these are numbers."""
+    given = levels or {}
+    names = {name for name, kind in (kinds or {}).items() if kind == "categorical" and not given.get(name)}
+    return names | {name for name, some in given.items() if not all(is_number(str(level).strip()) for level in some)}
 
 
 def as_numbers(kinds: Mapping[str, str] | None) -> set[str]:

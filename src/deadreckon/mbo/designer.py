@@ -63,6 +63,7 @@ class Proposals(Shown):
         beyond: standard deviation of the noise of a single measurement in addition to that of a usual row, which may be the
             mean of several.
         minimise: whether the score was negated, as in `Designs`: `predicted` is then minus the value of the table.
+        measured: whether the proposals are designs of the data, and `predicted` their measured scores.
     """
 
     method: str
@@ -79,6 +80,7 @@ class Proposals(Shown):
     noisy: bool = True
     beyond: float = 0.0
     minimise: bool = False
+    measured: bool = False
 
     def __len__(self) -> int:
         return len(self.x)

@@ -1,6 +1,7 @@
 """Scored designs: inputs x with one score y each, the domains of the variables, and the coordinates that models use."""
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,13 +17,16 @@ from deadreckon.data.roles import row_numbers
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
 from deadreckon.mbo import doubts
+from deadreckon.mbo.constraints import read_fixed
 from deadreckon.mbo.coordinates import Coordinates
 from deadreckon.mbo.design_table import (
     as_numbers,
     check_filled,
     groups_of,
     name_of,
+    named_levels,
     numbers_of,
+    numpy_floats,
     read_designs,
     score_name,
     scored,
@@ -45,6 +49,7 @@ from deadreckon.mbo.variables import (
 )
 from deadreckon.provided import Shown
 
+SLACK = 1e-6  # by which designs may be beyond a bound, as a share of it
 LARGEST = 1e150  # largest absolute score: squares of larger ones would overflow
 
 
@@ -153,9 +158,11 @@ class Designs(Shown):
         ways = {key: options.pop(key) for key in READING if key in options}
         ignored = set(options.get("ignore", ())) - set(options.get("targets", ()))
         numbers = {target, *options.get("targets", ()), *(options.get("weights") or ()), *as_numbers(options.get("kinds"))}
-        table, _, told = read_designs(path, ways, ignored, numbers, options.get("targets") or [target])
+        texts = named_levels(options.get("kinds"), options.get("levels"))
+        table, _, told, converts = read_designs(path, ways, ignored, numbers, options.get("targets") or [target], texts)
         warn(path, told)
         options.setdefault("name", name_of(path))
+        options.setdefault("converted", converts)
         return cls.from_frame(table, target, noticed=[*options.pop("noticed", ()), *told], **options)
 
     @classmethod
@@ -178,6 +185,7 @@ class Designs(Shown):
         pool: bool = True,
         targets: Sequence[str] = (),
         noticed: Sequence[str] = (),
+        converted: bool = False,
         **rules: Any,
     ) -> "Designs":
         """Designs from a table with one row per design. Rows without a score are left out, with a warning, and are not proposed
@@ -204,6 +212,8 @@ class Designs(Shown):
             pool: whether rows of the same design are pooled into one, with the mean score (`mbo.replicates.pooled`).
             targets: all targets for which this table is read; a row with none of them is left out. By default `target` alone.
             noticed: earlier messages on the table, such as those of its reader.
+            converted: whether a reader has converted texts that are numbers already, so that a column of texts is one of names,
+                such as of versions 1.1 and 1.10 in a file with decimal commas.
             rules: of proposals; see `mbo.rules.Rules.of`.
 
         Raises:
@@ -239,17 +249,18 @@ class Designs(Shown):
             planned += "; those with all inputs are not proposed again (--repeat allows it)"
         warn(name, told := told + ([planned] if planned else []))
         check_filled(name, table, inputs, [*outputs, *grouped], rows)
-        unsaid, restored = [each for each in inputs if each not in {*(kinds or {}), *(levels or {})}], []
-        if type(frame).__module__.partition(".")[0] not in ("pyarrow", "polars"):  # these have integers that are missing
-            table, restored = whole_again(table, unsaid)
+        unsaid = [each for each in inputs if each not in {*(kinds or {}), *(levels or {})}]
+        floats = numpy_floats(frame) - _not_whole(name, inputs, bounds or {}, steps or {}, rules.get("fixed") or ())
+        table, restored = whole_again(table, [each for each in unsaid if each in floats])
         y, columns, variables = numbers_of(name, table, target, rows), [], []
         raw, slips = y, doubts.of_target(target, y, rows)
         for column, weight in (weights or {}).items():
             y = y + weight * numbers_of(name, table, column, rows)
         for column in inputs:
             values, variable = variable_of(
-                name, table, column, (kinds or {}).get(column), (bounds or {}).get(column), (levels or {}).get(column), rows
-            )
+                name, table, column, (kinds or {}).get(column), (bounds or {}).get(column), (levels or {}).get(column), rows,
+                converted,
+            )  # fmt: skip
             columns.append(values)
             variables.append(replace(variable, step=(steps or {}).get(column), log=column in logs))
         error, unknown = (None, []) if std_error is None else errors_of(name, table, std_error, rows)
@@ -309,10 +320,10 @@ class Designs(Shown):
         low = np.array([0.0 if v.leveled else v.low for v in self.variables])
         high = np.array([len(v.levels) - 1.0 if v.leveled else v.high for v in self.variables])
         whole = np.array([v.kind != "continuous" for v in self.variables])
-        largest = np.where(np.isfinite(self.x), np.abs(self.x), 0.0).max(0, initial=0.0)
-        slack = 1e-6 * np.maximum(largest, np.abs(x))  # float32 does not hold every bound exactly
+        # Float32 does not hold every bound exactly. The slack of an infinite bound would be infinite, too.
+        below, above = (SLACK * np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (low, high))
         with np.errstate(invalid="ignore"):
-            good = np.isfinite(x) & (x >= low - slack) & (x <= high + slack) & (~whole | (x == np.round(x)))
+            good = np.isfinite(x) & (x >= low - below) & (x <= high + above) & (~whole | (x == np.round(x)))
         if not good.all():
             row, column = map(int, np.argwhere(~good)[0])
             v, value = self.variables[column], x[row, column]
@@ -388,3 +399,16 @@ class Designs(Shown):
         with replacing(path) as temporary:
             write_table({**self.decode(x), **{key: list(value) for key, value in (more or {}).items()}}, temporary)
         return Path(path)
+
+
+def _not_whole(
+    name: str, inputs: Sequence[str], bounds: Mapping[str, Iterable[float]], steps: Mapping[str, float], fixed: Iterable[str]
+) -> set[str]:
+    """The columns of which a bound, the step or a fixed value is no whole number, so that other numbers are meant."""
+    given = [(column, value) for column, ends in bounds.items() for value in ends] + list(steps.items())
+    anything = [Variable(column) for column in inputs]
+    for text in fixed:
+        with contextlib.suppress(UserError):  # a level, or wrong, which is told once the variables are known
+            column, value = read_fixed(text, anything, name)
+            given.append((inputs[column], value))
+    return {column for column, value in given if not float(value).is_integer()}

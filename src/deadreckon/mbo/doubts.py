@@ -11,7 +11,7 @@ import numpy as np
 from deadreckon.mbo.constraints import Linear
 from deadreckon.mbo.design_table import rows_told
 from deadreckon.mbo.rules import NO_RULES, Rules
-from deadreckon.mbo.variables import Variable
+from deadreckon.mbo.variables import Variable, measured
 from deadreckon.stats.ranks import spearman
 
 _RANGES = 3.0  # least distance of an outlier from all other values, in ranges of these
@@ -76,15 +76,6 @@ def of_inputs(
     numbers = measured(variables, x)
     lines += _of_relations(variables, numbers, said_in(rules) | {column for columns, _ in sums for column in columns})
     return lines + [line for each in rules.linear if each.equal for line in _of_sum(each, numbers, rows)]
-
-
-def measured(variables: Sequence[Variable], x: np.ndarray) -> np.ndarray:
-    """(rows, variables) designs with levels that are ordered numbers in place of their indices."""
-    x = np.array(x, np.float64)
-    for column, v in enumerate(variables):
-        if v.numeric_levels:
-            x[:, column] = np.array(v.levels, np.float64)[x[:, column].astype(int)]
-    return x
 
 
 def _not_meant(bounds: tuple[float, float] | None, values: np.ndarray) -> bool:

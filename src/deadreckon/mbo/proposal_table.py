@@ -99,15 +99,14 @@ def about(data: Designs, made: Proposals) -> dict[str, list[Any]]:
             "predicted_std": ONE if made.noisy else TRUE,
             "predicted_low, predicted_high": interval_of(made),
         }
+    elif made.measured:
+        lines["predicted"] = "the measured score"
+    elif made.predicts:
+        lines["predicted"] = "the score for which the method makes its designs, not that of a model"
     else:
-        lines["predicted"] = "the measured score" if are_measured(made) else "empty: the method has no model of the score"
+        lines["predicted"] = "empty: the method has no model of the score"
     lines |= {**({} if made.mean_std is None else {"mean_std": OF_MEAN}), "distance": DISTANCE, "nearest_row": NEAREST}
     return {"what": list(lines), "value": list(lines.values())}
-
-
-def are_measured(made: Proposals) -> bool:
-    """Whether proposals are designs of the data, whose `predicted` scores were measured; no model predicts them."""
-    return made.predicts and made.fitted is None
 
 
 def interval_of(made: Proposals) -> str:

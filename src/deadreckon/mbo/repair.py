@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.mbo import variables
 from deadreckon.mbo.constraints import Forbidden, Linear, places
 from deadreckon.mbo.doubts import sum_of
 from deadreckon.mbo.grids import FINE, grids, tied
@@ -196,12 +197,8 @@ class Repair:
         return x
 
     def measured(self, x: np.ndarray) -> np.ndarray:
-        """Designs with numeric ordinal levels in place of their indices."""
-        x = np.array(x, np.float64)
-        for i, v in enumerate(self.variables):
-            if v.numeric_levels:
-                x[:, i] = np.array(v.levels, np.float64)[x[:, i].astype(int)]
-        return x
+        """See `variables.measured`."""
+        return variables.measured(self.variables, x)
 
     @cached_property
     def _programs(self) -> list[Program]:

@@ -19,6 +19,7 @@ KINDS = ("continuous", "integer", "categorical", "ordinal")
 FEWEST = 10  # least number of rows for a model
 OWN = 0.9  # different texts per design above which the texts are identifiers of rows
 SEVERAL = 3  # least number of different numbers with a unit; fewer may be names, such as 316L and 304L
+WHOLE = 2**24  # up to which 32 bits hold every whole number
 FINE = 1e-3  # largest distance between neighbouring float32 numbers, in standard deviations of a column
 _AS_WHOLE = re.compile(r"[-+]?(?:0|[1-9]\d*)", re.ASCII)
 _AS_NUMBER = re.compile(r"[-+]?(?:(?:0|[1-9]\d*)(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?", re.ASCII)
@@ -94,9 +95,26 @@ class Variable:
 
 
 def variable_of(
-    name: str, table: pa.Table, column: str, kind: str | None, bounds: tuple[float, float] | None, levels: Any, rows: np.ndarray
+    name: str,
+    table: pa.Table,
+    column: str,
+    kind: str | None,
+    bounds: tuple[float, float] | None,
+    levels: Any,
+    rows: np.ndarray,
+    converted: bool = False,
 ) -> tuple[np.ndarray, Variable]:
     """The values of a column in the given rows, as designs hold them, and its variable.
+
+    Args:
+        name: of the data, used in errors.
+        table: in which the column is.
+        column: its name.
+        kind: among `KINDS`; None: by the column.
+        bounds: lowest and highest value; None: those of the rows.
+        levels: all levels; None: those of the rows.
+        rows: (rows,) that are read, counted from 0.
+        converted: whether a reader has converted texts that are numbers, so that a column which is left as texts is one.
 
     Raises:
         UserError: the column cannot be an input of this kind, with these bounds or levels.
@@ -105,7 +123,7 @@ def variable_of(
     if pa.types.is_temporal(stored):
         raise _holds_times(name, column)
     if kind is None and not levels and _plain_text(stored):
-        kind = _kind_of_texts(filled(name, table, column, rows))
+        kind = "categorical" if converted else _kind_of_texts(filled(name, table, column, rows))
     elif kind is None:
         kind = "categorical" if is_category(stored) or levels else "integer" if pa.types.is_integer(stored) else "continuous"
     if kind not in KINDS:
@@ -143,10 +161,16 @@ def _plain_text(stored: pa.DataType) -> bool:
 
 
 def _kind_of_texts(values: Sequence[str]) -> str:
-    """The kind of a column of texts: that of numbers if all are written as numbers; codes such as 007 are not."""
+    """The kind of a column of texts: that of numbers if all are written as numbers, of which designs hold every one.
+
+    Codes such as 007 and 4012345678901 are texts.
+    """
     if not all(map(_AS_NUMBER.fullmatch, values)):
         return "categorical"
-    return "integer" if all(map(_AS_WHOLE.fullmatch, values)) else "continuous"
+    whole, largest = all(map(_AS_WHOLE.fullmatch, values)), max(abs(float(value)) for value in values)
+    if largest > (WHOLE if whole else float(np.finfo(np.float32).max)):
+        return "categorical"
+    return "integer" if whole else "continuous"
 
 
 def texts_told(table: pa.Table, variables: Sequence[Variable]) -> list[str]:
@@ -173,7 +197,7 @@ def _number(
         raise UserError(f"{name}: column {column}: bounds must be low and high, got {low:g} and {high:g}")
     if kind == "integer" and bounds is not None and (low != np.ceil(low) or high != np.floor(high)):
         raise UserError(f"{name}: column {column} holds whole numbers, its bounds must be whole too, got {low:g} and {high:g}")
-    if kind == "integer" and max(abs(low), abs(high)) > 2**24:
+    if kind == "integer" and max(abs(low), abs(high)) > WHOLE:
         raise UserError(
             f"{name}: column {column} reaches beyond 16,777,216, where 32 bits do not hold every whole number; "
             f"take a constant off it, or ignore it"
@@ -241,6 +265,15 @@ def filled(name: str, table: pa.Table, column: str, rows: np.ndarray) -> list[An
         if value is None or (isinstance(value, float) and math.isnan(value)):
             raise UserError(f"{name}: column {column} is empty in row {row}")
     return values
+
+
+def measured(variables: Sequence[Variable], x: np.ndarray) -> np.ndarray:
+    """(rows, variables) float64 designs with levels that are ordered numbers in place of their indices."""
+    x = np.array(x, np.float64)
+    for column, v in enumerate(variables):
+        if v.numeric_levels:
+            x[:, column] = np.array(v.levels, np.float64)[x[:, column].astype(int)]
+    return x
 
 
 def name_of_rows(v: Variable, values: np.ndarray, designs: int) -> str | None:

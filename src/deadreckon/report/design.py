@@ -10,7 +10,6 @@ from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.effects import averages, best_permitted, most_expected
 from deadreckon.mbo.first_choice import FAR, first_choice
 from deadreckon.mbo.problems.problem import Scores
-from deadreckon.mbo.proposal_table import are_measured
 from deadreckon.report import charts
 from deadreckon.report.design_advice import one_to_try, rule_note
 from deadreckon.report.design_asked import asked, learned_from
@@ -69,7 +68,7 @@ def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None
         if made.fitted is not None:  # the best measurement may be a lucky one, and is no measure of a prediction
             expected = number(float(data.shown(most_expected(data, made.fitted)[1])))
             measured = f"; the best prediction for a measured design is {expected}"
-        what = "measured score of the proposals" if are_measured(made) else "predicted score"
+        what = "measured score of the proposals" if made.measured else "predicted score"
         parts.append(f"The best {what} is {number(float(data.shown(made.predicted.max())))}{measured}.")
     if scores is not None:
         best_true, middle = (number(data.shown(scores.percentile(q))) for q in (100, 50))
@@ -81,7 +80,7 @@ def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None
 
 
 def _chart(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None) -> Markup:
-    if not made.predicts or are_measured(made):
+    if not made.predicts or made.measured:
         return note(f"{made.method} predicts no scores.")
     across = far if scores is None else data.shown(scores.true)
     half = np.where(np.isfinite(made.predicted_std), NORMAL * made.predicted_std, np.nan)

@@ -9,7 +9,6 @@ from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.first_choice import shown_interval
 from deadreckon.mbo.nn_distance import neighbours
 from deadreckon.mbo.problems.problem import Scores
-from deadreckon.mbo.proposal_table import are_measured
 from deadreckon.report.design_edges import shown_value
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import heads_of, note, scroll
@@ -37,7 +36,7 @@ def proposals_table(
     order = np.argsort(-made[0].predicted, kind="stable")[:shown]
     table = first.decode(made[0].x[order])
     names = list(table)[:COLUMNS]
-    how = "measured" if len(data) == 1 and are_measured(made[0]) else "predicted"
+    how = "measured" if len(data) == 1 and made[0].measured else "predicted"
     predicted = [f"{each.target}, predicted" for each in data] if len(data) > 1 else [how]
     heads = ["proposal", *predicted, *(["true"] if scores else []), "distance", "nearest rows", *names]
     _, near = neighbours(first, made[0].x[order], NEAREST)

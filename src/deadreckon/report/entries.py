@@ -163,8 +163,9 @@ class Page:
 
     @property
     def task(self) -> Task | None:
-        """The task itself, unless it is a private one that is not registered here."""
-        return registry.task(self.task_name) if self.task_name in registry.names() else None
+        """The task itself, unless it is a private one that is not registered here, or that its name does not find."""
+        found = self.task_name in registry.names() and "task_fields" not in self.entries[0].config
+        return registry.task(self.task_name) if found else None
 
     @property
     def online(self) -> bool:
@@ -194,9 +195,10 @@ def read(runs: Sequence[Path | str | Run]) -> Page:
     # Of a cross-fit the runs of its folds are shown.
     paths = [run for path in paths for run in (sorted(path.glob("fold*")) if (path / CROSS_FIT).exists() else [path])]
     raw = [(path, _config(path)) for path in paths]
-    tasks = {config["task"]: path for path, config in reversed(raw)}
+    tasks = {(config["task"], json.dumps(config.get("task_fields"), sort_keys=True)): (path, config)
+             for path, config in reversed(raw)}  # fmt: skip
     if len(tasks) > 1:
-        said = ", ".join(f"{path} is {'without a task' if task is None else task}" for task, path in tasks.items())
+        said = ", ".join(f"{path} is {_task_of(config)}" for path, config in tasks.values())
         raise UserError(f"a report shows runs of one task: {said}; write one report for each")
     groups: dict[str, list[tuple[Path, dict[str, Any]]]] = {}
     for path, config in raw:
@@ -206,6 +208,11 @@ def read(runs: Sequence[Path | str | Run]) -> Page:
     if not any(e.metrics or e.evaluations for e in entries):
         raise UserError(f"nothing to report: {', '.join(map(str, paths))} has no metrics yet")
     return Page(tuple(entries))
+
+
+def _task_of(config: dict[str, Any]) -> str:
+    other = " with other fields" if "task_fields" in config else ""
+    return "without a task" if config["task"] is None else f"{config['task']}{other}"
 
 
 def _config(path: Path) -> dict[str, Any]:

@@ -186,10 +186,12 @@ def _proposals(made: Proposals) -> Markup:
         cells = [tag("td", tag("b", number(float(predicted[i])))), tag("td", number(float(made.predicted_std[i])))]
         cells += [tag("td", number(float(value))) for value in made.x[i, :variables]]
         body.append(tag("tr", tag("th", str(i), scope="row"), cells))
-    head = heads_of(["design", "predicted", "standard deviation", *(f"variable {k}" for k in range(variables))])
+    how, what = ("measured", "measured scores") if made.measured else ("predicted", "predictions")
+    head = heads_of(["design", how, "standard deviation", *(f"variable {k}" for k in range(variables))])
     best = "lowest" if made.minimise else "highest"
-    which = f"those with the {best} predictions first" if made.predicts else "in the order in which they were proposed"
+    which = f"those with the {best} {what} first" if made.predicts else "in the order in which they were proposed"
     text = f"{len(order):,} of {len(made):,}, {which}, as the data holds them; `decode` of the data gives names and categories."
-    drawn = figure(bars.histogram(predicted, "predicted scores", "designs"), "Predicted scores") if made.predicts else None
+    scores = f"{how} scores"
+    drawn = figure(bars.histogram(predicted, scores, "designs"), scores.capitalize()) if made.predicts else None
     table = scroll(tag("table", head, tag("tbody", body)))
     return join(tag("h3", f"{len(made):,} designs by {made.method}"), drawn, table, note(coded(text)))

@@ -33,8 +33,13 @@ def settings(entry: Entry) -> dict[str, Any]:
     return {name: value for name, value in given.items() if name not in known or known[name] != value}
 
 
+NO_COMMAND = "# no command: it was trained in a task that its name does not find; dr.train_online takes the task itself"
+
+
 def command(entry: Entry) -> str:
-    """The command line that makes this run again, or one per folder."""
+    """The command line that makes this run again, or one per folder; a comment where none does."""
+    if "task_fields" in entry.config:
+        return NO_COMMAND
     options = [word for name, value in settings(entry).items() for word in _option(name.replace("_", "-"), value)]
     lines = []
     for folder, seeds in entry.folders:

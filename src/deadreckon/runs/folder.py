@@ -178,7 +178,7 @@ class Folder:
         before = self.read_config()
         asked = _at_length(config, before)
         kept = ("together", "agent", "online", "demonstrations", "start", "log", "data", "task", "task_fields", "seeds",
-                "steps", "evaluation", "history", "encoder", "shift")  # fmt: skip
+                "task_registered", "steps", "evaluation", "history", "encoder", "shift")  # fmt: skip
         if different := differences(before, asked, kept):
             do = "choose another --out" if asked is config else _remedy(before, different)
             raise UserError(f"{self.path} holds another run: {different[0]}; {do}")

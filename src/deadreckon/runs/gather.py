@@ -38,7 +38,8 @@ class Gathered(NamedTuple):
         by: column whose values its run kept together when it held out episodes; None: none.
         file: the file of exactly this policy; None: not known.
         read: how the log was read that it was trained on.
-        task: in which its run was evaluated, or whose snapshot it is; None: not known, or not the one that its name finds.
+        task: in which its run was evaluated, or whose snapshot it is; None: not known, or `unnamed`.
+        unnamed: whether its run was trained in a task that its name does not find.
     """
 
     policy: Any
@@ -49,6 +50,7 @@ class Gathered(NamedTuple):
     file: Path | None = None
     read: Read = Read()
     task: str | None = None
+    unnamed: bool = False
 
     @property
     def name(self) -> str:
@@ -89,9 +91,10 @@ def gather(given: Any) -> list[Gathered]:
             run = each if isinstance(each, Run) else load(each)
             held = run.config["data"].get("holdout") or (run.config.get("log") or {}).get("holdout")
             by, folder, read = None if held is None else held["by"], Folder(run.path), _read(run)
+            unnamed = "task_fields" in run.config
             task = None if "task_fields" in run.config else run.config["task"]
             found += [
-                Gathered(policy, run.path.name, seed, run.taught, by, folder.policy(seed), read, task)
+                Gathered(policy, run.path.name, seed, run.taught, by, folder.policy(seed), read, task, unnamed)
                 for policy, seed in zip(run.policies, run.seeds)
             ]
         elif path.exists() or path.suffix:

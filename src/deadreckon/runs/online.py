@@ -14,6 +14,7 @@ from deadreckon.agents import agent_name, short_name
 from deadreckon.agents.agent import Agent
 from deadreckon.data import catalogue
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.environments import SPEC
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
@@ -31,12 +32,12 @@ from deadreckon.runs.started import Beside, Start, beside, start_of
 from deadreckon.runs.trackers.feed import tracked
 from deadreckon.runs.trackers.tracker import trackers_of
 from deadreckon.runs.train import Run, load
-from deadreckon.tasks.registry import of_run, own_fields
+from deadreckon.tasks.registry import of_run, own_fields, registered_fields
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Fit
 from deadreckon.training.revisions import of_learning, revisions
-from deadreckon.versions import versions
+from deadreckon.versions import differences, versions
 
 
 def train_online(
@@ -127,15 +128,13 @@ def _train_online(
         "agent": {"name": name, "fields": fields_of(lanes)},
         "online": dataclasses.asdict(turns),
         "data": {"name": f"{task.name}, online", "fingerprint": f"online:{task.name}"},
-        "task": task.name,
+        **_noted(task),
         "seeds": numbers,
         "steps": updates,
         "evaluation": {"every": job.stops, "episodes": asked.episodes},
         "versions": versions() | {"lanes": len(numbers), **task.versions},
         "revisions": of_learning() | {"method": revisions(lanes[0])},
     }
-    if own := own_fields(task):  # its name does not tell it from others
-        config["task_fields"] = own | task.described
     if shown is not None:
         known = {"fingerprint": shown.fingerprint, "rows": len(shown), "episodes": shown.episodes}
         config["demonstrations"] = {"name": shown.name, **known, "return": float(shown.returns().mean())}
@@ -147,6 +146,8 @@ def _train_online(
     config = json.loads(json.dumps(config, default=str))
     for text in folder.check(config, resume=asked.resume):
         warnings.warn(text, stacklevel=3)
+    if folder.config.exists() and _untold(config):
+        warnings.warn(f"{task.name} has no spec: whether {folder.path} was begun in the same one is not checked", stacklevel=3)
     folder.begin(config)
     given = log.taught if log is not None else np.zeros(0, np.uint64) if shown is None else shown.episode_ids
 
@@ -189,6 +190,22 @@ def turns_of(kind: type[Agent], task: str, started: bool, **given: Any) -> Onlin
     return Online(**kind.acting(task) | ({"explore": 0} if started else {}) | given)
 
 
+def _noted(task: Task) -> dict[str, Any]:
+    """What `run.json` says of a task: its name, and what the name does not tell, or may not tell in another process."""
+    config: dict[str, Any] = {"task": task.name}
+    if registered := registered_fields(task):
+        config["task_registered"] = registered
+    if own := own_fields(task):  # its name does not tell it from others
+        config["task_fields"] = own | task.described
+    return config
+
+
+def _untold(config: dict[str, Any]) -> bool:
+    """Whether a run's environment is one of Gymnasium that neither its name nor a spec tells from others."""
+    own = config.get("task_fields", {})
+    return own.get("domain") == "gymnasium" and SPEC not in own
+
+
 def _demonstrated(given: Dataset | str | Path, task: Task) -> Dataset:
     """A log of demonstrations, with the bounds of actions of its task.
 
@@ -204,16 +221,18 @@ def _demonstrated(given: Dataset | str | Path, task: Task) -> Dataset:
     return log.with_action_space(task.action_space)
 
 
-def reopened(path: Path | str, data: Dataset | str | Path | None = None) -> Fit:
+def reopened(path: Path | str, data: Dataset | str | Path | None = None, task: Any = None) -> Fit:
     """An online run at its newest checkpoint, for inspection: its `learners`, their complete `states`, including a learned
     model, its real steps in `experience`, and its task.
 
     Args:
         path: of the run.
         data: the log in its replay, if it has one that has been moved.
+        task: in which it was trained, as `tasks.registry.task` takes it; None: the one that its name finds.
 
     Raises:
-        UserError: `path` is no online run, or its checkpoint or log cannot be read.
+        UserError: `path` is no online run, its checkpoint or log cannot be read, `task` is another one, or there is none
+            although the name of the run's task does not find it.
     """
     folder = Folder(Path(path))
     config = folder.read_config() if folder.config.exists() else {}
@@ -222,7 +241,12 @@ def reopened(path: Path | str, data: Dataset | str | Path | None = None) -> Fit:
     lanes = agents_of(config)
     every = config["evaluation"]["every"]
     settings = OnlineSettings(settings=Online(**config["online"]), chunk=every)
-    task, log = of_run(config["task"]), None
+    if task is None and "task_fields" in config:
+        raise UserError(f"{path} was trained in a task that its name does not find; give it as task")
+    task, log = of_run(config["task"]) if task is None else find_task(task), None
+    noted = json.loads(json.dumps(_noted(task), default=str))
+    if different := differences(config, noted, ("task", "task_fields", "task_registered")):
+        raise UserError(f"{path} was trained in another task: {different[0]}; give that one as task")
     if told := config.get("log"):
         log = beside(data, told, Read.of(config.get("log_read"), None, None), task, told["share"])
         settings = dataclasses.replace(settings, log_share=told["share"])

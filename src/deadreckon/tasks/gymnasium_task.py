@@ -23,6 +23,7 @@ from deadreckon.imports import imported
 from deadreckon.tasks.gymnasium_copies import GymnasiumCopies
 from deadreckon.tasks.gymnasium_names import options_of, written
 from deadreckon.tasks.gymnasium_spaces import DISCRETE, Spaces
+from deadreckon.tasks.simulator_env import SimulatorEnv
 from deadreckon.tasks.task import Task, keeping_horizon
 
 PREFIX = "gymnasium:"
@@ -163,6 +164,8 @@ def _of_maker(make: Callable[..., Any], path: str, options: dict[str, Any], hori
     if isinstance(made, Task):
         return keeping_horizon(made, limit)
     found = _task(made, lambda: make(**options), name, limit)  # which closes it: there may be room for a single one
+    if isinstance(make, type):
+        return found  # a class makes a new one with every call
     other = _called(make, options, name)
     _check(other, name)
     if other.unwrapped is made.unwrapped:
@@ -285,8 +288,9 @@ def _from(thing: Any, package: str) -> bool:
 
 
 def _limit(env: Any) -> int | None:
-    """Steps after which a wrapper cuts an environment's episodes."""
-    limits, inner = [], env
+    """Steps after which a wrapper, or one of our simulators inside, cuts an environment's episodes."""
+    limits = [env.unwrapped.task.horizon] if isinstance(env.unwrapped, SimulatorEnv) else []
+    inner = env
     while isinstance(inner, gymnasium.Wrapper):
         if isinstance(inner, gymnasium.wrappers.TimeLimit):
             limits.append(inner._max_episode_steps)

@@ -67,6 +67,14 @@ def own_fields(given: Task) -> dict[str, Any]:
     return {name: value for name, value in own.items() if name not in found or found[name] != value}
 
 
+def registered_fields(given: Task) -> dict[str, Any]:
+    """All fields of a task whose name a user has registered, as JSON values like `own_fields`; none of other tasks.
+
+    Another process may register another task under the same name.
+    """
+    return _told(given) if given.name in _TASKS and given.name not in _OURS else {}
+
+
 def _told(value: Any) -> Any:
     """A task, or what its fields hold, as JSON values."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -180,3 +188,4 @@ def register(task: Task) -> None:
 _MANY = *maze2d.TASKS, *antmaze.TASKS, antmaze.REACH_TASK, *gym_mujoco.TASKS, *adroit.TASKS, *kitchen.TASKS, *flow.TASKS
 for _task in (*_MANY, *driving.TASKS, *town.TASKS, *control.TASKS, battery.TASK):
     register(_task)
+_OURS = frozenset(_TASKS)  # the names of the package's own

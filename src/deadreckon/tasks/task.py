@@ -248,7 +248,7 @@ def keeping_horizon(task: Task, horizon: int | None) -> Task:
         horizon: that is asked for; None: none.
 
     Raises:
-        UserError: another one is asked for.
+        UserError: one is asked for, even if it is equal.
     """
     if horizon is not None:
         raise UserError(f"{task.name} has a horizon of its own, {task.horizon} steps; leave the other out")

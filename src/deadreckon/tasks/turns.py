@@ -18,7 +18,8 @@ def turns(task: Task, episodes: int) -> list[np.ndarray]:
 @contextlib.contextmanager
 def simulating(task: Task, seeds: Sequence[int], threads: int | None = None) -> Iterator[Simulator]:
     """A simulator of the first turn's copies, which is closed at the end, however that comes, if it is to be closed."""
-    simulator: Any = task.simulate(seeds[: task.most_copies], threads)
+    chosen = () if threads is None else (threads,)  # a user's task may take seeds alone
+    simulator: Any = task.simulate(seeds[: task.most_copies], *chosen)
     try:
         yield simulator
     finally:
