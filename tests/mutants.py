@@ -2301,8 +2301,8 @@ MUTANTS = (
     ),
     Mutant(
         "page-of-two-horizons", "report/entries.py",
-        '(config["task"], json.dumps(config.get("task_fields"), sort_keys=True))',
-        'config["task"]',
+        'tasks = {(config["task"], own): (path, config)',
+        'tasks = {config["task"]: (path, config)',
         "a report shows runs of two horizons as runs of one task",
         ("report/test_online_runs.py::test_runs_in_tasks_of_one_name_with_different_fields_are_not_shown_as_one_task",),
     ),
@@ -2380,19 +2380,19 @@ MUTANTS = (
         ("report/test_design_page.py::test_scores_that_were_measured_are_not_called_predictions",),
     ),
     Mutant(
-        "slack-of-bounds-absolute", "mbo/designs.py", "np.where(np.isfinite(bound), np.abs(bound), 0.0)",
-        "np.ones(len(bound))",
+        "slack-of-bounds-absolute", "mbo/designs.py", "np.maximum(np.where(np.isfinite(end), np.abs(end), 0.0), 0.01 * size)",
+        "np.ones(len(end))",
         "bounds of small quantities are not checked", ("mbo/test_designs.py::test_proposals_of_people_are_checked",),
     ),
     Mutant(
-        "slack-of-the-other-bound", "mbo/designs.py", "np.abs(bound), 0.0) for bound in (low, high))",
-        "np.abs(bound), 0.0) for bound in (high, high))",
+        "slack-of-the-other-bound", "mbo/designs.py", "0.01 * size) for end in (low, high))",
+        "0.01 * size) for end in (high, high))",
         "the lower bound of a variable over several decades is not checked",
         ("mbo/test_designs.py::test_proposals_of_people_are_checked",),
     ),
     Mutant(
-        "planned-cells-of-another-form", "mbo/design_table.py", "dialect, known)[0].type)}\n    yield planned",
-        "dialect, known)[0].type)} | planned\n    yield planned",
+        "planned-cells-of-another-form", "mbo/design_table.py", "yield alone | apart(sorted(planned - alone))",
+        "yield planned",
         "all cells of planned runs are lost where one is a number of another form",
         ("mbo/test_design_tables.py::test_cells_of_planned_runs_are_kept_where_others_are_words",),
     ),
@@ -2403,7 +2403,7 @@ MUTANTS = (
     ),
     Mutant(
         "numbered-levels-as-texts", "mbo/design_table.py",
-        "for name, some in given.items() if not all(is_number(str(level).strip()) for level in some)}",
+        "for name, some in given.items() if not all(map(stored, some))}",
         "for name, some in given.items()}",
         "levels that are numbers are unknown where a planned run has a word",
         ("mbo/test_design_tables.py::test_the_levels_that_are_said_decide_how_planned_runs_are_read",),
@@ -2430,7 +2430,7 @@ MUTANTS = (
     ),
     Mutant(
         "floats-of-python-as-whole", "mbo/design_table.py",
-        "if isinstance(stored, np.dtype) and stored == np.float64}", "}",
+        "if isinstance(stored, np.dtype) and stored.kind == \"f\"}", "}",
         "Python's floats become whole numbers by a missing cell",
         ("mbo/test_design_tables.py::test_whole_numbers_stay_so_beside_the_missing_cell_of_a_planned_run",),
     ),
@@ -2448,6 +2448,23 @@ MUTANTS = (
         "best-of-one", "mbo/auto.py", "    if len(compared) == 1:\n", "    if False:\n",
         "of a single method it is said that it ranks best",
         ("mbo/test_auto.py::test_of_a_single_method_no_order_among_methods_is_told",),
+    ),
+    Mutant(
+        "truths-as-texts", "mbo/design_table.py", "text := str(level).strip()).lower() in truths or is_number(text)",
+        "text := str(level).strip()).lower() in () or is_number(text)",
+        "a drafted schema is refused by its own file where a planned run has a word among truth values",
+        ("mbo/test_design_tables.py::test_a_draft_of_a_schema_reads_its_file_whatever_planned_runs_hold",),
+    ),
+    Mutant(
+        "fixed-read-once", "mbo/designs.py", 'rules["fixed"] = tuple(rules["fixed"] or ())',
+        'rules["fixed"] = rules["fixed"] or ()',
+        "fixed values from an iterator are lost",
+        ("mbo/test_design_tables.py::test_fixed_values_may_come_from_an_iterator",),
+    ),
+    Mutant(
+        "no-slack-at-zero", "mbo/designs.py", "0.01 * size) for end in (low, high))", "0.0 * size) for end in (low, high))",
+        "a rounding error at a bound of zero is refused",
+        ("mbo/test_designs.py::test_rounding_at_a_bound_of_zero_is_no_error",),
     ),
     Mutant(
         "groups-kept", "ope/case.py",

@@ -169,6 +169,19 @@ def test_what_a_reader_leaves_as_texts_is_no_number(tmp_path):
     assert told(schema.read, tmp_path / "t.csv")[0].variables == data.variables
 
 
+def test_a_draft_of_a_schema_reads_its_file_whatever_planned_runs_hold(tmp_path):
+    """Truth values, of which one planned run has TBD."""
+    rows = [f"{i / 10},{'true' if i % 2 else 'false'},{i}" for i in range(24)]
+    (tmp_path / "t.csv").write_text("\n".join(["a,flag,y", *rows, "3.3,TBD,"]) + "\n")
+    schema, _ = describe(tmp_path / "t.csv", "y")
+    assert len(schema.read(tmp_path / "t.csv")) == 24
+
+
+def test_fixed_values_may_come_from_an_iterator():
+    table = {"a": np.linspace(0.1, 0.3, 12), "b": np.linspace(0.5, 0.7, 12), "y": np.arange(12.0)}
+    assert Designs.from_frame(table, "y", fixed=(text for text in ["b=0.5"])).rules.fixed == ((1, 0.5),)
+
+
 def test_codes_of_more_digits_than_designs_hold_stay_texts():
     for pair in (["4012345678901", "4012345678918"], ["2e400", "1"], ["16777217", "3"]):
         assert told(Designs.from_frame, frame(code=pair * 9), "y")[0].variables[2].levels == tuple(sorted(pair))

@@ -136,6 +136,15 @@ def test_numbers_come_out_as_they_went_in():
     assert found.decode(found.x[:2])["temperature"] == [2.7, 2.8]
 
 
+def test_rounding_at_a_bound_of_zero_is_no_error():
+    table = {"a": np.linspace(0, 100, 12), "b": np.geomspace(1e-3, 1e4, 12), "y": np.arange(12.0)}
+    made = Designs.from_frame(table, "y", logs=["b"])
+    made.check(np.array([[-5e-7, 1.0]]))
+    for wrong in ([-1e-3, 1.0], [1.0, 0.0]):  # of a log scale none is below the least number
+        with pytest.raises(UserError, match="a number in"):
+            made.check(np.array([wrong]))
+
+
 def test_proposals_of_people_are_checked():
     found = Designs.from_frame(table(), "y")
     good = {"temperature": [30.0], "layers": [2], "solvent": ["water"]}
@@ -155,7 +164,7 @@ def test_proposals_of_people_are_checked():
         assert found.encode(part | {"grams": [unit]}).shape == (1, 3)
         with pytest.raises(UserError, match=r"grams is .* in row 0, a number in \[0, .*\] is needed"):
             found.encode(part | {"grams": [1.0001 * unit]})
-    for low, high, beyond in ((1e-3, 1e4, (0.0, 0.9999e-3, 1.0001e4)), (0.0, 1e9, (-900.0, 1.0001e9)), (-1e9, -1.0, (-0.99,))):
+    for low, high, beyond in ((1e-3, 1e4, (0.0, 0.9999e-3, 1.0001e4)), (0.0, 1e9, (-900.0, 1.0001e9)), (-1e9, -1.0, (20.0,))):
         variables = Variable("a", low=low, high=high, log=low > 0), Variable("b")
         x = np.stack([np.geomspace(low, high, 12) if low else np.linspace(low, high, 12), np.arange(12.0)], 1)
         found = Designs.from_arrays(x, np.arange(12.0), variables)

@@ -334,6 +334,10 @@ def test_fields_that_a_name_does_not_tell():
     assert registry.own_fields(scaled[0])["action_space"] != registry.own_fields(scaled[1])["action_space"]
 
 
+def test_sets_in_fields_are_told_in_one_order():
+    assert registry._told({"a": frozenset("dcba")}) == {"a": ["a", "b", "c", "d"]}
+
+
 def test_all_fields_of_a_registered_task_of_ones_own_are_told():
     battery = registry.task("battery")
     own = dataclasses.replace(battery, name="own-battery")

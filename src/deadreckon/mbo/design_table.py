@@ -106,7 +106,14 @@ def _odd(column: str, scored: list[Any], others: list[Any], dialect: Dialect | N
     alone = {cell for cell in planned if is_string(_converted(column, [cell], dialect, known)[0].type)}
     yield alone
     # Some are converted alone but not beside the others: dates beside numbers, or 1,234 beside 1234.
-    yield alone | {cell for cell in planned - alone if is_string(_converted(column, [*scored, cell], dialect, known)[0].type)}
+    def apart(cells: list[Any]) -> set[str]:
+        """Those that are not converted beside the scored ones, by halves: most often they are few."""
+        if not cells or not is_string(_converted(column, [*scored, *cells], dialect, known)[0].type):
+            return set()
+        half = len(cells) // 2
+        return set(cells) if len(cells) == 1 else apart(cells[:half]) | apart(cells[half:])
+
+    yield alone | apart(sorted(planned - alone))
     yield planned
 
 
@@ -143,16 +150,18 @@ def whole_again(table: pa.Table, columns: Sequence[str]) -> tuple[pa.Table, list
 
 
 def numpy_floats(frame: Any) -> set[str]:
-    """The columns of a pandas table, or of a mapping, that are of NumPy's float64, which has no missing whole numbers."""
+    """The columns of a pandas table, or of a mapping, that are of NumPy's floats, which have no missing whole numbers."""
     types = {str(key): getattr(frame[key], "dtype", None) for key in (frame.keys() if hasattr(frame, "keys") else ())}
-    return {name for name, stored in types.items() if isinstance(stored, np.dtype) and stored == np.float64}
+    return {name for name, stored in types.items() if isinstance(stored, np.dtype) and stored.kind == "f"}
 
 
 def named_levels(kinds: Mapping[str, str] | None, levels: Mapping[str, Sequence[Any]] | None) -> set[str]:
-    """The columns whose given kind or levels say that texts in them are names, also where most of these are numbers."""
-    given = levels or {}
+    """The columns whose given kind or levels say that texts in them are names, also where most of these are numbers: levels
+    that are numbers or truth values do not."""
+    given, truths = levels or {}, ("true", "false")
+    stored = lambda level: (text := str(level).strip()).lower() in truths or is_number(text)  # noqa: E731
     names = {name for name, kind in (kinds or {}).items() if kind == "categorical" and not given.get(name)}
-    return names | {name for name, some in given.items() if not all(is_number(str(level).strip()) for level in some)}
+    return names | {name for name, some in given.items() if not all(map(stored, some))}
 
 
 def as_numbers(kinds: Mapping[str, str] | None) -> set[str]:

@@ -249,6 +249,8 @@ class Designs(Shown):
             planned += "; those with all inputs are not proposed again (--repeat allows it)"
         warn(name, told := told + ([planned] if planned else []))
         check_filled(name, table, inputs, [*outputs, *grouped], rows)
+        if "fixed" in rules:
+            rules["fixed"] = tuple(rules["fixed"] or ())  # it is read twice
         unsaid = [each for each in inputs if each not in {*(kinds or {}), *(levels or {})}]
         floats = numpy_floats(frame) - _not_whole(name, inputs, bounds or {}, steps or {}, rules.get("fixed") or ())
         table, restored = whole_again(table, [each for each in unsaid if each in floats])
@@ -320,8 +322,11 @@ class Designs(Shown):
         low = np.array([0.0 if v.leveled else v.low for v in self.variables])
         high = np.array([len(v.levels) - 1.0 if v.leveled else v.high for v in self.variables])
         whole = np.array([v.kind != "continuous" for v in self.variables])
-        # Float32 does not hold every bound exactly. The slack of an infinite bound would be infinite, too.
-        below, above = (SLACK * np.where(np.isfinite(bound), np.abs(bound), 0.0) for bound in (low, high))
+        # Float32 does not hold every bound exactly. The slack of an infinite bound would be infinite, too; that of a variable
+        # on a log scale is a share of the bound, and of others at least a smaller share of the range, as at a bound of 0.
+        linear = np.array([not v.log for v in self.variables]) & np.isfinite(high - low)
+        size = np.where(linear, np.minimum(np.maximum(np.abs(low), np.abs(high)), high - low), 0.0)
+        below, above = (SLACK * np.maximum(np.where(np.isfinite(end), np.abs(end), 0.0), 0.01 * size) for end in (low, high))
         with np.errstate(invalid="ignore"):
             good = np.isfinite(x) & (x >= low - below) & (x <= high + above) & (~whole | (x == np.round(x)))
         if not good.all():
@@ -405,7 +410,8 @@ def _not_whole(
     name: str, inputs: Sequence[str], bounds: Mapping[str, Iterable[float]], steps: Mapping[str, float], fixed: Iterable[str]
 ) -> set[str]:
     """The columns of which a bound, the step or a fixed value is no whole number, so that other numbers are meant."""
-    given = [(column, value) for column, ends in bounds.items() for value in ends] + list(steps.items())
+    given = [(column, value) for column, ends in bounds.items() for value in ends or ()]
+    given += [(column, value) for column, value in steps.items() if value is not None]
     anything = [Variable(column) for column in inputs]
     for text in fixed:
         with contextlib.suppress(UserError):  # a level, or wrong, which is told once the variables are known

@@ -174,12 +174,18 @@ def _kind_of_texts(values: Sequence[str]) -> str:
 
 
 def texts_told(table: pa.Table, variables: Sequence[Variable]) -> list[str]:
-    """A message for each of these variables that is read as numbers from a column of texts."""
-    read = [v.name for v in variables if not v.leveled and is_text(table.column(v.name).type)]
-    return [
-        f"column {name} holds texts that are all numbers, and is read so; if they are names, say kind categorical"
-        for name in read
-    ]
+    """A message for each of these variables that is read as numbers from texts, or whose texts are large whole numbers."""
+    told = []
+    for v in variables:
+        if not is_text(table.column(v.name).type):
+            continue
+        if not v.leveled:
+            text = "holds texts that are all numbers, and is read so; if they are names, say kind categorical"
+            told.append(f"column {v.name} {text}")
+        elif all(_AS_WHOLE.fullmatch(str(level)) for level in v.levels) and max(map(float, v.levels)) > WHOLE:
+            text = f"holds whole numbers as texts, some beyond {WHOLE:,}, which are read as names"
+            told.append(f"column {v.name} {text}; if they are quantities, give them as numbers in a larger unit")
+    return told
 
 
 def _holds_times(name: str, column: str) -> UserError:

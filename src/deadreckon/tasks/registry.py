@@ -72,7 +72,8 @@ def registered_fields(given: Task) -> dict[str, Any]:
 
     Another process may register another task under the same name.
     """
-    return _told(given) if given.name in _TASKS and given.name not in _OURS else {}
+    name = given.name.removesuffix(SUFFIX)
+    return _told(given) if name in _TASKS and name not in _OURS else {}
 
 
 def _told(value: Any) -> Any:
@@ -84,6 +85,8 @@ def _told(value: Any) -> Any:
         return {str(key): _told(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
         return [_told(each) for each in value]
+    if isinstance(value, set | frozenset):
+        return sorted(map(_told, value), key=str)  # their order differs from process to process
     if isinstance(value, np.ndarray):
         return array_text(value)
     if value is None or isinstance(value, str | int) or (isinstance(value, float) and math.isfinite(value)):
