@@ -1845,7 +1845,7 @@ MUTANTS = (
         ("runs/test_equal_episodes.py::test_the_mixture_of_a_cross_fit_is_evaluated_on_another_log",),
     ),
     Mutant(
-        "looks-by-chance", "runs/looks.py", "return shared > (min(self.alike, other.alike, MOSTLY) if whole else 0.0)",
+        "looks-by-chance", "runs/looks.py", "return shared > (min(self.alike, other.alike, MOSTLY) if two_logs else 0.0)",
         "return shared > 0.0",
         "looks at one log of few contexts count as looks at every other",
         ("runs/test_equal_episodes.py::test_looks_at_unrelated_logs_are_no_looks_at_each_other",),
@@ -2087,8 +2087,8 @@ MUTANTS = (
         ("stats/test_drift.py::test_large_values_hide_no_change_of_the_others",),
     ),
     Mutant(
-        "looks-at-others", "runs/looks.py", "(min(self.alike, other.alike, MOSTLY) if whole else 0.0)",
-        "(min(self.alike, other.alike) if whole else 0.0)",
+        "looks-at-others", "runs/looks.py", "(min(self.alike, other.alike, MOSTLY) if two_logs else 0.0)",
+        "(min(self.alike, other.alike) if two_logs else 0.0)",
         "a look at a file from which a row is gone is the first one where all episodes have equal ones",
         ("runs/test_equal_episodes.py::test_looks_at_nearly_the_same_episodes_count_whatever_equals_what",),
     ),
@@ -2126,7 +2126,7 @@ MUTANTS = (
     ),
     Mutant(
         "evaluated-in-the-task-of-the-name", "runs/gather.py",
-        'task = None if "task_fields" in run.config else run.config["task"]',
+        'task = None if unnamed else run.config["task"]',
         'task = run.config["task"]',
         "a run in a task with other fields is evaluated in the one that its name finds, without a word",
         ("runs/test_online.py::test_a_run_is_gone_on_with_in_a_task_of_the_same_fields_alone",),
@@ -2301,8 +2301,8 @@ MUTANTS = (
     ),
     Mutant(
         "page-of-two-horizons", "report/entries.py",
-        'tasks = {(config["task"], own): (path, config)',
-        'tasks = {config["task"]: (path, config)',
+        '(config["task"], json.dumps(config.get("task_fields"), sort_keys=True))',
+        'config["task"]',
         "a report shows runs of two horizons as runs of one task",
         ("report/test_online_runs.py::test_runs_in_tasks_of_one_name_with_different_fields_are_not_shown_as_one_task",),
     ),

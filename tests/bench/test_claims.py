@@ -253,49 +253,40 @@ def test_runs_that_diverged_are_counted_and_keep_their_last_score(folder):
     assert "the last good policies of 4 runs that diverged" in _effect(found)
 
 
-def test_an_online_run_that_diverged_keeps_its_last_score_for_all_of_its_updates(folder):
-    """Curves are by updates, of which an online run has another number than steps in the environment."""
-    (folder / "suite.toml").write_text(
-        'kind = "online"\nledger = "ledger"\nseeds = 2\nsteps = 500\nepisodes = 2\nevaluations = 2\ntasks = ["hopper"]\n'
-        "[methods]\nSAC = { agent = 'sac', acting = { copies = 5, explore = 100, block = 25, updates_per_step = 2 } }\n"
-    )
+def diverged(folder, suite, curve):
+    """The job of an online suite of SAC, whose seeds all have this curve and then diverged, and by how much their average score
+    is below 20."""
+    common = 'kind = "online"\nledger = "ledger"\nseeds = 2\nsteps = 500\nepisodes = 2\nevaluations = 2\ntasks = ["hopper"]\n'
+    (folder / "suite.toml").write_text(common + suite)
     (folder / "claims.toml").write_text(
         '[[claims]]\nid = "A"\nsays = "SAC scores low."\nplace = "1"\n'
         'tests = [{ suite = "suite.toml", method = "SAC", metric = "average score", than = 20.0, less = true }]\n'
     )
     [job] = plan(read("suite.toml"))
-    assert updates(job) == 800
     store = Store(folder / "ledger")
     points = [
-        {"cell": cell, "step": step, "score": score, "raw": 0.0, "spread": 0.0}
-        for cell in job.cells for step, score in ((0, 0.0), (400, 2.0), (600, 10.0))
-    ]  # fmt: skip
-    keep(store, job, [99.0] * 2, curves=points, failure="q was not finite at update 650")
+        {"cell": cell, "step": step, "score": score, "raw": 0.0, "spread": 0.0} for cell in job.cells for step, score in curve
+    ]
+    keep(store, job, [99.0] * 2, curves=points, failure="q was not finite afterwards")
     [found] = verdict(claims("claims.toml")[0], store).comparisons
-    assert found.gain.value == pytest.approx(20.0 - (400 * 2.0 + 400 * 10.0) / 800)
+    return job, found.gain.value
+
+
+def test_an_online_run_that_diverged_keeps_its_last_score_for_all_of_its_updates(folder):
+    """Curves are by updates, of which an online run has another number than steps in the environment."""
+    suite = "[methods]\nSAC = { agent = 'sac', acting = { copies = 5, explore = 100, block = 25, updates_per_step = 2 } }\n"
+    job, gain = diverged(folder, suite, ((0, 0.0), (400, 2.0), (600, 10.0)))
+    assert updates(job) == 800
+    assert gain == pytest.approx(20.0 - (400 * 2.0 + 400 * 10.0) / 800)
 
 
 def test_the_curve_of_a_run_that_goes_on_from_a_log_ends_without_the_updates_on_it(folder):
     """Its curve counts from 0 again when it begins to act."""
-    (folder / "suite.toml").write_text(
-        'kind = "online"\nledger = "ledger"\nseeds = 2\nsteps = 500\noffline = 2000\nepisodes = 2\nevaluations = 2\n'
-        'tasks = ["hopper"]\ndata = { hopper = "hopper-medium-v2" }\n'
-        "[methods]\nSAC = { agent = 'sac', log = 'first', acting = { copies = 5, block = 25, updates_per_step = 1 } }\n"
-    )
-    (folder / "claims.toml").write_text(
-        '[[claims]]\nid = "A"\nsays = "SAC scores low."\nplace = "1"\n'
-        'tests = [{ suite = "suite.toml", method = "SAC", metric = "average score", than = 20.0, less = true }]\n'
-    )
-    [job] = plan(read("suite.toml"))
+    method = "SAC = { agent = 'sac', log = 'first', acting = { copies = 5, block = 25, updates_per_step = 1 } }\n"
+    suite = f"offline = 2000\ndata = {{ hopper = 'hopper-medium-v2' }}\n[methods]\n{method}"
+    job, gain = diverged(folder, suite, ((0, 0.0), (250, 2.0), (400, 10.0)))
     assert (curve_end(job), updates(job)) == (500, 2500)
-    store = Store(folder / "ledger")
-    points = [
-        {"cell": cell, "step": step, "score": score, "raw": 0.0, "spread": 0.0}
-        for cell in job.cells for step, score in ((0, 0.0), (250, 2.0), (400, 10.0))
-    ]  # fmt: skip
-    keep(store, job, [99.0] * 2, curves=points, failure="q was not finite at update 450")
-    [found] = verdict(claims("claims.toml")[0], store).comparisons
-    assert found.gain.value == pytest.approx(20.0 - (250 * 2.0 + 250 * 10.0) / 500)
+    assert gain == pytest.approx(20.0 - (250 * 2.0 + 250 * 10.0) / 500)
 
 
 def test_the_full_size_of_a_claim_is_that_of_the_suites_that_have_one(folder):

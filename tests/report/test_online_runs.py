@@ -1,5 +1,6 @@
 """Runs that learned in the simulator: no log, nothing to deploy against, environment steps instead of updates."""
 
+import json
 import re
 import shlex
 
@@ -117,6 +118,14 @@ def test_no_command_makes_a_run_in_a_task_that_its_name_does_not_find(tmp_path):
     assert command(page.entries[0]).startswith("# no command: it was trained in a task that its name does not find")
     assert page.task is None
     assert "--task halfcheetah" not in render(page)
+
+
+def test_a_run_on_a_log_and_one_online_in_a_registered_task_are_of_one_task(tmp_path):
+    """Online runs alone note the fields of a task that a user has registered."""
+    one = online(tmp_path / "run")
+    config = json.loads((one / "run.json").read_text())
+    (one / "run.json").write_text(json.dumps(config | {"task_registered": {"horizon": 20}}))
+    assert len(read([one, write_run(tmp_path / "cloned", "bc", task="halfcheetah")]).entries) == 2
 
 
 def test_runs_in_tasks_of_one_name_with_different_fields_are_not_shown_as_one_task(tmp_path):

@@ -2,7 +2,7 @@
 
 import dataclasses
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from typing import Any, cast
@@ -67,6 +67,12 @@ class Job:
     def name(self) -> str:
         """Of the job's files: the method, where, and what tells its cells from others."""
         return f"{file_name(f'{self.method}-{self.on}')}-{digest(self.cells, 10)}"
+
+
+def job_of(row: Mapping[str, Any], settings: dict[str, Any], options: dict[str, Any]) -> Job:
+    """The job of a row of results, of its one seed, with these settings and options; without revisions."""
+    names = ("kind", "method", "agent", "preset", "on", "data")
+    return Job(**{name: row[name] for name in names}, settings=settings, options=options, seeds=(row["seed"],))
 
 
 @dataclass(frozen=True)

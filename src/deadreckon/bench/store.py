@@ -22,7 +22,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from deadreckon.bench.checked import check_part
-from deadreckon.bench.jobs import Job, Program, estimator_class, file_name
+from deadreckon.bench.jobs import Job, Program, estimator_class, file_name, job_of
 from deadreckon.errors import reading
 from deadreckon.files import read_json, replacing, write_json
 from deadreckon.foreign.parquet import read_parquet
@@ -192,9 +192,7 @@ def _with_present_names(rows: pa.Table) -> pa.Table:
             options |= {"fields": with_field_names(kind, options.get("fields", {}))}
         elif row["kind"] == "ope":
             options |= {"fields": with_field_names(estimator_class(row["agent"]), options.get("fields", {}))}
-        job = Job(**{name: row[name] for name in ("kind", "method", "agent", "preset", "on", "data")}, settings=settings,
-                  options=options, seeds=(row["seed"],))  # fmt: skip
-        contents.append(job.content(row["seed"]))
+        contents.append(job_of(row, settings, options).content(row["seed"]))
     return rows.set_column(rows.schema.get_field_index("content"), "content", pa.array(contents, pa.string()))
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from deadreckon.agents import known_agent
-from deadreckon.bench.jobs import Job, Program, curve_end, updates
+from deadreckon.bench.jobs import Job, Program, curve_end, job_of, updates
 from deadreckon.bench.rates import has_work, work
 from deadreckon.bench.store import Store
 
@@ -48,7 +48,7 @@ def forecast(waiting: Sequence[Program], store: Store, accelerated: bool = False
     like: dict[tuple[Any, ...], list[float]] = {}  # seconds a step, divided by the work of one
     for first, *others in done.values():
         settings, options = json.loads(first["settings"]), json.loads(first["asked"])
-        each = first["seconds"] / _length(_job_of(first), max(row["steps"] for row in (first, *others)))
+        each = first["seconds"] / _length(job_of(first, settings, options), max(row["steps"] for row in (first, *others)))
         each /= _work(first["kind"], first["agent"], settings)
         keys = _keys(first["kind"], first["agent"], 1 + len(others), first["on"], settings, options)
         for key in (*keys, (first["kind"], first["agent"], 1 + len(others))):
@@ -83,12 +83,6 @@ def _keys(
     other = {name: value for name, value in rest.items() if name != "fields"}  # settings of designers and estimators
     sizes = [json.dumps(each, sort_keys=True) for each in ([shape, rest], other)]
     return [(kind, agent, lanes, size, where) for size in sizes for where in (on, _has_pictures(kind, on))]
-
-
-def _job_of(row: Mapping[str, Any]) -> Job:
-    """The job of a row, as far as its length depends on it."""
-    names = ("kind", "method", "agent", "preset", "on", "data")
-    return Job(**{name: row[name] for name in names}, settings={}, options=json.loads(row["asked"]), seeds=(row["seed"],))
 
 
 def _length(job: Job, steps: int) -> float:

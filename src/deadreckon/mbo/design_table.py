@@ -105,9 +105,10 @@ def _odd(column: str, scored: list[Any], others: list[Any], dialect: Dialect | N
     planned = {cell for cell in others if cell is not None}
     alone = {cell for cell in planned if is_string(_converted(column, [cell], dialect, known)[0].type)}
     yield alone
-    # Some are converted alone but not beside the others: dates beside numbers, or 1,234 beside 1234.
+
     def apart(cells: list[Any]) -> set[str]:
-        """Those that are not converted beside the scored ones, by halves: most often they are few."""
+        """Those converted alone but not beside the scored ones (dates beside numbers, 1,234 beside 1234), by halves: most often
+        they are few."""
         if not cells or not is_string(_converted(column, [*scored, *cells], dialect, known)[0].type):
             return set()
         half = len(cells) // 2

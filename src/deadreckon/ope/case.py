@@ -458,7 +458,7 @@ class OPEInput(Fits):
 
     @property
     def crossed(self) -> bool:
-        """Whether some of the policies are cross-fitted."""
+        """Whether some of the policies are several, one for each episode: cross-fitted, or drawn."""
         return len(self.owner) > len(self.policies)
 
     @cached_property

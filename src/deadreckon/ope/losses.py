@@ -62,8 +62,8 @@ def with_rare_rewards(case: OPEInput, found: Estimates, model: BehaviorModel) ->
 
     What none of n rows has may have the probability 1 - (alpha / 2)^(1 / n) (the exact limit of Clopper and Pearson 1934). The
     ends reach at least as far as if, with this probability, the smallest of the policy's rewards were the smallest of the log,
-    and likewise the largest. That matters if rewards take few values, such as successes all of whose rows succeed; else
-    intervals are wider.
+    and likewise the largest. That matters if rewards take few values, such as successes all of whose rows succeed; otherwise
+    the intervals reach further by themselves.
 
     Args:
         case: log and policies, with or without the behaviour policy.

@@ -74,7 +74,8 @@ def gains(found: Estimates, alpha: float = ALPHA, known: np.ndarray | None = Non
     Both values are estimated by the same method from the same episodes, so common errors cancel. With an influence function,
     the interval is by the studentised maximum (`inference.simultaneous`), and wider by the error of fitted models that the
     influence function does not include (`Estimates.nuisance`). Otherwise it is by percentiles of the bootstrap or, for the few
-    members of an ensemble, Student's. The last three have Bonferroni's correction for the number of policies.
+    members of an ensemble, Student's. The last three have Bonferroni's correction for the number of policies. All reach to both
+    sides by `ROUNDING` times the values or more.
 
     Raises:
         UserError: the behaviour policy was not evaluated.

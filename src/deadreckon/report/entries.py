@@ -195,8 +195,9 @@ def read(runs: Sequence[Path | str | Run]) -> Page:
     # Of a cross-fit the runs of its folds are shown.
     paths = [run for path in paths for run in (sorted(path.glob("fold*")) if (path / CROSS_FIT).exists() else [path])]
     raw = [(path, _config(path)) for path in paths]
-    fields = [json.dumps([config.get(key) for key in ("task_fields", "task_registered")], sort_keys=True) for _, config in raw]
-    tasks = {(config["task"], own): (path, config) for own, (path, config) in reversed([*zip(fields, raw)])}
+    # Not by `task_registered`, which runs on logs do not note.
+    tasks = {(config["task"], json.dumps(config.get("task_fields"), sort_keys=True)): (path, config)
+             for path, config in reversed(raw)}  # fmt: skip
     if len(tasks) > 1:
         said = ", ".join(f"{path} is {_task_of(config)}" for path, config in tasks.values())
         raise UserError(f"a report shows runs of one task: {said}; write one report for each")

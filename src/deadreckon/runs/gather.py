@@ -92,7 +92,7 @@ def gather(given: Any) -> list[Gathered]:
             held = run.config["data"].get("holdout") or (run.config.get("log") or {}).get("holdout")
             by, folder, read = None if held is None else held["by"], Folder(run.path), _read(run)
             unnamed = "task_fields" in run.config
-            task = None if "task_fields" in run.config else run.config["task"]
+            task = None if unnamed else run.config["task"]
             found += [
                 Gathered(policy, run.path.name, seed, run.taught, by, folder.policy(seed), read, task, unnamed)
                 for policy, seed in zip(run.policies, run.seeds)

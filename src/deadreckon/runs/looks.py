@@ -65,8 +65,8 @@ class Note(NamedTuple):
         """Whether both are of some of the same episodes. Two whole logs in which many episodes are equal, such as those of few
         contexts, share by chance about as many as are equal within a log: only more than that, or nearly all, is an overlap."""
         shared = len(self.episodes & other.episodes) / max(min(len(self.episodes), len(other.episodes)), 1)
-        whole = self.log and other.log and self.log != other.log
-        return shared > (min(self.alike, other.alike, MOSTLY) if whole else 0.0)
+        two_logs = self.log and other.log and self.log != other.log
+        return shared > (min(self.alike, other.alike, MOSTLY) if two_logs else 0.0)
 
 
 def look(log: Dataset, held: np.ndarray, policies: str, count: int) -> Look:
