@@ -64,6 +64,16 @@ def test_k_of_a_short_tail_is_not_certain():
     assert diagnosed([np.zeros(100)])["pareto k low"][0] == -np.inf
 
 
+def test_the_bound_rests_on_the_weights_that_the_tail_was_fitted_to():
+    """Of 1,000 weights 100 equal the threshold, so that the tail has 20 weights, not 94."""
+    tail = 2.0 + stats.genpareto.rvs(0.8, size=20, random_state=0)
+    logs = np.log(np.concatenate([np.ones(880), np.full(100, 2.0), tail]))
+    found = diagnosed([logs])
+    k = float(found["pareto k"][0])
+    assert k == pareto_k(logs)
+    assert found["pareto k low"][0] == pytest.approx(k - 1.645 * (1.0 + k) / np.sqrt(20))
+
+
 def test_two_weights_have_no_tail():
     """The largest of them is the largest there is, however few exceed the threshold."""
     assert pareto_k(np.log(np.repeat([0.9, 1.1], [800, 200]))) == -np.inf

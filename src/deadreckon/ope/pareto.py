@@ -31,43 +31,43 @@ def pareto_k(log_weights: np.ndarray) -> float:
     Raises:
         UserError: logarithms that are NaN or infinite.
     """
+    return _fitted(log_weights)[0]
+
+
+def _fitted(log_weights: np.ndarray) -> tuple[float, int]:
+    """Shape of the tail, as `pareto_k`, and the number of weights that it was fitted to, 0 if there was no fit."""
     logs = np.asarray(log_weights, float)
     if np.isnan(logs).any() or np.isposinf(logs).any():
         raise UserError("weights must be finite, their logarithms numbers or minus infinity")
     logs = np.sort(logs[logs > -np.inf])
     n = len(logs)
     if n < 5 * LEAST:
-        return float("nan")
+        return float("nan"), 0
     size = int(3 * np.sqrt(n)) if n > 225 else n // 5
     # Logarithms that differ by rounding are those of one weight.
     cutoff = logs[n - size - 1]
     above = logs[logs > cutoff + 1e-9]
     if np.ptp(logs[n - size - 1 :]) < 1e-9 or (len(above) and np.ptp(above) < 1e-9):
-        return -np.inf
+        return -np.inf, 0
     if len(above) < LEAST:
-        return float("nan")
+        return float("nan"), 0
     from arviz_stats.base.array import array_stats  # takes a second, and only this needs it
 
     # Its tail size depends on the number of weights: copies of the threshold are added so that the tail is `above`.
     tail = len(above)
     padding = 5 * tail - tail if tail <= 45 else -(-tail * tail // 9) - tail
     # It takes log-likelihoods, which are the negative logarithms of the weights.
-    return float(array_stats.psislw(-np.concatenate([np.full(padding, cutoff), above]))[1])
+    return float(array_stats.psislw(-np.concatenate([np.full(padding, cutoff), above]))[1]), tail
 
 
 def diagnosed(log_weights: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
     """`pareto k` of the (n,) weights of each policy, and `pareto k low`, above which it lies with 95 % confidence.
 
-    The standard error of k is about (1 + k) / sqrt(m) for a tail of m weights (Smith 1987), which for a few dozen episodes is
-    as large as the threshold it is compared with.
+    The standard error of k is about (1 + k) / sqrt(m) for the m weights that k is fitted to (Smith 1987), which for a few dozen
+    episodes is as large as the threshold it is compared with.
     """
-    k = np.array([pareto_k(each) for each in log_weights])
-    tail = np.array([_size(int((np.asarray(each) > -np.inf).sum())) for each in log_weights])
+    fits = [_fitted(each) for each in log_weights]
+    k, tail = np.array([each for each, _ in fits]), np.array([weights for _, weights in fits])
     with np.errstate(invalid="ignore"):
         low = k - SURE * (1.0 + k) / np.sqrt(np.maximum(tail, 1))
     return {"pareto k": k, "pareto k low": np.where(np.isneginf(k), k, low)}
-
-
-def _size(n: int) -> int:
-    """Number of weights in the tail of n weights."""
-    return int(3 * np.sqrt(n)) if n > 225 else n // 5

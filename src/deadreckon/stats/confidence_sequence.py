@@ -14,10 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.stats.betting import FRACTIONS
+from deadreckon.stats.betting import FRACTIONS, lower
 from deadreckon.stats.interval import ALPHA
 
-HALVINGS = 18  # bisections of the range in the search of an end
 ROUNDING = 1e-9  # rounding errors, as a share of the range
 POINTS = 12  # most sample sizes at which the ends are computed
 
@@ -98,17 +97,5 @@ def _capital(x: np.ndarray, mean: float) -> np.ndarray:
 def _lower(x: np.ndarray, counts: np.ndarray, alpha: float) -> np.ndarray:
     """(points,) lower ends for the mean of samples that are not negative; minus infinity once a sample is negative."""
     broken = np.flatnonzero(x < 0)
-    first = int(broken[0]) if len(broken) else len(x)
-    out = np.full(len(counts), -np.inf)
-    for i, count in enumerate(counts):
-        if count > first:
-            break
-        part = x[:count]
-        low, high = 0.0, float(part.mean())  # no bet has gained at the mean itself, since log is concave
-        for _ in range(HALVINGS if high > 0 else 0):
-            middle = (low + high) / 2
-            logs = np.array([np.log1p(fraction * (part / middle - 1.0)).sum() for fraction in FRACTIONS])
-            gone = np.logaddexp.reduce(logs) - np.log(len(FRACTIONS)) >= np.log(1 / alpha)
-            low, high = (middle, high) if gone else (low, middle)
-        out[i] = low
-    return out
+    valid = int(broken[0]) if len(broken) else len(x)
+    return np.array([lower(x[:count], alpha) if count <= valid else -np.inf for count in counts])
