@@ -182,12 +182,12 @@ def interrupted(place: Place, command: Command, rng: random.Random) -> Outcome:
         return Outcome("", broken)
     line = next(line for line in running.lines() if line.startswith("deadreckon: interrupted"))
     if not command.goes_on:
-        return Outcome("said that nothing goes on", [] if "cannot be resumed" in line else [line])
+        return Outcome("said that it cannot be resumed", [] if "cannot be resumed" in line else [line])
     goes_on = re.fullmatch(r"deadreckon: interrupted; to continue: deadreckon (.*)", line)
     if not goes_on and line != "deadreckon: interrupted; the same command starts again":
         return Outcome("", [f"said: {line}"])
     again = run(shlex.split(goes_on[1]) if goes_on else words, place.folder, LONG)
-    return Outcome(f"said that it {'goes on' if goes_on else 'begins anew'}, and that is so", whole(place, command, again))
+    return Outcome("announced that it continues, and continued" if goes_on else "announced a restart, and restarted", whole(place, command, again))
 
 
 def at_once(place: Place, command: Command, rng: random.Random) -> Outcome | None:
@@ -217,7 +217,7 @@ def at_once(place: Place, command: Command, rng: random.Random) -> Outcome | Non
         again = first if first.code == 0 else later  # what was to be made is made
     broken += whole(second, command, again)
     other.unlink()
-    return Outcome("one was refused in a line" if one_told else "both ended well", broken)
+    return Outcome("one was refused in one line" if one_told else "both succeeded", broken)
 
 
 def _in_link(words: list[str], link: Path) -> Running:
@@ -273,9 +273,9 @@ def changed(place: Place, command: Command, rng: random.Random) -> Outcome | Non
         broken = told + whole(place, command, again, but=(name,))
         return Outcome("same results, but for the file itself where it is read by nobody", broken)
     if again.code == 2 and re.search("exists already|is there already", again.lines()[-1]):
-        return Outcome("said in one line that it is there", told + clean_end(again))
+        return Outcome("reported in one line that the file exists", told + clean_end(again))
     told += refused(again, ".", (1, 2))
-    return Outcome("said in one line that it is damaged", told)
+    return Outcome("reported in one line that the file is damaged", told)
 
 
 def _spoil(victim: Path, how: str, rng: random.Random) -> None:

@@ -50,8 +50,8 @@ def disk_full(place: Place, command: Command, rng: random.Random) -> Outcome | N
         told = [] if first.code == 0 else refused(first, "No space left on device|the disk may be full|failed|left", (2, 1))
         ballast.unlink()
         if first.code == 0:
-            return Outcome("there was room enough", whole(place, command, first))
-        return Outcome("said in one line, and the same command went on", told + whole(place, command, run(words, folder, LONG)))
+            return Outcome("the limit was not reached", whole(place, command, first))
+        return Outcome("reported in one line; the same command then continued", told + whole(place, command, run(words, folder, LONG)))
 
 
 def _sizes(place: Place, command: Command) -> list[int]:
@@ -76,7 +76,7 @@ def read_only(place: Place, command: Command, rng: random.Random) -> Outcome | N
         mount("tmpfs", "none", folder, 0x20 | 0x1, f"size={DISK}")
         told = refused(run(words, folder, LONG), "Read-only file system|failed|left", (2, 1))
         mount("tmpfs", "none", folder, 0x20, f"size={DISK}")
-        return Outcome("said in one line, and the same command went on", told + whole(place, command, run(words, folder, LONG)))
+        return Outcome("reported in one line; the same command then continued", told + whole(place, command, run(words, folder, LONG)))
 
 
 def memory_group(place: Place, command: Command, rng: random.Random) -> Outcome | None:
@@ -98,12 +98,12 @@ def memory_group(place: Place, command: Command, rng: random.Random) -> Outcome 
     with contextlib.suppress(OSError):
         group.rmdir()
     if first.code == 0:
-        return Outcome("there was memory enough", whole(place, command, first))
+        return Outcome("the limit was not reached", whole(place, command, first))
     broken = clean_end(first) + ([] if gone else ["children lived on"])
-    how = "was killed by the system" if first.code == -9 else f"ended with {first.code} in one line"
+    how = "killed by the system" if first.code == -9 else f"ended with {first.code} in one line"
     if first.code not in (-9, 1, 2, 70):
         broken.append(f"exit {first.code}: {(first.lines() or ['-'])[-1][:200]}")
-    return Outcome(f"{how}, and the same command went on", broken + whole(place, command, run(words, place.folder, LONG)))
+    return Outcome(f"{how}; the same command then continued", broken + whole(place, command, run(words, place.folder, LONG)))
 
 
 def memory_addresses(place: Place, command: Command, rng: random.Random) -> Outcome | None:
@@ -115,11 +115,11 @@ def memory_addresses(place: Place, command: Command, rng: random.Random) -> Outc
     first = run(words, place.folder, LONG, memory(now + (int(rng.uniform(16, 1500)) << 20)))
     first.gone()
     if first.code == 0:
-        return Outcome("there was memory enough", whole(place, command, first))
+        return Outcome("the limit was not reached", whole(place, command, first))
     told = refused(first, ".", (1, 2, 70)) if first.code in (1, 2, 70) else []
-    how = "said in one line" if first.code in (1, 2, 70) else "a library in C++ ended the process"
+    how = "reported in one line" if first.code in (1, 2, 70) else "ended by a library in C++"
     again = whole(place, command, run(words, place.folder, LONG))
-    return Outcome(f"{how}, and the same command went on", told + again)
+    return Outcome(f"{how}; the same command then continued", told + again)
 
 
 def version(place: Place, command: Command, rng: random.Random) -> Outcome | None:
@@ -140,7 +140,7 @@ def version(place: Place, command: Command, rng: random.Random) -> Outcome | Non
         again = run(words, place.folder, LONG)
         told = any("warning: jax" in line or "last bits" in line for line in again.lines())
         broken = whole(place, command, again, but=("out/run.json",)) + ([] if told else ["it was not told"])
-        return Outcome("another JAX was told, and the run went on", broken)
+        return Outcome("the other version of JAX was reported, and the run continued", broken)
     config["revisions"] = {name: -1 for name in config["revisions"]}
     (place.out / "run.json").write_text(json.dumps(config))
     again = run(words, place.folder, LONG)
@@ -163,9 +163,9 @@ def homeless(place: Place, command: Command, rng: random.Random) -> Outcome | No
     if done.code == 2 and "set DEADRECKON_HOME" in done.lines()[-1]:  # looks at held-out episodes are counted there
         told = refused(done, "this user has no home folder")
         again = run(command.words(place.inputs), place.folder, LONG)
-        return Outcome("said in one line which variable to set", told + whole(place, command, again))
+        return Outcome("named in one line the variable to set", told + whole(place, command, again))
     if not command.goes_on:
-        return Outcome("ended well", clean_end(done) + ([] if done.code == 0 else [f"exit {done.code}"]))
+        return Outcome("succeeded", clean_end(done) + ([] if done.code == 0 else [f"exit {done.code}"]))
     return Outcome("same results", [each for each in whole(place, command, done) if not each.startswith("left behind: ~")])
 
 

@@ -3,7 +3,7 @@
     python -m tests.fuzz --inputs 100000           # so many more, shared among the formats
     python -m tests.fuzz --for 2h                  # or for so long
     python -m tests.fuzz --only hdf5 pickle        # these formats alone
-    python -m tests.fuzz --again                   # only those that have failed, by today's code: which are mended?
+    python -m tests.fuzz --again                   # only those that have failed, by today's code: which are fixed?
     python -m tests.fuzz --report                  # what all runs so far have found
     python -m tests.fuzz --results evidence/fuzz.json   # counts are kept in this file, which can be committed
 
@@ -101,7 +101,7 @@ def _fuzz(
 
 
 def _again(folder: Path, path: Path, state: dict[str, Any]) -> None:
-    """Reads inputs that have failed once more; those that are read or refused now count as that, and as mended."""
+    """Reads inputs that have failed once more; those that are read or refused now count as that, and as fixed."""
     worker = Worker(folder / "trained", folder / "beat-again")
     try:
         for name, own in state.items():
@@ -114,7 +114,7 @@ def _again(folder: Path, path: Path, state: dict[str, Any]) -> None:
                     if not counts["failed"]:
                         numbers.remove(number)
                         own["failed"] -= 1
-                        own["mended"] = own.get("mended", 0) + 1
+                        own["fixed"] = own.get("fixed", 0) + 1
                         own["read"] += counts["read"]
                         own["refused"] += counts["refused"]
                 if not numbers:
@@ -165,7 +165,7 @@ def _report(state: dict[str, Any]) -> int:
 
 def table(state: dict[str, Any]) -> str:
     """Counts by format, in Markdown, as docs/reliability.md has them."""
-    kinds = ("read", "refused", "failed", "mended")
+    kinds = ("read", "refused", "failed", "fixed")
     lines = [f"| {'format':<12} | {'inputs':>10} | " + " | ".join(f"{each:>9}" for each in kinds) + " |", "|---|" + "---:|" * 5]
     total = {kind: sum(own.get(kind, 0) for own in state.values()) for kind in kinds}
     for name, own in [*state.items(), ("all", total)]:
