@@ -2,8 +2,8 @@
 
 Logs of many kinds whose truth is known (`decision_study`), policies learned from four fifths of each, and rules that choose
 one of them or none. A trial is a family and a seed, and one small file, so what is there is not done again. Seeds of the
-development split are 0, 1, ..., those of the confirmatory one 1,000,000, ..., and those of a second one, for what has changed
-after that, 2,000,000, ...; nothing is tuned on the last two.
+development split are 0, 1, ..., those of the confirmatory one 1,000,000, ..., and those of a second and a third one, for what
+has changed after that, 2,000,000, ... and 3,000,000, ...; nothing is tuned on the last three.
 
 The runner of `deadreckon bench` is not used: its jobs are cells of a suite (an agent, a log, a number of updates), and its
 results count for one version of the package alone, while a log here, its policies and the old rules stay what they are when
@@ -30,6 +30,7 @@ ONE_THREAD = {
 }  # fmt: skip
 
 
+LOGS = 100  # trials of a worker process, whose compiled programs take about 30 MB for each
 MAPS = 40_000  # pieces of memory that compiled programs may take before they are forgotten; a process may have 65,530
 
 
@@ -90,7 +91,7 @@ def parse() -> argparse.Namespace:
     add = (parser := argparse.ArgumentParser(description=__doc__.splitlines()[0])).add_argument
     add("--families", nargs="*", default=None, help="families of logs; all by default")
     add("--trials", type=int, default=100, help="logs of each family")
-    splits = ["development", "confirmatory", "second"]
+    splits = ["development", "confirmatory", "second", "third"]
     add("--split", choices=splits, default="development", help="which seeds, and which families")
     add("--rules", nargs="*", default=None, help="rules that decide; all by default; what a log's file has is not done again")
     add("--redo", nargs="*", default=[], help="rules that are done again because they have changed")
@@ -117,7 +118,7 @@ def work(options: argparse.Namespace, families: list[str], rules: list[str]) -> 
                 known["rules"] = {rule: said for rule, said in known["rules"].items() if rule not in options.redo}
                 write_json(path, known)
     began, done, wrong, seconds = time.perf_counter(), 0, 0, 0.0
-    with ProcessPoolExecutor(options.workers, get_context("spawn"), initializer=os.nice, initargs=(10,)) as pool:
+    with ProcessPoolExecutor(options.workers, get_context("spawn"), os.nice, (10,), max_tasks_per_child=LOGS) as pool:
         waiting = {pool.submit(one, f, s, rules, str(place(options.out, f, s))): (f, s) for f, s in todo}
         for each in as_completed(waiting):
             done += 1

@@ -17,7 +17,8 @@ from decision_study.rules import RULES, Task, Verdict
 
 NONE_BETTER = 0.25  # share of the logs of which the candidates that are better are taken away
 CONFIRM = 1_000_000  # the first seed that nobody has looked at
-FIRST = {"development": 0, "confirmatory": CONFIRM, "second": 2 * CONFIRM}  # the last for what has changed since
+# The second is for what had changed after the confirmatory one, the third for the rules of 30 November 2026.
+FIRST = {"development": 0, "confirmatory": CONFIRM, "second": 2 * CONFIRM, "third": 3 * CONFIRM}
 
 
 @cache
