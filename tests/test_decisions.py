@@ -10,6 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.spec import Discrete
+
 FOLDER = Path(__file__).resolve().parent.parent / "benchmarks"
 ROWS = 4_000
 DISCRETE = (
@@ -198,6 +201,22 @@ def test_learned_policies_are_those_of_the_package(study, monkeypatch):
             elif policy.draws:
                 assert np.allclose(policy.log_prob(seen, taken), theirs.log_prob(seen, taken), atol=1e-2)
             assert np.allclose(policy.at(seen, np.zeros((50, 1))), theirs(seen), atol=1e-4) if name == "pendulum" else True
+
+
+def test_fitted_values_of_the_old_rules_are_those_of_single_decisions(study):
+    """Of an action that is always taken, and of the log itself: the mean reward of the rows with it, and of all rows."""
+    from decision_study.fqe import fqe
+    from decision_study.problem import Choices
+
+    rng = np.random.default_rng(0)
+    actions = rng.integers(0, 2, 600)
+    log = Dataset.from_arrays(
+        observations=rng.normal(size=(600, 2)), actions=actions, rewards=actions + 0.1 * rng.normal(size=600),
+        terminals=np.ones(600, bool), action_space=Discrete(2),
+    )  # fmt: skip
+    always = [Choices(lambda seen, a=action: np.eye(2)[np.full(len(seen), a)]) for action in (0, 1)]
+    found = fqe(log, always, 0.0, 0).mean(0)
+    assert np.allclose(found, [0.0, 1.0, log.rewards.mean()], atol=0.15)
 
 
 def test_trials_are_kept_and_rules_added(study, tmp_path, monkeypatch):

@@ -9,11 +9,12 @@ from deadreckon.data.batch import redrawn
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Discrete
-from deadreckon.ope.fqe import Critics
+from deadreckon.ope.fqe import FQE, Critics, Scale
 from deadreckon.training.fit import Fit
 from decision_study.learn import SharedRows
 
-MEMBERS, BATCH, HIDDEN = 3, 64, (32,)
+MEMBERS = 3
+SETTINGS = FQE(members=MEMBERS, hidden=(32,), batch_size=64, lr=3e-3, weight_decay=1e-5, tau=0.05)
 ONCE, OFTEN = 600, 1_500  # updates of one decision and of many: a target moves by a twentieth of the way each
 
 
@@ -30,7 +31,8 @@ def fqe(log: Dataset, policies: Sequence[Any], discount: float, seed: int) -> np
     count, full = len(policies), 5 if isinstance(log.action_space, Discrete) else 6
     policies = [*policies, *[policies[0]] * (full - count)]  # always as many, so that one program serves
     names = MEMBERS, len(policies) + 1
-    learner = Critics(3e-3, 1e-5, 0.05, discount, std, 1.0 - discount, float(low), float(high), 0.0, *names, HIDDEN, BATCH)
+    scale, share = Scale(std, std / (1.0 - discount), float(low), float(high)), 1.0 - discount
+    learner = Critics(SETTINGS, discount, scale, share=share, first=0.0, members=names[0], policies=names[1], stops=False)
     extra = {"policy": _table(log, log.next_observations, policies, after, rng), "weight": weight[log.episode_of]}
     rows = SharedRows(log, learner.needs(log.spec), extra)
     steps = OFTEN if discount > 0 else ONCE
@@ -42,7 +44,7 @@ def fqe(log: Dataset, policies: Sequence[Any], discount: float, seed: int) -> np
     table = _table(log, log.observations[starts], policies, starts, rng)
     values = np.stack([[_value(targets, m, p, seen, table[:, p]) for p in range(names[1])] for m in range(MEMBERS)])
     values = np.delete(values, range(count, len(policies)), 1)
-    return std / (1.0 - discount) * np.einsum("mpn,nm->mp", values, weight / weight.sum(0))
+    return scale.unit * np.einsum("mpn,nm->mp", values, weight / weight.sum(0))
 
 
 def _value(targets: Any, m: int, p: int, seen: np.ndarray, own: np.ndarray) -> np.ndarray:
