@@ -118,18 +118,21 @@ def work(options: argparse.Namespace, families: list[str], rules: list[str]) -> 
                 known["rules"] = {rule: said for rule, said in known["rules"].items() if rule not in options.redo}
                 write_json(path, known)
     began, done, wrong, seconds = time.perf_counter(), 0, 0, 0.0
-    with ProcessPoolExecutor(options.workers, get_context("spawn"), os.nice, (10,), max_tasks_per_child=LOGS) as pool:
-        waiting = {pool.submit(one, f, s, rules, str(place(options.out, f, s))): (f, s) for f, s in todo}
-        for each in as_completed(waiting):
-            done += 1
-            try:
-                seconds += each.result()
-            except Exception as error:  # noqa: BLE001 - the others go on, and this one is tried again by the next command
-                wrong += 1
-                print(f"\n{waiting[each]}: {type(error).__name__}: {error}", file=sys.stderr)
-            left = (time.perf_counter() - began) / done * (len(todo) - done)
-            words = f"\r{done:,} of {len(todo):,} logs, {seconds / done:.2f} s each, {left / 60:.0f} min to go, {wrong} failed"
-            print(words, end="", file=sys.stderr, flush=True)
+    # New processes for each part: those of one pool keep all that they have compiled.
+    size = LOGS * options.workers
+    for part in (todo[i : i + size] for i in range(0, len(todo), size)):
+        with ProcessPoolExecutor(options.workers, get_context("spawn"), initializer=os.nice, initargs=(10,)) as pool:
+            waiting = {pool.submit(one, f, s, rules, str(place(options.out, f, s))): (f, s) for f, s in part}
+            for each in as_completed(waiting):
+                done += 1
+                try:
+                    seconds += each.result()
+                except Exception as error:  # noqa: BLE001 - the others go on, and this one is tried again by the next command
+                    wrong += 1
+                    print(f"\n{waiting[each]}: {type(error).__name__}: {error}", file=sys.stderr)
+                left = (time.perf_counter() - began) / done * (len(todo) - done) / 60
+                words = f"\r{done:,} of {len(todo):,} logs, {seconds / done:.2f} s each, {left:.0f} min to go, {wrong} failed"
+                print(words, end="", file=sys.stderr, flush=True)
     print(file=sys.stderr)
     return wrong
 

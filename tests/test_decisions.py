@@ -219,6 +219,23 @@ def test_fitted_values_of_the_old_rules_are_those_of_single_decisions(study):
     assert np.allclose(found, [0.0, 1.0, log.rewards.mean()], atol=0.15)
 
 
+@pytest.mark.slow
+def test_fitted_values_of_the_old_rules_are_those_of_long_episodes(study):
+    """A reward of 1 for ever, and half of it on average: 1 / (1 - 0.8) = 5, times the mean reward of the action."""
+    from decision_study.fqe import fqe
+    from decision_study.problem import Choices
+
+    rng = np.random.default_rng(0)
+    actions = rng.integers(0, 2, 1_000)
+    log = Dataset.from_arrays(
+        observations=rng.normal(size=(1_000, 2)), actions=actions, rewards=actions.astype(float),
+        timeouts=np.arange(1_000) % 20 == 19, action_space=Discrete(2),
+    )  # fmt: skip
+    always = [Choices(lambda seen, a=action: np.eye(2)[np.full(len(seen), a)]) for action in (0, 1)]
+    found = fqe(log, always, 0.8, 0).mean(0)
+    assert np.allclose(found, [0.0, 5.0, 2.5], atol=0.6)
+
+
 def test_trials_are_kept_and_rules_added(study, tmp_path, monkeypatch):
     import decision_study.trial
     from decision_study import rules
