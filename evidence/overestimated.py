@@ -9,7 +9,7 @@ from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Suite
 from deadreckon.stats.interval import PERCENT
-from deadreckon.stats.means import mean_interval
+from deadreckon.stats.means import student_interval
 
 SUITES = ["expert-1k", "expert-1k-again", "expert-10k", "expert-10k-again", "expert-100k"]
 METHOD = "SAC-off"
@@ -37,6 +37,6 @@ def overestimated(suites: Sequence[Suite], store: Store) -> str:
             continue
         got, above = (np.array([number(row, name) for row in found]) for name in ("discounted_return", "overestimate"))
         told = f"{np.median(above):,.0f} ({above.min():,.0f} to {above.max():,.0f})"
-        lines.append(f"{head} {mean_interval(got):.0f} | {told} |")
+        lines.append(f"{head} {student_interval(got):.0f} | {told} |")
     note = f"Discounted return: mean over seeds with Student's {PERCENT} interval; overestimate: median (lowest to highest)."
     return "\n".join([*lines, "", note, ""])

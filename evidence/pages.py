@@ -45,11 +45,11 @@ from deadreckon.bench.times import Forecast, forecast
 from deadreckon.cli.gpu import plan_told
 from deadreckon.errors import UserError
 from deadreckon.imports import trust
-from deadreckon.report import charts
-from deadreckon.report.picture import COLOURS, PANEL, sheet
+from deadreckon.report import charts, forest
+from deadreckon.report.picture import PANEL, sheet
 from deadreckon.report.text import words
 from deadreckon.stats.interval import LEVEL, PERCENT
-from deadreckon.stats.means import mean_interval
+from deadreckon.stats.means import student_interval
 from deadreckon.stats.scores import interval, iqm, performance_profile, probability_of_improvement
 from evidence import bear
 from evidence.changed import changed
@@ -124,7 +124,7 @@ def _size(suite: Suite, logs: Sequence[str]) -> tuple[int | None, ...]:
 
 def _line(method: str, slot: int, x: np.ndarray, value: np.ndarray, low: np.ndarray, high: np.ndarray) -> charts.Series:
     """A method's line with its band, dashed where no colour is left."""
-    return charts.Series(method, slot % COLOURS, x, value, low, high, dashed=slot >= COLOURS)
+    return charts.Series(method, slot % forest.SLOTS, x, value, low, high, dashed=slot >= forest.SLOTS)
 
 
 def curves(names: str, files: dict[str, bytes]) -> str:
@@ -161,7 +161,7 @@ def _curve(method: str, slot: int, seeds: list[list[tuple[int, float]]]) -> char
     steps = np.array([step for step, _ in max(seeds, key=len)], float)
     # A seed that diverged ends early and keeps its last good policy, whose score goes on.
     held = [np.pad([score for _, score in curve], (0, len(steps) - len(curve)), "edge") for curve in seeds]
-    means = [mean_interval(scores) for scores in np.array(held).T]
+    means = [student_interval(scores) for scores in np.array(held).T]
     value, low, high = (np.array([getattr(mean, end) for mean in means]) for end in ("value", "low", "high"))
     return _line(method, slot, steps, value, low, high)
 

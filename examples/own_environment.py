@@ -19,10 +19,8 @@ class Rooms:  # observations: degrees in the room and outside, time of day; acti
         self.degrees, self.time = np.zeros((len(seeds), 2)), np.zeros(len(seeds), int)
 
     def reset(self, which=None, seeds=None):
-        which = np.arange(len(self.time)) if which is None else np.asarray(which)
-        if seeds is not None:
-            self.starts.begin(which, seeds)
-        self.degrees[which], self.time[which] = [self.starts.next(copy) for copy in which], 0
+        which, starts = self.starts.begun(which, seeds)
+        self.degrees[which], self.time[which] = starts, 0
         return self.observe()[which]
 
     def step(self, actions):

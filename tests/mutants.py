@@ -397,7 +397,7 @@ MUTANTS = (
         "n-step rewards hold one of the next episode", ("training/test_fit.py",),
     ),
     Mutant(
-        "next-action-across", "data/batch.py", "inside = ~r.log._is_end[rows]", "inside = ~np.asarray(r.log.terminals[rows])",
+        "next-action-across", "data/batch.py", "inside = ~r.log.is_end[rows]", "inside = ~np.asarray(r.log.terminals[rows])",
         "what the log did next is that of another episode after a timeout", ("training/test_fit.py",),
     ),
     Mutant(
@@ -717,8 +717,8 @@ MUTANTS = (
         ("runs/test_trackers.py::test_runs_on_several_logs_are_told_of_apart_and_end_together",),
     ),
     Mutant(
-        "hub-unchecked", "runs/hub.py", 'if (found := _sum(aside / name)) != about["sha256"]:',
-        'if (found := _sum(aside / name)) == "":', "a file from the Hub that was exchanged is used", ("runs/test_hub.py",),
+        "hub-unchecked", "runs/hub.py", 'if (found := sha256_of(aside / name)) != about["sha256"]:',
+        'if (found := sha256_of(aside / name)) == "":', "a file from the Hub that was exchanged is used", ("runs/test_hub.py",),
     ),
     Mutant(
         "hub-any-file", "runs/hub.py", "if not allowed.fullmatch(name):", "if not name:",
@@ -835,7 +835,7 @@ MUTANTS = (
         ("mbo/test_validation.py::test_a_method_that_is_fitted_once_holds_out_enough_to_calibrate_by",),
     ),
     Mutant(
-        "conformal-rank", "mbo/calibration.py", "(n + 1) * share", "n * share",
+        "conformal-rank", "mbo/calibration.py", "(n + 1) * LEVEL", "n * LEVEL",
         "intervals lack the correction for few rows",
         ("mbo/test_gp.py::test_the_factor_is_the_quantile_with_its_correction",),
     ),
@@ -1045,7 +1045,7 @@ MUTANTS = (
         ("ope/test_exact.py::test_magic_with_critics_of_folds_lies_within_its_interval_as_often_as_promised",),
     ),
     Mutant(
-        "magic-going-on", "ope/weights.py", "goes[ends[self.ended]] = False", "goes[ends] = False",
+        "magic-going-on", "ope/weights.py", "goes[last] = False", "goes[self.ends] = False",
         "MAGIC takes episodes that are cut off for ended",
         ("ope/test_intervals.py::test_the_share_of_the_policys_episodes_that_go_on_by_hand",),
     ),
@@ -2440,7 +2440,7 @@ MUTANTS = (
         ("report/test_design_page.py::test_a_score_for_which_designs_are_made_is_not_called_measured",),
     ),
     Mutant(
-        "measured-in-notebooks", "report/notebook.py", "if made.measured else", "if False else",
+        "measured-in-notebooks", "report/notebook.py", "how, what = made.how,", 'how, what = "predicted",',
         "a notebook calls the measured scores of the best designs predictions",
         ("report/test_notebook.py::test_proposals_for_a_target_to_be_made_small_have_its_sign",),
     ),
@@ -2467,10 +2467,132 @@ MUTANTS = (
         ("mbo/test_designs.py::test_rounding_at_a_bound_of_zero_is_no_error",),
     ),
     Mutant(
+        "pareto-tail-size", "ope/pareto.py",
+        "]))[1]), tail\n",
+        "]))[1]), int(3 * np.sqrt(n)) if n > 225 else n // 5\n",
+        "the lower bound of a tail's shape rests on weights that equal the threshold, to which nothing was fitted",
+        ("ope/test_pareto.py::test_the_bound_rests_on_the_weights_that_the_tail_was_fitted_to",),
+    ),
+    Mutant(
+        "range-with-a-fraction", "cli/tune.py", r'r"([^,]+?)\.\.', r'r"([^.,]+(?:\.\d+)?)\.\.',
+        "a range whose low end has a fraction and an exponent is tried as one text",
+        ("bench/test_sampler.py::test_ranges_are_read_and_checked",),
+    ),
+    Mutant(
+        "best-of-one-evaluated", "report/simulated.py", 'tag("strong", found.standing,',
+        'tag("strong", "Best in the simulator" if len(page.entries) > 1 else "In the simulator",',
+        "a page stamps a run as the best though no other is evaluated",
+        ("report/test_rows.py::test_a_run_that_is_not_evaluated_yet_is_not_beaten",),
+    ),
+    Mutant(
+        "headline-of-other-runs", "report/decision.py",
+        "if not any(is_from(of, place) for place in places(page)):", "if False:",
+        "a decision on a policy of other runs is told of these",
+        ("report/test_decision.py::test_estimates_of_other_runs_are_refused",),
+    ),
+    Mutant(
+        "letters-by-locale", "files.py", 'temporary.write_text(text, encoding="utf-8")', "temporary.write_text(text)",
+        "files are written in the encoding of the system, which other programs take for UTF-8",
+        ("report/test_picture.py::test_letters_do_not_depend_on_the_locale",),
+    ),
+    Mutant(
+        "page-replaces-a-table", "report/page.py", "    check_page(out)\n    return write_text(out, text)",
+        "    return write_text(out, text)", "a page replaces a file that is no page",
+        ("report/test_log_page.py::test_what_is_no_page_is_not_replaced",),
+    ),
+    Mutant(
+        "requested-as-predicted", "report/design.py",
+        "    if made.requested:\n        what, above", "    if False:\n        what, above",
+        "scores for which designs are made are drawn as predictions",
+        ("report/test_design_page.py::test_a_score_for_which_designs_are_made_is_not_called_measured",),
+    ),
+    Mutant(
+        "state-without-words", "runs/recommend.py",
+        '    "too few updates": "stopped after too few updates for an evaluation",\n', "",
+        "the page of a recommendation shows an internal name of a state",
+        ("runs/test_recommend.py::test_a_candidate_that_hardly_began_is_left_out_beside_others",),
+    ),
+    Mutant(
+        "sequences-of-other-length", "mbo/problems/tfbind8.py", "if len(x) != len(y):", "if False:",
+        "x and y of different lengths in a file of sequences end in a traceback",
+        ("mbo/test_problems.py::test_arrays_that_are_no_sequences_of_dna",),
+    ),
+    Mutant(
+        "numbers-as-texts-of-a-problem", "mbo/problems/problem.py",
+        "if not (is_text(cells.type) or pa.types.is_null(cells.type)):", "if False:",
+        "a column of numbers where a problem's file needs texts ends in a traceback",
+        ("mbo/test_problems.py::test_files_that_hold_something_else",),
+    ),
+    Mutant(
+        "long-ways-not-found", "collect/planner.py", "while (value != before).any():", "for _ in range(50):",
+        "cells more than 49 moves from a goal count as cells that cannot reach it",
+        ("collect/test_collect_maze2d.py::test_ways_may_be_long",),
+    ),
+    Mutant(
+        "empty-rollouts-not-told", "online/branched_rollouts.py", "np.stack([read_array(self._file(path, t))",
+        "np.stack([np.load(self._file(path, t), allow_pickle=False)",
+        "an empty file of MBPO's rollouts ends in a traceback",
+        ("online/test_branched_rollouts.py::test_damaged_rollouts_are_told",),
+    ),
+    Mutant(
+        "sampled-beside-fixed-values", "mbo/ddom.py", "for b, e in zip(view.bounds, (seen.min(0), seen.max(0))))",
+        "for b, e in ((view.low, seen.min(0)), (view.high, seen.max(0))))",
+        "diffusion samples designs with any values of fixed variables, which are only replaced afterwards",
+        ("mbo/test_parts.py::test_sampled_designs_have_the_fixed_values",),
+    ),
+    Mutant(
+        "original-in-our-environment", "data/entries.py",
+        "found is None or (found.elsewhere and version == ORIGINAL)", "found is None",
+        "the Minari export of an original of another world names our environment",
+        ("data/formats/test_flat_pictures.py::test_the_original_is_not_of_our_environment",),
+    ),
+    Mutant(
+        "any-number-is-a-flag", "data/legal.py",
+        'timeouts = flags(log, "timeouts", columns["timeouts"], rows).copy()',
+        'timeouts = np.array(columns["timeouts"], bool).reshape(rows)',
+        "beside legal actions a 2, or a number that is missing, ends an episode",
+        ("data/test_legal.py::test_what_contradicts_is_refused",),
+    ),
+    Mutant(
+        "any-number-is-a-known-end", "data/checks.py",
+        'return flags(log, "final_known", columns["final_known"], episodes) if',
+        'return np.array(columns["final_known"], bool) if',
+        "a missing number, or one of another episode, says that a final observation is known",
+        ("data/test_legal.py::test_what_contradicts_is_refused",),
+    ),
+    Mutant(
+        "unknown-is-nan", "runs/recommend.py", '"-" if math.isnan(x) else', '"-" if x is None else',
+        "the card of a recommendation shows nan where a value is not known",
+        ("runs/test_recommend.py::test_estimates_that_are_there_are_the_card_even_if_the_check_hangs",),
+    ),
+    Mutant(
+        "times-need-no-next-one", "data/draft.py",
+        "if lacking := [column for column in observed if column not in paired]:",
+        "if lacking := [column for column in observed if column not in paired and not roles.not_observed(column)]:",
+        "a table with next observations and a time, but no episodes, is refused for want of the time's next observation",
+        ("data/test_misreadings.py::test_a_time_without_episodes_is_an_observation_that_needs_a_next_one",),
+    ),
+    Mutant(
+        "propensity-of-ours-left-out", "data/draft.py",
+        'elif column == "propensity" and of_ours:', "elif False:",
+        "a frame with our names loses the propensities that a file with the same names keeps",
+        ("data/test_frame.py::test_a_propensity_beside_names_of_ours_is_one_as_in_a_file",),
+    ),
+    Mutant(
+        "old-transformers-unread", "policies/portable.py", '("DecisionTransformerPolicy", {"wanted": "target_return"})',
+        '("DecisionTransformerPolicy", {})', "policy files of the Decision Transformer from before are not read",
+        ("policies/test_policies.py::test_files_with_old_names_are_read",),
+    ),
+    Mutant(
+        "diverged-clone-goes-on", "collect/adroit.py", 'complete(job, f"{log.name}: its clone", lambda done: None, advice="")',
+        "list(job.chunks())", "a clone that diverged collects a log",
+        ("collect/test_collect_adroit.py::test_a_clone_that_diverges_ends_the_collection",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"
-        "        found.log_kept = self.episodes.log_kept[part[self.data.episode_of]]\n        return found",
+        "        found.log_uncensored = self.episodes.log_uncensored[part[self.data.episode_of]]\n        return found",
         "episodes of a group are weighted by how likely any episode of the log is cut off",
         ("ope/test_cut.py::test_groups_that_are_recorded_for_different_times_have_their_own_chances_of_a_cut_off",),
     ),
@@ -2481,7 +2603,7 @@ MUTANTS = (
         ("runs/test_offline.py::test_differences_in_the_simulator_are_of_episodes_that_begin_alike",),
     ),
     Mutant(
-        "apart-shown", "ope/case.py", "unseen = self.data._is_end | self._apart", "unseen = self.data._is_end",
+        "apart-shown", "ope/case.py", "unseen = self.data.is_end | self._apart", "unseen = self.data.is_end",
         "the log's policy does after a row what the next row says, whatever that follows", ("ope/test_cut.py",),
     ),
     Mutant(
@@ -2866,7 +2988,7 @@ MUTANTS = (
     ),
     Mutant(
         "database-twice", "data/formats/database.py",
-        "if name in seen:", "if False:",
+        "if twice := repeated(found.column_names):", "if twice := []:",
         "a query gives two columns one name", ("data/formats/test_database.py",),
     ),
     Mutant(
@@ -3786,7 +3908,7 @@ MUTANTS = (
         "a cost that no judged episode had is certain to be rare", ("ope/test_costs.py",),
     ),
     Mutant(
-        "fqe-d-of-one-step", "ope/fqe_d.py", "share=1.0 / case.span", "share=1.0 - case.discount",
+        "fqe-d-of-one-step", "ope/fqe_d.py", "share=1.0 / case.effective_horizon", "share=1.0 - case.discount",
         "the values of episodes of one step are too small",
         ("ope/test_exact.py::test_distributions_of_one_step_have_its_mean_reward",),
     ),
@@ -3922,7 +4044,7 @@ MUTANTS = (
     ),
     Mutant(
         "minari-columns-elsewhere", "data/formats/minari_inside.py",
-        "list(columns_of(file, opened))",
+        "list(datasets_of(file, opened))",
         "list(file)",
         "columns of Minari's data sets are read from other files",
         ("data/formats/test_minari.py::test_columns_that_lie_in_other_files_are_not_read",),

@@ -127,10 +127,20 @@ def reserve(path: Path, size: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
+def write_text(path: Path | str, text: str) -> Path:
+    """Writes `text` in UTF-8, atomically, and gives its path.
+
+    Raises:
+        UserError: it cannot be written, as in `replacing`.
+    """
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return Path(path)
+
+
 def write_json(path: Path | str, value: Any) -> None:
     """Writes `value` as readable JSON, atomically."""
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=1, sort_keys=False) + "\n")
+    write_text(path, json.dumps(value, indent=1, sort_keys=False) + "\n")
 
 
 def copy_folder(source: Path, target: Path | str, but: str | None = None) -> Path:

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from deadreckon.errors import UserError
+
 if TYPE_CHECKING:
     from jaxtyping import PRNGKeyArray
 
@@ -24,6 +26,16 @@ NUMBERS = {
     "actor": 0, "critics": 1,  # of the key of an agent's `init`
     "target": 0, "actor_loss": 1,  # of the key of an agent's `update`
 }  # fmt: skip
+
+
+def check_seed(seed: int) -> None:
+    """Refuses seeds out of range.
+
+    Raises:
+        UserError: it is negative or too large.
+    """
+    if not 0 <= seed < 2**32:
+        raise UserError(f"seed must be 0 .. 2^32 - 1, got {seed}")
 
 
 def number(purpose: str) -> int:

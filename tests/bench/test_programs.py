@@ -24,7 +24,7 @@ from deadreckon.cli.lines import Lines
 from deadreckon.errors import BusyError
 from deadreckon.files import alone
 from deadreckon.runs.offline import Judged
-from deadreckon.runs.train import load
+from deadreckon.runs.run import load
 
 SUITE = """
 seeds = 2

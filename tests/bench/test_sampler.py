@@ -75,6 +75,9 @@ def test_what_cannot_be_tried_is_refused(given, message):
 
 def test_ranges_are_read_and_checked():
     assert _values("1e-4..1e-2:log") == Range(1e-4, 1e-2, True)
+    assert _values("1.5e-4..1e-2:log") == Range(1.5e-4, 1e-2, True)
+    assert _values("2.5e-1..0.5") == Range(0.25, 0.5)
+    assert _values("-1.5..-0.5") == Range(-1.5, -0.5)
     assert _values("0.5..2") == Range(0.5, 2, False)
     assert _values("16..64") == Range(16, 64)
     assert _values("0.5,2") == [0.5, 2]

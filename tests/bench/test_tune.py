@@ -1,6 +1,7 @@
 """Settings are chosen on training tasks or from the log alone, and what a choice loses is told."""
 
 import json
+import shlex
 from dataclasses import replace
 
 import numpy as np
@@ -15,13 +16,13 @@ from deadreckon.bench.suite import Method, Suite
 from deadreckon.bench.tune import Trial, Tuned, candidates, chosen, named, suite, tune
 from deadreckon.bench.work import perform
 from deadreckon.cli.main import main
-from deadreckon.cli.tune import _option
 from deadreckon.data.formats.io import read
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
+from deadreckon.report.provenance import option
 from deadreckon.runs.holdout import divided
 from deadreckon.runs.offline import judge
-from deadreckon.runs.train import load
+from deadreckon.runs.run import load
 from deadreckon.training.hyperparameters import check_fields
 from tests.bench.in_process import InProcess
 
@@ -276,4 +277,4 @@ def test_suites_learn_from_all_of_a_log(tmp_path):
 def test_what_was_chosen_is_told_as_train_takes_it():
     given = {"hidden": (64, 64), "value_penalty": False, "standardise": True, "alpha": 2.5}
     options = "--agent.hidden 64 64 --agent.no-value-penalty --agent.standardise --agent.alpha 2.5"
-    assert " ".join(_option(*each) for each in given.items()) == options
+    assert shlex.join(str(word) for each in given.items() for word in option(*each)) == options

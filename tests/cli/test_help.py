@@ -51,8 +51,14 @@ def texts(kind):
             if isinstance(node, ast.AnnAssign):
                 comment = re.search(r"  # (?!fmt)(.+)$", lines[node.end_lineno - 1])
                 string = isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant) and below.value.value
-                found[node.target.id] = comment[1] if comment else string or ""
+                found[node.target.id] = comment[1] if comment else string or declared(base, node.target.id)
     return found
+
+
+def declared(kind, field):
+    """The help that is part of a type which several commands share."""
+    known = getattr(kind.__annotations__[field], "__metadata__", ())
+    return next((each.help for each in known if getattr(each, "help", None)), "")
 
 
 @pytest.mark.parametrize("name", KINDS)

@@ -36,7 +36,7 @@ def test_pictures_of_small_worlds(tmp_path):
     seen = piecewise.sine(points=12, queries=9, members=2)
     paths = [
         grid.draw_propagation(tmp_path / "p.svg", found), grid.draw_stitching(tmp_path / "s.svg", fitted.stitching()),
-        normalised.draw_beliefs(tmp_path / "b.svg", seen), normalised.draw_claims(tmp_path / "c.svg", seen, shown=3),
+        normalised.draw_beliefs(tmp_path / "b.svg", seen), normalised.draw_claims(tmp_path / "c.svg", seen),
     ]  # fmt: skip
     roots = [ET.parse(path).getroot() for path in paths]
     assert all(root.tag.endswith("svg") for root in roots)

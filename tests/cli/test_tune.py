@@ -24,6 +24,13 @@ def test_episodes_that_chose_settings_are_not_to_judge_them(capsys, by):
     assert (advice in told) == (by == "ope")
 
 
+def test_fields_that_are_left_to_the_agent_are_no_options(capsys):
+    best = Trial({"hidden": (64, 64), "beta": None}, np.full((1, 2), 50.0), np.zeros(0))
+    _told(Tuned("iql", "simulator", (best,), best, None, None), {"name": "two words"}, [])
+    options = "--agent.hidden 64 64 --agent.name 'two words'"
+    assert f"chosen: {options}\n" in capsys.readouterr().out
+
+
 def test_help_says_that_the_default_alone_is_spared(capsys):
     with pytest.raises(SystemExit):
         main(["tune", "--help"])

@@ -12,13 +12,25 @@ import deadreckon as dr
 from deadreckon.collect import adroit, generate, recipe, recipe_names
 from deadreckon.data.formats.hdf5 import write_hdf5
 from deadreckon.data.transfer import RetryPolicy
-from deadreckon.errors import UserError
+from deadreckon.errors import DivergedError, UserError
 from deadreckon.policies import load_dapg
 from deadreckon.policies.kinds import Gaussian
 from deadreckon.tasks import task
 from deadreckon.tasks.adroit import TASKS
 
 DOOR = task("door")
+
+
+def test_a_clone_that_diverges_ends_the_collection(monkeypatch):
+    rng = np.random.default_rng(0)
+    log = dr.Dataset.from_arrays(
+        observations=rng.normal(size=(300, 3)), actions=rng.uniform(-1, 1, (300, 2)), rewards=np.zeros(300),
+        terminals=np.arange(300) % 30 == 29, name="people",
+    )  # fmt: skip
+    monkeypatch.setattr(adroit, "BC", lambda: dr.agents.BC(hidden=(8,), lr=1e30))
+    monkeypatch.setattr(adroit, "UPDATES", 20)
+    with pytest.raises(DivergedError, match="people: its clone: [a-z_]* was not finite at update [0-9]*$"):
+        adroit.cloned_policy(log)
 
 
 @pytest.fixture
@@ -82,13 +94,20 @@ def test_the_human_log_is_that_of_the_authors(files):
             generate("door-human-v1", **options)
 
 
-def test_a_downloaded_copy_serves_where_the_authors_file_is_not(home, real_data, monkeypatch):
+@pytest.fixture
+def once(monkeypatch):
+    """Downloads are tried once, without a pause."""
+    retry = RetryPolicy(tries=1, timeout=5.0, sleep=lambda seconds: None)
+    monkeypatch.setattr(adroit, "download_file", functools.partial(adroit.download_file, retry=retry))
+
+
+def test_a_downloaded_copy_serves_where_the_authors_file_is_not(home, real_data, monkeypatch, once):
     monkeypatch.setenv("DEADRECKON_DAPG_URL", "http://127.0.0.1:9")  # where nobody listens
     log = dr.read(real_data / "adroit" / "door-v0_demos.pickle").select([4, 5])
     (home / "data").mkdir(parents=True)
     write_hdf5(log, home / "data" / "door-human-v1@minari.hdf5")
     with pytest.raises(UserError, match="door-v0_demos.pickle: .*can be put manually"):  # its rewards may be other ones
-        adroit.human(DOOR, RetryPolicy(tries=1, timeout=5.0, sleep=lambda seconds: None))
+        adroit.human(DOOR)
     write_hdf5(log, home / "data" / "door-human-v1@d4rl.hdf5")
     found = adroit.human(DOOR)
     assert len(found) == len(log)
@@ -161,10 +180,11 @@ def test_people_are_repeated_until_half_is_full(files):
 
 @pytest.mark.slow
 def test_a_killed_clone_is_gone_on_with(files, monkeypatch, tmp_path):
-    monkeypatch.setattr(adroit, "UPDATES", 30)
     monkeypatch.setattr(adroit, "_CHUNK", 10)
     people = adroit.human(DOOR)
-    adroit.cloned_policy(people, folder=tmp_path / "b", updates=10)  # as far as it got
+    monkeypatch.setattr(adroit, "UPDATES", 10)
+    adroit.cloned_policy(people, folder=tmp_path / "b")  # as far as it got
+    monkeypatch.setattr(adroit, "UPDATES", 30)
     resumed, whole = adroit.cloned_policy(people, folder=tmp_path / "b"), adroit.cloned_policy(people)
     seen = people.observations[:5]
     np.testing.assert_array_equal(resumed(seen), whole(seen))
@@ -180,13 +200,12 @@ def test_files_come_from_the_authors_once(mirror, home):
     assert sorted(path.name for path in place.parent.iterdir()) == ["door-v0_demos.pickle", "relocate-v0_dapg_policy.pickle"]
 
 
-def test_what_does_not_come_or_is_something_else_is_told_in_one_line(mirror, home):
-    retry = RetryPolicy(tries=1, timeout=5.0, sleep=lambda seconds: None)
+def test_what_does_not_come_or_is_something_else_is_told_in_one_line(mirror, home, once):
     with pytest.raises(UserError, match=r"pen-v0_demos.pickle: .*404.*can be put manually at .*adroit/pen-v0_demos.pickle$"):
-        adroit.human(task("pen"), retry)
+        adroit.human(task("pen"))
     shutil.copy(mirror / "demonstrations" / "door-v0_demos.pickle", mirror / "policies" / "door-v0.pickle")
     with pytest.raises(UserError, match=r"door-v0.pickle: no policy of DAPG in it.*the file was removed; .*manually"):
-        adroit.policy_file(DOOR, retry)
+        adroit.policy_file(DOOR)
     assert not list((home / "data" / "adroit").glob("*.p*"))
 
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import deadreckon as dr
-from deadreckon.collect import recipe
+from deadreckon.collect import recipe, references
 from deadreckon.collect.flow import FollowerStopper, Idm, PISaturation
-from deadreckon.collect.references import controlled_returns, measure_flow
+from deadreckon.collect.references import controlled_returns
 from deadreckon.data.catalogue import entry
 from deadreckon.tasks import task
 from deadreckon.tasks.flow_roads import Ring
@@ -101,12 +101,14 @@ def test_pi_with_saturation_keeps_its_mean_speed():
 
 @pytest.mark.slow
 @sumo
-def test_what_the_scores_are_made_of():
+def test_what_the_scores_are_made_of(monkeypatch):
     """Ten episodes of each give what the table says, within five standard errors."""
-    found = measure_flow(task("flow-ring"), episodes=10)
-    wanted = task("flow-ring").reference
-    assert found.random == pytest.approx(wanted.random, abs=5 * 16 / np.sqrt(10))
-    assert found.expert == pytest.approx(wanted.expert, abs=5 * 19 / np.sqrt(10))
-    drivers = controlled_returns(task("flow-ring"), Idm(task("flow-ring")), range(10))
+    monkeypatch.setattr(references, "EPISODES", 10)
+    ring_task = task("flow-ring")
+    random, expert = references.measure(ring_task)
+    wanted = ring_task.reference
+    assert random == pytest.approx(wanted.random, abs=5 * 16 / np.sqrt(10))
+    assert expert == pytest.approx(wanted.expert, abs=5 * 19 / np.sqrt(10))
+    drivers = controlled_returns(ring_task, Idm(ring_task), range(10))
     assert wanted.random < drivers.mean() < wanted.expert
     assert Ring.CARS == 22

@@ -441,8 +441,8 @@ def test_rows_take_memory_as_they_are_wanted_and_little_of_it(tmp_path, monkeypa
     monkeypatch.setattr(rollouts, "memory", lambda: 1)
     assert log(tmp_path / "one", rows).fingerprint == made.fingerprint
     monkeypatch.setattr(rollouts, "memory", lambda: 4 * 3 * 120 * 34)  # of a row of the maze's columns: 34 bytes
-    scene = rollouts._Scene(MAZE, MAZE.simulate([0]), None, jax.random.key(0), [0, 0], True, 10**6)
-    assert scene.columns["observations"].shape == (3, 120, 4)
+    copies = rollouts._SideBySide(MAZE, MAZE.simulate([0]), None, jax.random.key(0), [0, 0], True, 10**6)
+    assert copies.columns["observations"].shape == (3, 120, 4)
     monkeypatch.undo()
     endless = replace(MAZE, horizon=10**12)  # an episode takes more memory than there is, and more time
     short = log(tmp_path / "short", [Segment(None, 20)], MAZE)

@@ -77,7 +77,7 @@ def test_memory_maps_bounds_and_parts_of_parts(tmp_path):
 def test_blocks_of_rows_change_nothing(log):
     returns, ids = log.returns_to_go(0.9)[log.starts], log.episode_ids
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(episodes, "_ROWS", 3)
+        patched.setattr(episodes, "BLOCK", 3)
         patched.setattr(episodes, "_TOGETHER", 3)
         np.testing.assert_array_equal(replace(log).returns(0.9), returns)
         np.testing.assert_array_equal(replace(log, part_of=None).episode_ids, ids)

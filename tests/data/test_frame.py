@@ -28,6 +28,16 @@ TABLE = {
 NAMED = {"episode": "who", "time": "when", "action": "action", "reward": "gain", "terminal": "done"}
 
 
+def test_a_propensity_beside_names_of_ours_is_one_as_in_a_file():
+    table = {"observation_0": [0.1, 0.2, 0.3], "action": [0, 1, 1], "reward": [1.0, 0.0, 1.0], "propensity": [0.5, 0.25, 0.5]}
+    log = Dataset.from_frame(table)
+    np.testing.assert_allclose(log.extras["behavior_log_probs"], np.log(table["propensity"]), rtol=1e-6)
+    assert "column propensity is read as the probability of the logged action (--propensity)" in log.warnings
+    assert log.observations.shape == (3, 1)
+    table["x"] = table.pop("observation_0")
+    assert not Dataset.from_frame(table).extras
+
+
 def test_the_whole_of_it():
     table = {**TABLE, "done": [False, True, False, False, False]}
     log = Dataset.from_frame(table, **NAMED, name="shop")

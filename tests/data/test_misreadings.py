@@ -124,6 +124,18 @@ def test_what_belongs_to_the_next_row_is_no_observation():
     assert named(kept) == ["x", "next_action"]
 
 
+def test_a_time_without_episodes_is_an_observation_that_needs_a_next_one():
+    table = base(t=np.arange(N), next_x=np.roll(X, -1))
+    log = Dataset.from_frame(table)
+    assert named(log) == ["x", "t"]
+    assert told(log, "columns next_x look like next observations and are left out, because t have none")
+    assert named(Dataset.from_frame(table, observations=["t", "x"])) == ["t", "x"]
+    for more in ({"ep": EPISODE}, {"next_t": np.arange(N) + 1}):  # the order within an episode; an observation with a next one
+        log = Dataset.from_frame(table | more)
+        assert told(log, "are read as next observations")
+    assert log.next_observations[3].tolist() == [np.float32(X[4]), 4.0]
+
+
 def test_placeholders_among_actions_are_told():
     dose = np.where(np.arange(N) % 20 == 0, -999.0, np.linspace(0, 5, N))
     log = Dataset.from_frame(base(action=dose))

@@ -9,7 +9,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.io import convert
 from deadreckon.data.info import warnings_for
 from deadreckon.data.spec import Box
-from deadreckon.data.told import action_names, columns_of, observation_names, table_of
+from deadreckon.data.told import action_names, columns_of, observation_names, text_of_columns
 
 TABLE = """day,minute,site,temp,dose,level,note,act,reward
 1,0,a,1.5,3,x,,low,1
@@ -57,7 +57,7 @@ def test_a_column_that_the_schema_does_not_have(tmp_path):
 
 
 def test_logs_without_columns(variant):
-    text = table_of(columns_of(variant))
+    text = text_of_columns(columns_of(variant))
     assert "observation 2" in text
     assert "missing" not in text
     assert "rewards" in text
@@ -66,7 +66,7 @@ def test_logs_without_columns(variant):
 def test_images_and_hundreds_of_dimensions_are_cut():
     assert len(columns_of(images())) < 10
     wide = Dataset.from_arrays(observations=np.zeros((3, 500)), actions=np.array([0, 1, 0]), rewards=np.zeros(3))
-    lines = table_of(columns_of(wide)).split("\n")
+    lines = text_of_columns(columns_of(wide)).split("\n")
     assert len(lines) == 41
     assert any("463 more" in line for line in lines)
 

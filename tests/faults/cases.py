@@ -187,7 +187,8 @@ def interrupted(place: Place, command: Command, rng: random.Random) -> Outcome:
     if not goes_on and line != "deadreckon: interrupted; the same command starts again":
         return Outcome("", [f"said: {line}"])
     again = run(shlex.split(goes_on[1]) if goes_on else words, place.folder, LONG)
-    return Outcome("announced that it continues, and continued" if goes_on else "announced a restart, and restarted", whole(place, command, again))
+    how = "announced that it continues, and continued" if goes_on else "announced a restart, and restarted"
+    return Outcome(how, whole(place, command, again))
 
 
 def at_once(place: Place, command: Command, rng: random.Random) -> Outcome | None:

@@ -17,6 +17,7 @@ from tests.faults.process import Running, begin, memory, mount, run, unmount
 
 DISK = 64 << 20  # bytes of the small file system
 GROUPS = Path("/sys/fs/cgroup/memory")  # version 1; with version 2 the fault by addresses is left
+CONTINUED = "reported in one line; the same command then continued"
 
 
 @contextlib.contextmanager
@@ -51,7 +52,7 @@ def disk_full(place: Place, command: Command, rng: random.Random) -> Outcome | N
         ballast.unlink()
         if first.code == 0:
             return Outcome("the limit was not reached", whole(place, command, first))
-        return Outcome("reported in one line; the same command then continued", told + whole(place, command, run(words, folder, LONG)))
+        return Outcome(CONTINUED, told + whole(place, command, run(words, folder, LONG)))
 
 
 def _sizes(place: Place, command: Command) -> list[int]:
@@ -76,7 +77,7 @@ def read_only(place: Place, command: Command, rng: random.Random) -> Outcome | N
         mount("tmpfs", "none", folder, 0x20 | 0x1, f"size={DISK}")
         told = refused(run(words, folder, LONG), "Read-only file system|failed|left", (2, 1))
         mount("tmpfs", "none", folder, 0x20, f"size={DISK}")
-        return Outcome("reported in one line; the same command then continued", told + whole(place, command, run(words, folder, LONG)))
+        return Outcome(CONTINUED, told + whole(place, command, run(words, folder, LONG)))
 
 
 def memory_group(place: Place, command: Command, rng: random.Random) -> Outcome | None:

@@ -8,11 +8,11 @@ import pytest
 from pyarrow import parquet
 
 from deadreckon.bench.store import Store
-from deadreckon.data.formats.any_table import read_table
 from deadreckon.data.formats.stream import convert_table, streamed_format
 from deadreckon.errors import UserError
 from deadreckon.foreign.parquet import check_parquet, read_parquet
 from deadreckon.runs.folder import Folder
+from tests.data.formats.any_file import read_table
 
 FEW = "unpacks to .* DEADRECKON_MAX_UNPACKED"
 LONG = "a" * 10_000

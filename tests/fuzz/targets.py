@@ -51,8 +51,7 @@ def _policy(folder: Path) -> None:
     from deadreckon.runs.player import predictor
 
     path = folder / "policy.npz"
-    store.taught(path), store.meta(path)
-    store.load(path)
+    store.load_all(path)
     found = predictor(path)
     try:
         found.player(np.zeros((2, 3), np.float32), first=True)

@@ -8,12 +8,12 @@ from scipy import special, stats
 
 from deadreckon.mbo.cbas import Layout
 from deadreckon.mbo.coms import COMs, Conservative
-from deadreckon.mbo.ddom import sample, variance_left
+from deadreckon.mbo.ddom import DDOM, sample, variance_left
 from deadreckon.mbo.designer import DesignInput
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.forward import mixture
 from deadreckon.mbo.ram import Ranking, agreement
-from deadreckon.mbo.surrogate import counts
+from deadreckon.mbo.surrogate import score_weights
 from deadreckon.mbo.variables import Variable
 from deadreckon.nets.mlp import MLP
 from deadreckon.progress import unwatched
@@ -48,7 +48,7 @@ def test_a_list_whose_scores_are_all_the_same_has_no_order_and_is_no_failure():
 
 def test_weights_of_scores_by_hand():
     """Two bins with 3 and 1 of four designs: N / (N + K) exp(-(best - middle) / T) / N, brought to a mean of 1."""
-    weight = counts(np.array([0.0, 0.1, 0.2, 1.0]), 2, 0.25, 0.5)
+    weight = score_weights(np.array([0.0, 0.1, 0.2, 1.0]), 2, 0.25, 0.5)
     low, high = 3 / 4 * np.exp(-0.75 / 0.5) / 3, 1 / 2 * np.exp(-0.25 / 0.5)
     expected = np.array([low, low, low, high])
     np.testing.assert_allclose(weight, expected / expected.mean(), rtol=1e-5)
@@ -109,6 +109,16 @@ def test_the_sampler_with_an_exact_model_gives_the_datas_distribution():
     drawn = _sample(Exact(), 4000)
     assert drawn.std() == pytest.approx(s, rel=0.1)
     assert abs(drawn.mean()) < 0.05
+
+
+def test_sampled_designs_have_the_fixed_values():
+    """Also where they are not repaired afterwards: the other variables are sampled beside these values."""
+    rng = np.random.default_rng(0)
+    table = {"a": rng.uniform(size=30), "b": rng.uniform(size=30), "c": ["x", "y", "z"] * 10, "y": rng.normal(size=30)}
+    data = Designs.from_frame(table, "y", fixed=["a = 0.25", "c = y"])
+    made = DDOM(hidden=(8,), steps=2, sampling_steps=3).propose(data, 6, distinct=False)
+    np.testing.assert_allclose(made.x[:, 0], 0.25, rtol=1e-5)
+    assert [data.variables[2].levels[int(level)] for level in made.x[:, 2]] == ["y"] * 6
 
 
 def _sample(net, count):

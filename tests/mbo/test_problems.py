@@ -99,14 +99,6 @@ def test_names_options_and_missing_files(tmp_path):
 def test_files_that_hold_something_else(tmp_path):
     text = tmp_path / "x.csv"
     text.write_text("a,b\n1,2\n")
-    with pytest.raises(UserError, match="no npz with arrays x and y"):
-        problem("tfbind8", path=text)
-    np.savez(tmp_path / "few.npz", x=np.zeros((3, 8), int), y=np.zeros(3))
-    with pytest.raises(UserError, match="65,535 of 65,536 sequences have no score"):
-        problem("tfbind8", path=tmp_path / "few.npz")
-    np.savez(tmp_path / "wide.npz", x=np.zeros((3, 9), int), y=np.zeros(3))
-    with pytest.raises(UserError, match=r"x must be \(rows, 8\)"):
-        problem("tfbind8", path=tmp_path / "wide.npz")
     with pytest.raises(UserError, match="neither columns name and Tc, nor critical_temp"):
         problem("superconductor", path=text)
     with pytest.raises(UserError, match="columns smiles and one of"):
@@ -116,6 +108,58 @@ def test_files_that_hold_something_else(tmp_path):
     text.write_text("variant\tscore\nA0C\t1.0\n")
     with pytest.raises(UserError, match="row 0 has 'A0C', no mutation of the wild type"):
         problem("gfp", path=text)
+    for rows, words in (
+        ("", "no row has a variant without a stop codon"),
+        ("K1*\t1.0\nK1A,S0*\t2.0\n", "no row has a variant without a stop codon"),
+        ("5\t1.0\n6\t2.0\n", "column variant must hold texts, got int64"),
+    ):
+        text.write_text(f"variant\tscore\n{rows}")
+        with pytest.raises(UserError, match=words):
+            problem("gfp", path=text)
+
+
+@needs_rdkit
+def test_molecules_are_texts(tmp_path):
+    path = tmp_path / "numbers.csv"
+    path.write_text("smiles,exp\n1,2\n2,3\n")
+    with pytest.raises(UserError, match="column smiles must hold texts, got int64"):
+        problem("molecule", path=path)
+
+
+SEQUENCES, SCORES = np.zeros((3, 8), int), np.zeros(3)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "words"),
+    [
+        (SEQUENCES, SCORES, "65,535 of 65,536 sequences have no score"),
+        (SEQUENCES[:0], SCORES[:0], "65,536 of 65,536 sequences have no score"),
+        (SEQUENCES, SCORES[:2], "x and y must have equally many rows, got 3 and 2"),
+        (SEQUENCES[:, :7], SCORES, r"x must be \(rows, 8\) with bases 0 .. 3, got \(3, 7\)"),
+        (SEQUENCES[0], SCORES, r"x must be \(rows, 8\)"),
+        (SEQUENCES + 4, SCORES, r"bases 0 .. 3"),
+        (SEQUENCES + 0.5, SCORES, r"bases 0 .. 3"),
+        (SEQUENCES + np.nan, SCORES, r"bases 0 .. 3"),
+        (np.full((3, 8), "A"), SCORES, "no npz with arrays x and y of numbers"),
+        (SEQUENCES, np.full(3, "low"), "no npz with arrays x and y of numbers"),
+    ],
+)
+def test_arrays_that_are_no_sequences_of_dna(tmp_path, x, y, words):
+    np.savez(tmp_path / "x.npz", x=x, y=y)
+    with pytest.raises(UserError, match=words):
+        problem("tfbind8", path=tmp_path / "x.npz")
+
+
+def test_files_that_are_no_npz(tmp_path):
+    (tmp_path / "empty").write_bytes(b"")
+    (tmp_path / "text").write_text("a,b\n1,2\n")
+    np.save(tmp_path / "array.npy", SEQUENCES)
+    for name in ("empty", "text", "array.npy"):
+        with pytest.raises(UserError, match="cannot be read as an npz with arrays x and y"):
+            problem("tfbind8", path=tmp_path / name)
+    np.savez(tmp_path / "other.npz", x=SEQUENCES)
+    with pytest.raises(UserError, match="no npz with arrays x and y of numbers"):
+        problem("tfbind8", path=tmp_path / "other.npz")
 
 
 AMOUNTS = ",".join(elements())

@@ -12,6 +12,7 @@ from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 from deadreckon.online import Online, branched_rollouts
 from deadreckon.online.branched_rollouts import BranchedRollouts
+from deadreckon.online.model_learning import ModelLearning
 from deadreckon.tasks import task
 from deadreckon.training.fit import Fit
 
@@ -141,7 +142,7 @@ def test_a_run_goes_on_where_it_stopped(whole, tmp_path, killed):
     assert len(list((tmp_path / "replay").glob("*made-up*"))) <= 3
     next((tmp_path / "replay").glob(f"*made-up-{max(experience._batches):06d}.npy")).unlink()
     third, _ = job(paths=paths, folder=tmp_path / "c")
-    with pytest.raises(UserError, match="cannot read the rollouts in .*seed0-made-up-000003.npy"):
+    with pytest.raises(UserError, match="seed0-made-up-000003.npy.*no such file|no file .*seed0-made-up-000003.npy"):
         third.resume()
 
 
@@ -154,6 +155,23 @@ def test_a_checkpoint_holds_the_rollouts_that_are_still_learned_from(tmp_path):
         "seed0-made-up-000002.npy", "seed0-made-up-000003.npy",
     ]  # fmt: skip
     assert experience._waiting == []
+
+
+def test_damaged_rollouts_are_told(tmp_path, monkeypatch):
+    _, experience = job(paths=[tmp_path / "replay" / "seed0.bin"])
+    experience._waiting, experience._batches = [0, 1], {turn: np.full((1, 2, 11), turn, np.float32) for turn in (0, 1)}
+    experience.flush()
+    monkeypatch.setattr(ModelLearning, "restore", lambda self, state: None)
+    monkeypatch.setattr(BranchedRollouts, "environment_steps", 70)  # three blocks: the model was fitted twice
+    experience.restore({})
+    assert experience._batches[1][0, 0, 0] == 1
+    file = tmp_path / "replay" / "seed0-made-up-000001.npy"
+    whole = file.read_bytes()
+    for data, words in ((b"", "cannot be read"), (whole[:-4], "cut short"), (None, "no file|no such file")):
+        file.unlink() if data is None else file.write_bytes(data)
+        with pytest.raises(UserError, match=words) as told:
+            experience.restore({})
+        assert str(file) in str(told.value)
 
 
 def leaves(fit):

@@ -143,7 +143,7 @@ def test_a_comparison_refuses_what_no_bootstrap_can_draw(options, told):
 def test_the_same_policies_are_one_set_whatever_the_seed(case):
     """Also those that draw and do not tell their probabilities: looks at the same episodes are counted by it."""
     draws = [BlackBoxPolicy(lambda seen, rng, p=p: (rng.random(len(seen)) < p).astype(int)) for p in (0.4, 0.5)]
-    first, again, other = (OPEInput(case.log, draws[i], seed=seed).manner for i, seed in ((0, 0), (0, 1), (1, 0)))
+    first, again, other = (OPEInput(case.log, draws[i], seed=seed).policies_digest for i, seed in ((0, 0), (0, 1), (1, 0)))
     assert first == again != other
 
 

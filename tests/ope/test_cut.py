@@ -199,7 +199,7 @@ def test_what_the_behaviour_policy_would_do_next(recorded):
     many = replace(log, observations=log.observations + 1e-3 * np.random.default_rng(0).standard_normal(log.observations.shape))
     case = OPEInput(many, [as_policy(other)], discount=DISCOUNT, horizon=None, logged=True)
     assert Table.of(many) is None
-    assert (case.shown == (~many._is_end | np.asarray(many.terminals))).all()
+    assert (case.shown == (~many.is_end | np.asarray(many.terminals))).all()
     settings = {"hidden": (4,), "members": 1, "batch_size": 64}
     for small in (FQE(weight_decay=0.0, **settings), FQED(**settings)):
         learner, rows = small.problem(case)

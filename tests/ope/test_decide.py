@@ -293,6 +293,9 @@ def test_a_mixture_over_folds_is_judged_by_the_policy_that_has_not_seen_the_epis
     for name in ("fqe", "fqe-linear", "fqe-d", "drl", "smis", "dual-dice", "vpm", "mb-ff"):
         with pytest.raises(UserError, match="cross-fitted ones differ by fold"):
             estimator(name).on(case)
+    drawn = OPEInput(log, [CrossFitted(policies, which, drawn=True)], discount=0.0)
+    with pytest.raises(UserError, match="FQE-linear evaluates .*, and those of a mixture differ by episode"):
+        estimator("fqe-linear").on(drawn)
     with pytest.raises(UserError, match="has no policy for some evaluated episodes"):
         OPEInput(log, [CrossFitted(policies, which - 1)], discount=0.0)
 

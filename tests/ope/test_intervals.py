@@ -212,7 +212,7 @@ def test_cut_offs_do_not_favour_episodes_that_end_early(estimator):
 def test_chances_of_being_cut_off_by_hand():
     """Lengths 1 (ended), 2 (cut), 3 (ended), 3 (cut): after two steps one of three that still went on was cut off."""
     log = one_state(4, np.array([1, 2, 3, 3]), np.array([True, False, True, False]), 0.5, np.random.default_rng(0))
-    np.testing.assert_allclose(Episodes(log, 0.9, 0, np.arange(4)).kept, [1.0, 1.0, 2 / 3, 0.0])
+    np.testing.assert_allclose(Episodes(log, 0.9, 0, np.arange(4)).uncensored, [1.0, 1.0, 2 / 3, 0.0])
 
 
 def test_the_share_of_the_policys_episodes_that_go_on_by_hand():

@@ -110,6 +110,15 @@ def estimates(method, gains, bootstrap, ess=None, corrected=True):
     return Estimates(method, names, value, value, value, Estimand(0.9), **known)
 
 
+def test_the_behaviour_policy_is_the_last_of_an_estimate():
+    """Else the gain of another policy, or what speaks against it, was told of the one that is chosen."""
+    found = estimates("DR", [1.0, -1.0], np.random.default_rng(0).normal([1.0, -1.0], size=(1000, 2)))
+    assert select([found]).name == "a"
+    first = dataclasses.replace(found, names=(LOGGED, "a", "b"))
+    with pytest.raises(UserError, match="must be the last policy of an estimate, got behaviour policy, a, b"):
+        select([first])
+
+
 def test_a_gain_that_is_a_rounding_error_is_not_above_zero():
     """Of values around 7 a gain of 2e-7, always the same, is what 32-bit numbers make; one of 1e-4 is none of theirs."""
     for gain, above in ((2e-7, False), (1e-4, True)):

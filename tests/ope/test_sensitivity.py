@@ -100,10 +100,10 @@ def test_a_critic_narrows_the_bounds():
 
 
 def test_tipping():
-    assert tipping(lambda gamma: 1.5 - gamma) == pytest.approx(1.5, abs=1.1e-3)
+    assert tipping(lambda gamma: 1.5 - gamma) == pytest.approx(1.5, abs=1.1e-2)
     assert np.isnan(tipping(lambda gamma: -gamma))
     assert tipping(lambda gamma: 1.0) == np.inf
     y, ratios, behavior = small(3, 100)
     gain = lambda gamma: bounds(y + 0.5, *weight_box(ratios, gamma, behavior), baseline=-y)[0]  # noqa: E731
     most = tipping(gain)
-    assert gain(most) > 0 > gain(most + 2e-3)
+    assert gain(most) > 0 > gain(most + 2e-2)

@@ -1,10 +1,12 @@
 """Marginal ratios: exact where the log is the distribution, the right influence, and a variance that does not explode."""
 
+import dataclasses
 import itertools
 
 import numpy as np
 import pytest
 
+from deadreckon.data.episodes import rows_of
 from deadreckon.errors import UserError
 from deadreckon.ope.sequences import cumulate, times, totals
 from deadreckon.ope.state_marginal import state_marginal
@@ -25,6 +27,13 @@ def columns(log, target, behavior):
     s = log.observations.argmax(1)
     ended = np.asarray(log.terminals)[log.ends]
     return s, np.log(target / behavior)[s, log.actions], np.asarray(log.rewards, float), log.lengths, ended
+
+
+def repeated(s, ratios, rewards, lengths, ended, count):
+    """The columns of each episode as often as it counts."""
+    which = np.repeat(np.arange(len(lengths)), count)
+    rows = rows_of((np.cumsum(lengths) - lengths)[which], lengths[which])
+    return s[rows], ratios[rows], rewards[rows], lengths[which], ended[which]
 
 
 @pytest.fixture(scope="module")
@@ -53,20 +62,24 @@ def paths(world, behavior, steps):
 
 @pytest.mark.parametrize("normalised", [True, False])
 def test_exact_where_the_log_is_the_distribution(world, normalised):
-    """Every episode of up to four steps, counted by its probability."""
+    """Every episode of up to three steps, as often in the log as its probability says, a multiple of 1 / 32,000."""
     true, behavior, target = world
-    every = paths(true, behavior, 4)
-    p = np.array([each[1] for each in every])
-    assert p.sum() == pytest.approx(1.0)
+    true = dataclasses.replace(true, transitions=np.rint(5 * true.transitions) / 5, initial=np.full(4, 0.25))
+    behavior = np.rint(4 * behavior) / 4
+    every = paths(true, behavior, 3)
+    count = 4 * 20**3 * np.array([each[1] for each in every])
+    np.testing.assert_allclose(count, np.rint(count))
     steps = np.array([step for each in every for step in each[0]])
     lengths, ended = np.array([len(each[0]) for each in every]), np.array([each[2] for each in every])
     ratios = np.log(target / behavior)[steps[:, 0], steps[:, 1]]
     rewards = true.rewards[steps[:, 0], steps[:, 1]]
-    found = state_marginal(steps[:, 0], ratios, rewards, lengths, ended, 0.9, normalised=normalised, counts=p)
-    assert found.value == pytest.approx(exact(true, target, 4, 0.9))
-    assert p @ found.scores == pytest.approx(found.value)
+    given = repeated(steps[:, 0], ratios, rewards, lengths, ended, np.rint(count).astype(int))
+    found = state_marginal(*given, 0.9, normalised=normalised)
+    assert len(found.scores) == 32_000
+    assert found.value == pytest.approx(exact(true, target, 3, 0.9))
+    assert found.scores.mean() == pytest.approx(found.value)
     assert found.lost == 0.0
-    assert found.states.sum(1) == pytest.approx(0.8 ** np.arange(4))
+    assert found.states.sum(1) == pytest.approx(0.8 ** np.arange(3))
 
 
 def test_the_log_s_own_policy_has_its_mean_return(world):
@@ -88,13 +101,13 @@ def test_the_influence_is_that_of_an_episode_s_weight(world, normalised, cut):
         short = np.where(np.arange(80) % 3 == 0, np.minimum(lengths, 2), lengths)
         kept = times(lengths) < np.repeat(short, lengths)
         s, ratios, rewards, ended, lengths = s[kept], ratios[kept], rewards[kept], ended & (short == lengths), short
-    given = s, ratios, rewards, lengths, ended, 0.9
-    found = state_marginal(*given, normalised=normalised)
+    given = s, ratios, rewards, lengths, ended
+    found = state_marginal(*given, 0.9, normalised=normalised)
     assert found.scores.mean() == pytest.approx(found.value)
-    for i in (0, 3, 17, 50):
-        step = 1e-6 * (np.arange(80) == i)
-        ahead, back = (state_marginal(*given, normalised=normalised, counts=1 + x).value for x in (step, -step))
-        assert (ahead - back) / 2e-6 * 80 == pytest.approx(found.scores[i] - found.value, abs=1e-5)
+    for i in (0, 3, 17, 50):  # all 500 times, and one of them once more or less
+        counts = (500 + x * (np.arange(80) == i) for x in (1, -1))
+        ahead, back = (state_marginal(*repeated(*given, own), 0.9, normalised=normalised).value for own in counts)
+        assert (ahead - back) / 2 * 500 * 80 == pytest.approx(found.scores[i] - found.value, abs=1e-4)
 
 
 @pytest.mark.slow

@@ -33,7 +33,7 @@ def test_sequences_by_hand():
 def test_switch_by_hand():
     """Weights 2, 6 | 0.5 | 3, 3: a threshold of 3 leaves out the second only."""
     lengths, begin = np.array([2, 1, 2]), np.array([1.0, 2.0, 3.0])
-    logs = np.log([2.0, 3.0, 0.5, 3.0, 1.0])
+    logs = cumulate(np.log([2.0, 3.0, 0.5, 3.0, 1.0]), lengths)
     errors = np.array([1.0, 10.0, 4.0, 1.0, 1.0])
     found = switch_scores(begin, logs, errors, lengths, 0.5, np.array([0.0, 3.0 + 1e-9, np.inf]))
     assert found[0] == pytest.approx(begin)  # the critic alone
@@ -80,7 +80,7 @@ def inputs(world, shift=0.0, scale=1.0):
     state, after = log.observations.argmax(1), log.next_observations.argmax(1)
     ratios = np.log(target / behavior)[state, log.actions]
     errors = log.rewards + 0.9 * np.where(log.terminals, 0.0, v[after]) - q[state, log.actions]
-    return v[state[log.starts]], ratios, errors, log.lengths, 0.9
+    return v[state[log.starts]], cumulate(ratios, log.lengths), errors, log.lengths, 0.9
 
 
 def test_no_bias_where_the_critic_has_none(world):

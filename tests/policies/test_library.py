@@ -54,7 +54,7 @@ def test_policies_of_dm_control_are_of_four_agents_and_know_what_they_have_learn
     assert set(made) == {"d4pg", "abm", "bc", "crr_d"}
     assert len(found) >= 24
     assert {s.name for s in found} == {f"{agent}-{seed}-{s.updates}" for s in found for agent in made for seed in range(3)}
-    taught = {store.taught(s.file).tobytes() for s in found}
+    taught = {store.load_all(s.file).taught.tobytes() for s in found}
     assert len(taught) == 1  # so that one fifth of the episodes is new to all
     for each in (found[0], found[-1]):
         meta, policy = store.meta(each.file), each.policy()

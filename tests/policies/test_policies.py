@@ -24,6 +24,7 @@ from deadreckon.policies.deployed import Mixture
 from deadreckon.policies.kinds import Categorical, ClippedGaussian, Deterministic, Gaussian, TanhGaussian, TanhMeanGaussian
 from deadreckon.policies.planner import Planner
 from deadreckon.policies.policy import KINDS, NormalizedPolicy
+from deadreckon.policies.sequence import DecisionTransformerNet, DecisionTransformerPolicy
 from deadreckon.runs.player import predictor
 
 KEY = jax.random.key(0)
@@ -145,12 +146,17 @@ def with_old_names(node):
     return {fields.get(name, name): with_old_names(part) for name, part in node.items()} | {"kind": kind}
 
 
-@pytest.mark.parametrize("kind", ["gaussian", "perturbed", "greedy of perturbed", "thresholded", "planner", "mixture"])
+PARTLY_RENAMED = ["gaussian", "perturbed", "greedy of perturbed", "thresholded", "planner", "mixture", "transformer"]
+
+
+@pytest.mark.parametrize("kind", PARTLY_RENAMED)
 def test_files_with_old_names_are_read(kind, tmp_path):
     net = MLP.create(3, (8,), 2, KEY)
     planner = Planner(net, jnp.zeros((2, 2)), jnp.zeros(3), jnp.ones(3), 1, "learned", 3, 4, 2, 1, 2, 0.1)
     choices = dataclasses.replace(VIEW, low=None, high=None)
+    transformer = DecisionTransformerNet.create(SPEC, 1, 4, 1, KEY)
     policy = {
+        "transformer": lambda: EnvPolicy.of(DecisionTransformerPolicy(transformer, jnp.ones(()), jnp.ones(()), 3), VIEW),
         "thresholded": lambda: EnvPolicy.of(ThresholdedPolicy(net, Categorical(net), jnp.asarray(0.3)), choices),
         "planner": lambda: EnvPolicy.of(planner, VIEW),
         "mixture": lambda: Mixture.of([make("perturbed"), make("gaussian")]),
@@ -160,8 +166,13 @@ def test_files_with_old_names_are_read(kind, tmp_path):
         arrays = {name: file[name] for name in file.files}
     tree = json.loads(arrays.pop("policy.json").tobytes())
     old = tree | {"policy": with_old_names(tree["policy"])}
-    assert {"Deployed"} <= set(re.findall(r'"kind": "(\w+)"', json.dumps(old))) <= {*portable.RENAMED, *KINDS, "MLP", "VAE"}
+    assert {"Deployed"} <= set(re.findall(r'"kind": "(\w+)"', json.dumps(old))) <= {*portable.RENAMED, *KINDS, *store._PARTS}
     assert "EnvPolicy" not in json.dumps(old)
+    if kind == "transformer":  # as files had it before these names were in `RENAMED`
+        inner = old["policy"]["inner"]
+        assert (inner["kind"], inner["net"]["kind"]) == ("Asking", "Sequence")
+        assert "wanted" in inner
+        assert "target_return" not in inner
     np.savez(tmp_path / "old.npz", **{"policy.json": np.frombuffer(json.dumps(old).encode(), np.uint8)}, **arrays)
 
     again = store.load(tmp_path / "old.npz")
@@ -178,15 +189,15 @@ def test_a_file_tells_what_its_policy_was_taught(tmp_path):
     store.save(tmp_path / "p.npz", policy, {"agent": "bc"}, taught=ids)
     store.save(tmp_path / "half.npz", policy, half=True, taught=ids[:0])
     store.save(tmp_path / "old.npz", policy)
-    np.testing.assert_array_equal(store.taught(tmp_path / "p.npz"), ids)
-    assert store.taught(tmp_path / "p.npz").dtype == np.uint64
-    assert store.taught(tmp_path / "half.npz").size == 0  # known to be nothing
-    assert store.taught(tmp_path / "old.npz") is None
+    np.testing.assert_array_equal(store.load_all(tmp_path / "p.npz").taught, ids)
+    assert store.load_all(tmp_path / "p.npz").taught.dtype == np.uint64
+    assert store.load_all(tmp_path / "half.npz").taught.size == 0  # known to be nothing
+    assert store.load_all(tmp_path / "old.npz").taught is None
     assert store.meta(tmp_path / "p.npz") == {"agent": "bc"}
     np.testing.assert_array_equal(store.load(tmp_path / "p.npz")(x), policy(x))
     np.testing.assert_allclose(portable.load(tmp_path / "p.npz")(x), policy(x), atol=1e-5)
     with pytest.raises(UserError, match="no file"):
-        store.taught(tmp_path / "none.npz")
+        store.load_all(tmp_path / "none.npz")
 
 
 def constant(value, size=2):

@@ -17,7 +17,7 @@ from deadreckon.policies.kinds import Categorical, Deterministic
 from deadreckon.policies.planner import Planner
 from deadreckon.policies.policy import KINDS
 from deadreckon.policies.pure import MEMBER, REFUSED, pure
-from deadreckon.policies.sequence import Asking
+from deadreckon.policies.sequence import DecisionTransformerPolicy
 from tests.policies.test_policies import DRAWING, make
 
 KEY = jax.random.key(5)
@@ -77,7 +77,7 @@ def test_what_needs_more_than_its_observations_is_refused_in_one_line(kind):
     policy = EnvPolicy(object.__new__(kind), None, None, None, None)
     with pytest.raises(UserError, match=f"policies of the kind {kind.__name__} .*: they cannot be exported"):
         pure(policy)
-    assert kind in (Planner, Asking)
+    assert kind in (Planner, DecisionTransformerPolicy)
 
 
 def test_every_kind_that_the_package_has_is_exported_or_refused():

@@ -7,6 +7,9 @@ import numpy as np
 
 from deadreckon.agents import AGENTS, agent_class
 from deadreckon.files import write_json
+from deadreckon.report.entries import Page
+from deadreckon.report.rows import rows
+from deadreckon.report.simulated import Comparison, compare
 from deadreckon.runs.folder import Folder
 from deadreckon.tasks import registry
 
@@ -125,3 +128,8 @@ def told(gains: dict[str, tuple[float, float, float]], deploy: bool = True, *, c
                    "evidence": ["DR-linear: +9.00 [+1.00, +17.00], agrees that it is best"],
                    "warnings": [f"{names[1]}: {OBJECTION}"] if len(names) > 1 else [], "objections": objections},
     } | changes  # fmt: skip
+
+
+def compared(page: Page) -> Comparison | None:
+    """What the simulator says of a page's runs."""
+    return compare(page, rows(page))

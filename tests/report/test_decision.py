@@ -124,6 +124,8 @@ def test_estimates_of_other_runs_are_refused(runs, tmp_path):
     write_json(tmp_path / "ope" / "estimates.json", estimates)
     with pytest.raises(UserError, match="decides on other, which is not among these runs; name its folder too"):
         write(runs, tmp_path / "page.html", estimates=tmp_path / "ope")
+    with pytest.raises(UserError, match="decides on other, which is not among these runs; name its folder too"):
+        headline(runs, tmp_path / "ope")
 
 
 def test_runs_of_one_name_are_told_apart_by_their_files(tmp_path):

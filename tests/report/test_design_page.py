@@ -232,13 +232,18 @@ def test_a_score_for_which_designs_are_made_is_not_called_measured(tmp_path):
     """That of a diffusion model is neither measured nor predicted by a model."""
     data = table("noise")
     asked = np.full(3, data.y.max())
-    made = dataclasses.replace(designer("random").propose(data, 3), method="DDOM", predicted=asked)  # as that method gives them
-    assert _told(data, made)[1].startswith("DDOM: 3 proposals, best predicted cost ")
+    made = dataclasses.replace(designer("random").propose(data, 3), method="DDOM", predicted=asked, requested=True)
+    assert _told(data, made)[1].startswith("DDOM: 3 proposals, best requested cost ")
     assert dict(zip(*about(data, made).values()))["predicted"].startswith("the score for which the method makes its designs")
-    _, said = page(data, made, tmp_path)
+    text, said = page(data, made, tmp_path)
     assert "measured score" not in said
     assert "DDOM predicts no scores." not in said
-    assert "The best predicted score is" in said
+    assert "The best requested score is" in said
+    assert "predict" not in said.replace("no model that predicts scores", "").replace("no model predicts which", "")
+    assert ">Requested scores and distances to the data<" in text
+    assert 'aria-label="cost, requested against typical distances to the data"' in text
+    assert "no model predicts which score they have. A typical distance is" in said
+    assert "Whiskers" not in said
 
 
 def test_a_gain_is_one_over_predictions_for_measured_designs_and_not_over_a_lucky_measurement(tmp_path):

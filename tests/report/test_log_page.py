@@ -64,6 +64,14 @@ def test_every_column_stands_on_the_page(tmp_path):
     assert sum(int(count) for count in re.findall(r": (\d+) rows</title>", drawn)) == 54
 
 
+def test_what_is_no_page_is_not_replaced(tmp_path):
+    log = table()
+    (tmp_path / "table.csv").write_text("a,b")
+    with pytest.raises(UserError, match=r"table.csv: the page is HTML, and its name must end in .html"):
+        write_log(log, tmp_path / "table.csv", describe(log), [])
+    assert (tmp_path / "table.csv").read_text() == "a,b"
+
+
 @pytest.mark.slow
 def test_the_page_in_a_browser(tmp_path, browse):
     found, console = browse(page(table(), tmp_path), CHECK)

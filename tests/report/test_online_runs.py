@@ -5,7 +5,7 @@ import re
 import shlex
 
 import pytest
-from run_folders import write_run
+from run_folders import compared, write_run
 
 from deadreckon.cli.options import TrainOnline
 from deadreckon.cli.parse import parse
@@ -16,7 +16,6 @@ from deadreckon.report import headline, picture, table
 from deadreckon.report.entries import read
 from deadreckon.report.page import render
 from deadreckon.report.provenance import command
-from deadreckon.report.simulated import compare
 
 TURNS = {"copies": 4, "explore": 40, "updates_per_step": 0.5, "block": 20}  # 10 updates after every 20 steps
 
@@ -59,14 +58,14 @@ def test_curves_are_drawn_against_environment_steps(tmp_path):
 
 
 def test_nothing_is_said_to_be_better_than_a_log_that_is_not_there(tmp_path):
-    found = compare(read([online(tmp_path / "run")]))
+    found = compared(read([online(tmp_path / "run")]))
     assert (found.compared, found.versus_log, found.beaten, found.best.label) == (0, None, [], "SAC online")
     assert "evaluated in its training simulator" in found.caveats[0]
-    assert "not finished" in compare(read([online(tmp_path / "now", finished=False)])).caveats[0]
-    assert "1 of 2 seeds" in compare(read([online(tmp_path / "seed", failures={0: ("q", 100)})])).caveats[0]
+    assert "not finished" in compared(read([online(tmp_path / "now", finished=False)])).caveats[0]
+    assert "1 of 2 seeds" in compared(read([online(tmp_path / "seed", failures={0: ("q", 100)})])).caveats[0]
     for part in (tmp_path / "now" / "evaluations").iterdir():
         part.unlink()
-    assert compare(read([tmp_path / "now"])) is None
+    assert compared(read([tmp_path / "now"])) is None
     assert headline([tmp_path / "now"]) == "No evaluation is finished yet."
 
 
@@ -76,7 +75,7 @@ def test_beside_runs_on_a_log_it_is_shown_and_not_chosen(tmp_path):
     runs.append(online(tmp_path / "run"))
     page = read(runs)
     assert [e.label for e in page.entries] == ["BC", "SAC", "SAC online"]
-    found = compare(page)
+    found = compared(page)
     assert found.best.label == "SAC"
     assert "shown for comparison only: SAC online." in " ".join(found.caveats)
     assert "SAC online" not in " ".join(found.beaten)

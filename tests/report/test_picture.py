@@ -1,5 +1,6 @@
 """Learning curves as an SVG file for documents."""
 
+import io
 import re
 import xml.etree.ElementTree as ET
 
@@ -25,6 +26,15 @@ def test_a_panel_a_group_and_a_colour_a_name(runs, tmp_path):
     assert "data-hover" not in text
     # Behaviour cloning has the first colour in both panels.
     assert text.count('data-agent="0"') == 2
+
+
+def test_letters_do_not_depend_on_the_locale(runs, tmp_path, monkeypatch):
+    """Where the system's encoding is another one, minus signs and names are written in UTF-8 as everywhere."""
+    monkeypatch.setattr(io, "text_encoding", lambda encoding, level=2: encoding or "latin-1")
+    path = picture(tmp_path / "curves.svg", {"−": runs[:1]}, names={"bc": "naïve"})
+    text = path.read_bytes().decode("utf-8")
+    assert ">−<" in text
+    assert ">naïve<" in text
 
 
 def test_a_logarithmic_axis_and_refusals(runs, tmp_path):

@@ -3,11 +3,11 @@
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from run_folders import TASK, write_run
+from run_folders import TASK, compared, write_run
 
 from deadreckon.report.entries import read
+from deadreckon.report.page import render
 from deadreckon.report.rows import against, paired, rows, versus
-from deadreckon.report.simulated import compare
 from deadreckon.report.terminal import headline, table
 from deadreckon.stats.crossed import mean_interval
 from deadreckon.stats.interval import ALPHA, Interval
@@ -78,9 +78,10 @@ def test_interval_covers(seeds, between):
 
 
 def test_the_simulator_compares_and_decides_nothing(tmp_path, runs):
-    found = compare(read(runs))
+    found = compared(read(runs))
     assert found.best.label == "TD3+BC"
     assert found.headline.startswith("Best in the simulator: TD3+BC, score ")
+    assert found.standing == "Best in the simulator"
     assert "eploy" not in found.headline
     assert found.compared == 3 + 2  # each with the behaviour policy, and all but cloning with cloning
     assert found.versus_log.worth.low > 0
@@ -90,20 +91,32 @@ def test_the_simulator_compares_and_decides_nothing(tmp_path, runs):
     assert "Not clearly better: TD3" in text
     assert "TD3's critic estimated 3.00e7" in text
     seed = write_run(tmp_path / "seed", "sac", 300.0, failures={0: ("q", 100)})
-    found = compare(read([*runs, seed]))
+    found = compared(read([*runs, seed]))
     assert found.best.label == "SAC"
     assert "1 of 2 seeds of SAC failed" in " ".join(found.caveats)
-    assert "chance" in compare(read([write_run(tmp_path / "same", "sac", 25.0)])).headline
-    assert "below the behaviour policy" in compare(read([write_run(tmp_path / "worse", "sac", -80.0)])).headline
-    assert "not finished" in compare(read([write_run(tmp_path / "now", "sac", 300.0, finished=False)])).caveats[0]
-    unknown = compare(read([write_run(tmp_path / "none", "sac", 300.0, behavior=None)]))
+    assert "chance" in compared(read([write_run(tmp_path / "same", "sac", 25.0)])).headline
+    assert "below the behaviour policy" in compared(read([write_run(tmp_path / "worse", "sac", -80.0)])).headline
+    assert "not finished" in compared(read([write_run(tmp_path / "now", "sac", 300.0, finished=False)])).caveats[0]
+    unknown = compared(read([write_run(tmp_path / "none", "sac", 300.0, behavior=None)]))
     assert (unknown.compared, unknown.versus_log) == (0, None)
+
+
+def test_a_run_that_is_not_evaluated_yet_is_not_beaten(tmp_path):
+    """The stamp and the sentence below it say the same of how many were compared."""
+    runs = [write_run(tmp_path / "done", "iql", 60.0), write_run(tmp_path / "begun", "cql", finished=False)]
+    for part in (tmp_path / "begun" / "evaluations").iterdir():
+        part.unlink()
+    page = read(runs)
+    found = compared(page)
+    assert found.standing == "In the simulator"
+    assert found.headline.startswith("In the simulator: IQL,")
+    assert "Best in the simulator" not in render(page)
 
 
 def test_differences_hold_for_all_that_are_compared(tmp_path):
     """Bonferroni: the more is compared, the wider; as wide as the interval at that level, computed anew."""
     runs = [write_run(tmp_path / f"a{i}", "sac", 80.0 - i, seeds=4, seed=i) for i in range(4)]
-    few, many = compare(read(runs[:1])), compare(read(runs))
+    few, many = compared(read(runs[:1])), compared(read(runs))
     assert (few.compared, many.compared) == (1, 4)
     best = many.best
     reach = lambda gap: gap.worth.high - gap.worth.low  # noqa: E731
@@ -115,7 +128,7 @@ def test_differences_hold_for_all_that_are_compared(tmp_path):
 
 def test_without_a_gain_the_page_does_not_claim_one(tmp_path):
     page = read([write_run(tmp_path / "a", "bc", 60.0), write_run(tmp_path / "b", "sac", 60.0, seed=1)])
-    assert compare(page).beaten[0].startswith("No agent clearly beats BC")
+    assert compared(page).beaten[0].startswith("No agent clearly beats BC")
 
 
 def test_a_private_task_is_shown_in_returns(tmp_path):

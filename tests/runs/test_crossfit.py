@@ -66,7 +66,7 @@ def test_the_mixture_is_of_all_folds_and_has_seen_everything(fitted, log):
     fits = np.array([np.isclose(acts, run.policy(X), atol=1e-6).all(1) for run in fitted.runs])
     assert fits.any(0).all()
     assert fits.sum(1).min() > 5
-    np.testing.assert_array_equal(np.sort(store.taught(fitted.policy_path)), np.sort(log.episode_ids))
+    np.testing.assert_array_equal(np.sort(store.load_all(fitted.policy_path).taught), np.sort(log.episode_ids))
     assert fitted.config["members"] == [[0, 0], [1, 0], [2, 0]]
     again = dr.load_cross_fit(fitted.path)
     assert again.config == fitted.config == read_json(fitted.path / "crossfit.json")

@@ -73,7 +73,7 @@ class Fits:
 def test_a_cross_fit_is_evaluated_on_all_of_another_log_whatever_equals_its_episodes():
     """Only the new episodes that equal old ones by chance were kept, which are those with the old outcomes."""
     old, new = contexts(0, success=0.3), contexts(1, success=0.6)
-    given = Gathered((Fits(old), 0), "c", 0, None, read=Read({}, None, old.episode_ids))
+    given = Gathered(None, "c", 0, None, cross=Fits(old), read=Read({}, None, old.episode_ids))
     found = fresh([given], new, True)
     assert found.held.tolist() == list(range(300))
     assert "on which no policy was trained, according to --unseen" in found.told
@@ -84,7 +84,7 @@ def test_a_cross_fit_is_evaluated_on_all_of_another_log_whatever_equals_its_epis
 def test_a_part_of_its_own_log_is_no_other_log_for_a_cross_fit():
     """Whatever the user says of it: each fold's policy is evaluated on the fold's episodes."""
     log = contexts(0)
-    given = Gathered((Fits(log), 0), "c", 0, None, read=Read({}, None, log.episode_ids))
+    given = Gathered(None, "c", 0, None, cross=Fits(log), read=Read({}, None, log.episode_ids))
     part = log.select(np.arange(200))
     np.testing.assert_array_equal(for_case(given, part, True).which, folds(log, 2)[:200])
 
@@ -95,14 +95,14 @@ def test_the_mixture_of_a_cross_fit_is_evaluated_on_another_log():
     reward = np.where(new.actions == 1, 1.0, 0.0)
     new = Dataset.from_arrays(observations=new.observations, actions=new.actions, rewards=reward, terminals=new.terminals,
                               behavior_log_probs=new.extras["behavior_log_probs"])  # fmt: skip
-    given = Gathered((Fits(old), 0), "c", 0, None, read=Read({}, None, old.episode_ids))
+    given = Gathered(None, "c", 0, None, cross=Fits(old), read=Read({}, None, old.episode_ids))
     policy = for_case(given, new, True)
     assert np.bincount(policy.which).tolist() == [2000, 2000]
     case = OPEInput(new, [policy])
     assert case.inflation.tolist() == [1.0]  # none of them was trained on it
     weights = np.exp(case.log_probs[0] - np.log(0.5))
     assert (weights * reward).mean() == pytest.approx(0.5, abs=0.05)
-    assert for_case(given._replace(policy=(Fits(old, "refit"), 0)), new, True) == "refit"
+    assert for_case(given._replace(cross=Fits(old, "refit")), new, True) == "refit"
 
 
 def test_looks_at_unrelated_logs_are_no_looks_at_each_other(tmp_path, monkeypatch):

@@ -18,7 +18,8 @@ from deadreckon.ope import LinearFQE, OPEInput
 from deadreckon.policies import BlackBoxPolicy
 from deadreckon.policies.deployed import history_of
 from deadreckon.runs.offline import judge
-from deadreckon.runs.train import load, train
+from deadreckon.runs.run import load
+from deadreckon.runs.train import train
 
 DISCOUNT, BEST, MEMORYLESS = 0.9, 1.35, 0.9
 AGENT = dr.agents.CQL(hidden=(16,), batch_size=64, cql_weight=0.0, discount=DISCOUNT, critic_lr=3e-3, tau=0.05)

@@ -63,7 +63,7 @@ def test_a_fifth_is_held_out_where_nothing_else_judges(run, log):
     kept = sorted((run.path / "policies").iterdir())
     assert len(kept) == 4
     for path in kept:
-        np.testing.assert_array_equal(store.taught(path), run.taught)
+        np.testing.assert_array_equal(store.load_all(path).taught, run.taught)
     assert "trained on 16 of 20 episodes; 4 are held out for `deadreckon ope`" in summary(run)
 
 
@@ -120,7 +120,7 @@ def test_a_run_that_is_gone_on_with_keeps_what_it_held_out(run, log, tmp_path):
     assert longer.config["data"]["holdout"] == half.config["data"]["holdout"]
     np.testing.assert_array_equal(longer.held, log.episode_ids[Holdout(0.2, "user", 3).parts(log).held])
     np.testing.assert_array_equal(longer.held, log.episode_ids[np.isin(log.episode_ids, half.taught, invert=True)])
-    np.testing.assert_array_equal(store.taught(longer.path / "policies" / "seed0.npz"), longer.taught)
+    np.testing.assert_array_equal(store.load_all(longer.path / "policies" / "seed0.npz").taught, longer.taught)
     fold = train(log, tmp_path / "fold", holdout=Fold(1, 5, "time"))
     assert train(log, fold.path, resume=True, steps=6).config["data"]["holdout"]["fold"] == 1
 
@@ -137,7 +137,7 @@ def test_a_run_from_before_goes_on_with_all_episodes(log, tmp_path):
         store.save(path, store.load(path), store.meta(path))
     assert dr.load_run(old).taught is None
     assert dr.load_run(old).held is None
-    assert store.taught(old / "policies" / "seed0.npz") is None
+    assert store.load_all(old / "policies" / "seed0.npz").taught is None
     with pytest.raises(UserError, match="holds another run: data"):
         train(log, old, resume=True, holdout=0.2, steps=6)
     again = train(log, old, resume=True, steps=6)
@@ -178,7 +178,7 @@ def test_runs_that_share_a_program_hold_the_same_out(log, tmp_path):
     runs = dr.train_together(agents, log, out=tmp_path / "all", holdout=Holdout(0.5), **OPTIONS)
     for run in runs.values():
         np.testing.assert_array_equal(run.held, log.episode_ids[Holdout(0.5).parts(log).held])
-        np.testing.assert_array_equal(store.taught(run.path / "policies" / "seed0.npz"), run.taught)
+        np.testing.assert_array_equal(store.load_all(run.path / "policies" / "seed0.npz").taught, run.taught)
 
 
 @pytest.mark.slow

@@ -82,8 +82,8 @@ def test_its_own_steps_are_episodes_that_it_was_trained_on(run, tmp_path):
     log = replayed(run)
     np.testing.assert_array_equal(run.taught, np.unique(log.episode_ids))
     assert run.held.size == 0
-    np.testing.assert_array_equal(store.taught(run.path / "policies" / "seed0.npz"), run.taught)
-    assert store.taught(run.path / "policies" / f"{16:010d}-seed0.npz") is None  # whose steps had not all been taken
+    np.testing.assert_array_equal(store.load_all(run.path / "policies" / "seed0.npz").taught, run.taught)
+    assert store.load_all(run.path / "policies" / f"{16:010d}-seed0.npz").taught is None  # whose steps had not all been taken
     write_hdf5(log, tmp_path / "replay.hdf5")
     for given in (log, read_hdf5(tmp_path / "replay.hdf5")):
         assert fresh(gather(run), given, False).against == [LEARNED]

@@ -179,8 +179,8 @@ def test_policies_of_several_runs_keep_what_they_have_learned_from(tmp_path):
     assert len(told) == 1 + len(names)
     assert {"sampled", "updates", "environment_steps"} == set(about["policies"]["wide-0-4"])
     assert about["run"]["runs"]["wide"]["agent"]["fields"]["hidden"] == [9]
-    kept = store.taught(tmp_path / "library" / "hopper" / "wide-0-4.npz")
-    np.testing.assert_array_equal(kept, store.taught(folders["wide"] / "policies" / "seed0.npz"))
+    kept = store.load_all(tmp_path / "library" / "hopper" / "wide-0-4.npz").taught
+    np.testing.assert_array_equal(kept, store.load_all(folders["wide"] / "policies" / "seed0.npz").taught)
     assert 0 < len(kept) < logs[0].episodes
     # Measured once: the same command has nothing to do.
     told.clear()

@@ -135,7 +135,7 @@ def test_a_log_that_is_no_table_has_no_names_to_compare(tmp_path):
 def test_files_of_before_say_nothing_of_their_log(part, tmp_path):
     log, (run, _) = part
     store.save(tmp_path / "old.npz", run.policy, taught=run.taught)
-    assert store.held(tmp_path / "old.npz") is None
+    assert store.load_all(tmp_path / "old.npz").held is None
     assert len(fresh(gather([tmp_path / "old.npz"]), log, False).held) == 14
 
 

@@ -203,7 +203,7 @@ def test_input_that_does_not_fit_is_an_error_and_leaves_nothing(doing, tmp_path)
 
 
 def test_estimates_that_are_there_are_the_card_even_if_the_check_hangs(doing, time_is_over, tmp_path):
-    result = {"method": "DR", "title": "dr (DR)", "value": [2.0, 1.0], "low": [1.5, 0.9], "high": [2.5, 1.1],
+    result = {"method": "DR", "title": "dr (DR)", "value": [2.0, None], "low": [1.5, None], "high": [2.5, None],
               "gain": [[1.0, 0.4, 1.6]], "effective": None}  # fmt: skip
     choice = {"name": "bc seed 0", "deploy": True, "gain": [1.0, 0.4, 1.6], "level": 0.975, "reason": "it is better",
               "evidence": [], "warnings": [], "objections": [[]]}  # fmt: skip
@@ -221,7 +221,7 @@ def test_estimates_that_are_there_are_the_card_even_if_the_check_hangs(doing, ti
     assert found.judged
     assert found.choice.deploy
     assert "DEPLOY bc seed 0: it is better." in str(found)
-    assert "bc seed 0 2.00 [1.50, 2.50]" in " ".join(str(found).split())
+    assert "bc seed 0 2.00 [1.50, 2.50] behaviour policy - [-, -]" in " ".join(str(found).split())
     assert read_json(tmp_path / "out" / "estimates.json")["recommend"]["late"]
     assert "it is better" in (tmp_path / "out" / "report.html").read_text()
 
@@ -420,6 +420,7 @@ def test_a_candidate_that_hardly_began_is_left_out_beside_others(small, tmp_path
     assert len(learn()) == 1
     assert [each["name"] for each in made.told if each["state"] == "learned"] == kept
     assert "bc is left out: its time was over after 60 updates" in of(sent, "line")
+    assert {each["state"] for each in made.told} <= recommended.recommending.STATES.keys()  # which are shown in words
 
 
 def test_deterministic_policies_come_last_and_the_plan_says_what_that_means():

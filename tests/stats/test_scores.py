@@ -386,7 +386,7 @@ GOOD = {"a": [1.0, 2.0], "b": [3.0, 4.0]}
             "'CQL' of task 'a' must be finite, got nan at place 1",
         ),
         (lambda: bold({"BEAR": GOOD, "CQL": {"a": [1.0]}}), "'BEAR' has 'b' and 'CQL' has not"),
-        (lambda: bold({"BEAR": GOOD}, level=1.0), "level must lie"),
+        (lambda: bold({"BEAR": GOOD}, alpha=1.0), "alpha must lie"),
     ],
 )
 def test_wrong_input_is_told_in_one_line(call, words):

@@ -86,7 +86,7 @@ def test_the_demonstrations_rewards_are_ours(real_data):
 def test_a_demonstration_can_be_begun_where_it_began(real_data, theirs):
     state = load_pickle(real_data / "adroit" / "door-v0_demos.pickle")[3]["init_state_dict"]
     simulator = tasks.task("door").simulate([0])
-    seen = simulator.begin(state["qpos"][None], state["qvel"][None], state["door_body_pos"][None])
+    simulator._start(range(1), np.concatenate([state[key] for key in ("door_body_pos", "qpos", "qvel")])[None])
     env = theirs["door"]
     env.reset(options={"initial_state_dict": state})
     for _ in range(20):

@@ -10,7 +10,7 @@ from gymnasium.utils.env_checker import check_env
 import deadreckon.tasks.envs  # noqa: F401  (gives Gymnasium the ids)
 from deadreckon.collect import generate
 from deadreckon.collect.driving import CRUISE, pursue
-from deadreckon.collect.references import controlled_returns, measure_driving
+from deadreckon.collect.references import controlled_returns, measure
 from deadreckon.tasks import driving, road_scene
 from deadreckon.tasks.car import AXLE, BRAKE, DRAG, DRIVE, GRIP, ROLL, STEER, STEP, course, moved
 from deadreckon.tasks.driving import TASK
@@ -131,8 +131,7 @@ def test_the_lane_is_closed_and_progress_does_not_jump_at_the_crossing():
 
 
 def test_the_controller_scores_100_and_uniform_actions_0():
-    measured = measure_driving(TASK)
-    assert (measured.random, measured.expert) == pytest.approx((TASK.reference.random, TASK.reference.expert), abs=1e-3)
+    assert measure(TASK) == pytest.approx((TASK.reference.random, TASK.reference.expert), abs=1e-3)
     returns = controlled_returns(TASK, pursue, range(500, 540))
     scores = TASK.scores(returns)
     assert abs(scores.mean() - 100.0) < 4 * scores.std() / np.sqrt(len(scores)) + 0.5

@@ -111,8 +111,6 @@ def test_pictures_are_seen_from_inside_the_kitchen():
     simulator.picture(0, (4, 4), drawn := Drawn())
     assert (drawn.camera.distance, drawn.camera.azimuth, drawn.camera.elevation) == (2.2, 70.0, -35.0)
     assert drawn.camera.lookat.tolist() == [-0.2, 0.5, 2.0]
-    simulator.picture(0, (4, 4), drawn, camera=-1)
-    assert drawn.camera == -1
 
 
 def test_a_logs_episodes_are_worth_the_subtasks_that_are_done_in_them():

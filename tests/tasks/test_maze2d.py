@@ -140,12 +140,19 @@ def test_the_ball_stays_in_the_maze(name):
     assert visited.mean() > 0.8
 
 
+def set_moving(simulator, moving):
+    """Begins episodes in (copies, 4) positions and velocities."""
+    state = simulator.state()
+    state["physics"][:], state["age"][:] = np.concatenate([np.zeros((len(moving), 1)), moving], 1), 0
+    simulator.restore(state)
+
+
 def test_free_motion_follows_the_equation():
     """m v' = 100 a - v, integrated with the damping taken implicitly; velocities are clipped before the step."""
     mass = 1000 * 4 / 3 * np.pi * RADIUS**3
     assert model(UMAZE.layout).body_mass[1] == pytest.approx(mass)
     simulator = UMAZE.simulate([0])
-    simulator.set_state(np.array([[2.8, 2.0, 7.0, 0.5]]))
+    set_moving(simulator, np.array([[2.8, 2.0, 7.0, 0.5]]))
     observations = simulator.step(np.array([[-0.3, 9.0]]))[0][0]
     velocity = (np.array([5.0, 0.5]) + 0.01 * np.array([-30.0, 100.0]) / mass) / (1 + 0.01 / mass)
     np.testing.assert_allclose(observations[2:], velocity, rtol=1e-6)
@@ -154,7 +161,7 @@ def test_free_motion_follows_the_equation():
 
 def test_walls_stand_where_the_physics_has_them():
     simulator = UMAZE.simulate([0])
-    simulator.set_state(np.array([[1.0, 1.0, 0.0, 0.0]]))
+    set_moving(simulator, np.array([[1.0, 1.0, 0.0, 0.0]]))
     for _ in range(200):
         seen = simulator.advance(np.array([[-1.0, -1.0]], np.float32))
     # Pressed into the corner of cell (1, 1), whose free space starts at 0.3: the ball's middle is a radius further.
@@ -187,7 +194,7 @@ def test_rewards_are_of_the_observation_after_the_step():
         task = tasks.task(name)
         simulator = task.simulate(range(50))
         simulator.reset()
-        simulator.set_state(np.concatenate([np.linspace([1, 1], [1, 2], 50), np.ones((50, 2))], 1))
+        set_moving(simulator, np.concatenate([np.linspace([1, 1], [1, 2], 50), np.ones((50, 2))], 1))
         observations, rewards, terminals, timeouts = simulator.step(np.ones((50, 2)))
         distance = np.linalg.norm(observations[:, :2].astype(float) - [1, 1], axis=1)
         expected = np.exp(-distance) if task.dense else (distance <= 0.5).astype(float)

@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from lane_poses import lane_pose
 
 from deadreckon.errors import UserError
 from deadreckon.tasks.road_maps import figure_eight, town
@@ -69,10 +70,10 @@ def test_lanes_lie_to_the_right_of_who_drives_on_them():
     np.testing.assert_allclose(along.pose(0.0), [0, -2, 0, 1 / 22], atol=1e-14)
     np.testing.assert_allclose(against.pose(0.0), [18.5, 20, math.pi * 1.5, -1 / 18.5], atol=1e-14)
     np.testing.assert_allclose(against.pose(against.total), [0, 1.5, math.pi, -1 / 18.5], atol=1e-14)
-    np.testing.assert_allclose(road.lane_pose(1, 0.0, offset=0.5), [0, 1, math.pi, -1 / 18.5], atol=1e-14)
+    np.testing.assert_allclose(lane_pose(road, 1, 0.0, offset=0.5), [0, 1, math.pi, -1 / 18.5], atol=1e-14)
     np.testing.assert_allclose(road.pose(0.0, 5.0)[:2], [0, 5], atol=1e-14)
     with pytest.raises(UserError, match="road 1 has no lane 3, but 2, 1, -1"):
-        road.lane_pose(3, 0.0)
+        road.lane_offset(3)
     with pytest.raises(UserError, match="road 1, lane 2: an arc of radius 3 m has no path 4 m inside of it"):
         Road(1, (Geometry(0, 0, 0, 1, 1 / 3),), (Lane(2, 2.0), Lane(1, 3.0)))
 
@@ -134,7 +135,7 @@ def test_a_town_has_streets_junctions_corners_and_lights():
     assert sorted(len(junction.connections) for junction in TOWN.junctions) == [6] * 6 + [12] * 2
     turns = [network.geometry[0].curvature for network in TOWN.roads if network.junction != -1]
     assert {round(1 / turn) for turn in turns if turn} == {10, -10}
-    assert (len(TOWN.signals), len(TOWN.controllers)) == (8, 4)
+    assert len(TOWN.signals) == 6 * 3 + 2 * 4
     for signal in TOWN.signals:
         road = next(road for road in TOWN.roads if road.id == signal.road)
         lane = -1 if signal.orientation == "+" else 1
@@ -142,12 +143,13 @@ def test_a_town_has_streets_junctions_corners_and_lights():
         route = Route(TOWN, ((road.id, lane),))
         assert [(pytest.approx(route.total - 1.0), signal)] == list(route.signals())
         assert signal.t * lane > 3.5
-    for controller in TOWN.controllers:  # lights that show the same are opposite
-        one, other = (next(signal for signal in TOWN.signals if signal.id == id) for id in controller.signals)
-        poses = [next(road for road in TOWN.roads if road.id == each.road).pose(each.s) for each in (one, other)]
-        assert math.cos(poses[0].heading - poses[1].heading) == pytest.approx(1.0)
-        assert one.orientation != other.orientation
-    for bad in ({"blocks": (0, 1)}, {"block": 30.0}, {"junction": 3.0}, {"corner": math.nan}):
+    assert [controller.signals for controller in TOWN.controllers] == [(signal.id,) for signal in TOWN.signals]
+    for junction in TOWN.junctions:  # who comes in by one street has one light
+        own = {controller.id: controller.signals[0] for controller in TOWN.controllers if controller.id in junction.controllers}
+        lit = {signal.road for signal in TOWN.signals if signal.id in own.values()}
+        assert lit == {connection.incoming for connection in junction.connections}
+        assert len(own) == len(lit)
+    for bad in ({"blocks": (0, 1)}, {"blocks": (2, 51)}, {"lane_width": 5.5}, {"lane_width": math.nan}):
         with pytest.raises(UserError, match="must be between"):
             town(**bad)
     with pytest.raises(UserError, match="radius must be between 10.5"):
@@ -249,7 +251,7 @@ def test_places_on_a_lane_are_those_beside_its_road():
     for network, key in ((each, key) for each in (EIGHT, TOWN) for key in each.following):
         road, route = network.road(key[0]), Route(network, (key,))
         for s in generator.uniform(0, road.length, 5):
-            pose, mine = route.pose(route._distance(key, s)), road.lane_pose(key[1], s)
+            pose, mine = route.pose(route._distance(key, s)), lane_pose(road, key[1], s)
             np.testing.assert_allclose([mine.x, mine.y, mine.curvature], [pose.x, pose.y, pose.curvature], atol=1e-9)
             assert math.cos(mine.heading - pose.heading) == pytest.approx(1.0)
 

@@ -11,7 +11,7 @@ from town_lanes import TABLE, street
 import deadreckon.tasks.envs  # noqa: F401  (gives Gymnasium the ids)
 from deadreckon.collect.driving import KINDS, collect_driving
 from deadreckon.collect.recipes import recipe
-from deadreckon.collect.references import measure_driving
+from deadreckon.collect.references import measure
 from deadreckon.collect.town import NOISE, drive, route_ahead
 from deadreckon.tasks import car, town, traffic
 from deadreckon.tasks.lane_table import NONE
@@ -254,5 +254,4 @@ def test_a_short_log(kind, tmp_path):
 
 @pytest.mark.slow
 def test_the_controller_scores_100_and_uniform_actions_0():
-    measured = measure_driving(TASK, drive)
-    assert (measured.random, measured.expert) == pytest.approx((TASK.reference.random, TASK.reference.expert), abs=1e-3)
+    assert measure(TASK) == pytest.approx((TASK.reference.random, TASK.reference.expert), abs=1e-3)

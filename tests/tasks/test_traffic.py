@@ -1,6 +1,7 @@
 """Other cars in a town by closed forms, and its lights."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from town_lanes import TABLE, street
 from deadreckon.errors import UserError
 from deadreckon.tasks import traffic
 from deadreckon.tasks.lane_table import NONE, LaneTable
-from deadreckon.tasks.road_maps import town as town_map
+from deadreckon.tasks.road_network import Network
 from deadreckon.tasks.town import TASK
 from deadreckon.tasks.traffic import GREEN, LENGTH, PHASE, RED, YELLOW, Learner, Traffic, acceleration, colours, touching
 
@@ -131,8 +132,9 @@ def test_lights_take_turns_and_never_show_green_to_two_streets_of_a_junction():
 
 
 def test_lanes_of_other_towns_are_refused():
+    dark = TABLE.network
     with pytest.raises(UserError, match="leads to a junction without a traffic light"):
-        LaneTable(town_map())
+        LaneTable(Network(dark.roads, tuple(replace(junction, controllers=()) for junction in dark.junctions)))
 
 
 def test_touching_rectangles():

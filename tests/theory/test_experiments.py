@@ -77,7 +77,7 @@ def test_projections_are_least_squares():
 
 def test_stitching():
     """9 steps from A to C, which neither trajectory has taken; where they part, cloning goes either way."""
-    found = fitted.stitching(size=7, discount=0.9)
+    found = fitted.stitching()
     assert found.values["Q-iteration on the log"] == pytest.approx(0.9**8)
     assert found.values["behaviour cloning"] == pytest.approx(0.5 * 0.9**8)
     assert found.values["returns of trajectories from A"] == 0.0

@@ -19,14 +19,14 @@ from deadreckon.agents.agent import Agent
 from deadreckon.data.batch import BatchSpec
 from deadreckon.errors import UserError
 from deadreckon.nets.optim import apply_gradients, clip_by_norm, init_opt
-from deadreckon.policies.sequence import Asking, Sequence
+from deadreckon.policies.sequence import DecisionTransformerNet, DecisionTransformerPolicy
 from deadreckon.training.hyperparameters import Count, NonNegative, Number, Positive, Range, Sizes, static
 
 
 class State(NamedTuple):
     """Network, optimiser, and the log's returns."""
 
-    net: Sequence
+    net: DecisionTransformerNet
     opt: optax.OptState
     best: Array
     worst: Array
@@ -72,7 +72,7 @@ class DecisionTransformer(Agent):
 
     def init(self, spec, key) -> Any:
         """An initial network; the log's returns are not known yet."""
-        net = Sequence.create(spec, self.layers, self.hidden[0], self.heads, key)
+        net = DecisionTransformerNet.create(spec, self.layers, self.hidden[0], self.heads, key)
         return State(net, init_opt(net), jnp.ones(()), jnp.zeros(()), jnp.ones(()))
 
     def prepare(self, state, rows, key, fit):
@@ -82,7 +82,7 @@ class DecisionTransformer(Agent):
         best, worst, scale = (jnp.asarray(x, jnp.float32) for x in (returns.max(), returns.min(), most if most > 0 else 1.0))
         return state._replace(best=best, worst=worst, scale=scale)
 
-    def loss(self, net: Sequence, scale: Array, batch, key) -> Array:
+    def loss(self, net: DecisionTransformerNet, scale: Array, batch, key) -> Array:
         """Mean squared error of the actions of the steps that are there."""
         found = net(batch.return_to_go / scale, batch.observation, batch.action, batch.time, batch.mask, self.dropout, key)
         return (batch.mask[..., None] * jnp.square(found - batch.action)).mean() / batch.mask.mean()
@@ -97,4 +97,4 @@ class DecisionTransformer(Agent):
     def policy(self, state):
         """Asks for the return that `ask` says."""
         wanted = state.worst + self.target_return * (state.best - state.worst)
-        return Asking(state.net, wanted, state.scale, self.context_length)
+        return DecisionTransformerPolicy(state.net, wanted, state.scale, self.context_length)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from deadreckon import text_table
 from deadreckon.bench.published import TABLES
 from deadreckon.bench.tables import Table
 from deadreckon.data.formats.csv_out import write_rows
@@ -60,12 +61,10 @@ def _grid(table: Table, mark: str) -> list[list[str]]:
 
 def _text(table: Table) -> str:
     rows = _grid(table, "*{}")
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = ["  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:]))]).rstrip() for row in rows]
-    rule = "  ".join("-" * w for w in widths)
     starred = any("*" in cell for row in rows for cell in row)
     told = f", or not significantly different from it by Welch's t-test (p > {ALPHA:g})" if table.suite.seeds > 1 else ""
-    return "\n".join([lines[0], rule, *lines[1:], *(["", f"* best{told}"] if starred else [])])
+    text = text_table.table(rows, right=range(1, len(rows[0])))
+    return f"{text}\n\n* best{told}" if starred else text
 
 
 def _markdown(table: Table) -> str:

@@ -17,7 +17,8 @@ from deadreckon.bench.store import Store
 from deadreckon.bench.tune import chosen, judging_of, suite, tried
 from deadreckon.bench.tuned import By, Trial, Tuned, named, standing_of
 from deadreckon.errors import UserError, extra, unknown
-from deadreckon.runs.settings import JudgeOptions, check_seed
+from deadreckon.randomness import check_seed
+from deadreckon.runs.settings import JudgeOptions
 from deadreckon.training.field_names import with_field_names
 from deadreckon.training.hyperparameters import check_fields
 

@@ -22,7 +22,7 @@ from deadreckon.ope.dope import printed as ope_printed
 from deadreckon.ope.registry import estimator
 from deadreckon.stats.comparison import bold
 from deadreckon.stats.interval import PERCENT, Interval
-from deadreckon.stats.means import mean_interval
+from deadreckon.stats.means import student_interval
 from deadreckon.stats.scores import interval, iqm
 from deadreckon.training.field_names import with_field_names
 
@@ -98,7 +98,7 @@ class Cell:
     @property
     def estimate(self) -> Interval:
         """Their mean with Student's interval; a single seed has none."""
-        return mean_interval(self.scores)
+        return student_interval(self.scores)
 
 
 @dataclass(frozen=True)

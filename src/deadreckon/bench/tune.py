@@ -27,9 +27,10 @@ from deadreckon.files import write_json
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.coverage import MODEL
 from deadreckon.ope.metrics import compare
+from deadreckon.randomness import check_seed
 from deadreckon.runs.holdout import trial_parts
 from deadreckon.runs.offline import judge
-from deadreckon.runs.settings import JudgeOptions, JudgeSettings, RunSettings, check_seed
+from deadreckon.runs.settings import JudgeOptions, JudgeSettings, RunSettings
 from deadreckon.tasks.registry import of_log
 from deadreckon.training.field_names import with_field_names
 from deadreckon.training.hyperparameters import check_fields

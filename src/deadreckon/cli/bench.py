@@ -78,7 +78,7 @@ def bench(args: Sequence[str]) -> None:
 
 def _list(args: Sequence[str]) -> None:
     from deadreckon.bench.suite import names, read
-    from deadreckon.cli.show import table
+    from deadreckon.text_table import table
 
     parse(List, args, "bench list")
     suites = [read(name) for name in names()]

@@ -11,8 +11,8 @@ import tyro
 from deadreckon.cli.collect import Collect, collect
 from deadreckon.cli.parse import parse
 from deadreckon.cli.progress import Bar
-from deadreckon.cli.show import table
 from deadreckon.errors import UserError, unknown
+from deadreckon.text_table import table
 
 
 @dataclass
@@ -141,7 +141,7 @@ KINDS = {
 }  # fmt: skip
 
 
-def mapping_options(given: Mapping) -> dict[str, Any]:
+def mapping_options(given: Reading) -> dict[str, Any]:
     """Only what was given, as `deadreckon.read` takes it."""
     return {key: value for key, value in vars(given).items() if value is not None}
 
@@ -216,7 +216,7 @@ def _info(options: Info) -> None:
     from deadreckon.data.catalogue import load
     from deadreckon.data.info import describe, render, warnings_for
     from deadreckon.data.leaks import leaks
-    from deadreckon.data.told import columns_of, table_of
+    from deadreckon.data.told import columns_of, text_of_columns
 
     if options.html is not None:
         from deadreckon.report.page import check_page
@@ -226,7 +226,7 @@ def _info(options: Info) -> None:
     log = load(options.file, horizon=options.horizon, **mapping_options(options.map))
     info = describe(log)
     warnings = (*warnings_for(log, info), *leaks(log))
-    print(f"{render(info)}\n\n{table_of(columns_of(log))}")
+    print(f"{render(info)}\n\n{text_of_columns(columns_of(log))}")
     if warnings:
         print("\n" + "\n".join(f"! {line}" for line in warnings))
     if options.html is not None:

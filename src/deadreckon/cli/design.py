@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from deadreckon.cli import design_front
-from deadreckon.cli.data import Reading
-from deadreckon.cli.design_asked import asked, check_budget, check_problem, designs, reading, size_told
+from deadreckon.cli.data import Reading, mapping_options
+from deadreckon.cli.design_asked import asked, check_budget, check_problem, designs, size_told
 from deadreckon.cli.parse import chosen, parse
 from deadreckon.cli.progress import Bar, Watch
 from deadreckon.cli.sheets import write_beside
@@ -169,7 +169,7 @@ def _told(data: Any, made: Any) -> list[str]:
     within = float(data.shown(data.y[best_permitted(data)]))
     inside = f", within the rules {within:,.4g}" if within != best else ""
     lines = [f"{size_told(data)}; best {data.target} {best:,.4g}{ties}{inside}"]
-    how = "measured" if made.measured else "predicted"
+    how = made.how
     predicted = f", best {how} {data.target} {most:,.4g}" if made.predicts else ""
     if made.predicts and made.fitted is not None:
         predicted += f" (for a measured design {float(data.shown(most_expected(data, made.fitted)[1])):,.4g})"
@@ -187,10 +187,10 @@ def _problem(name: str, path: str | None) -> Any:
 
 def problems(args: Sequence[str]) -> None:
     """Lists the problems."""
-    from deadreckon.cli.show import table
     from deadreckon.files import home
     from deadreckon.mbo import PROBLEMS
     from deadreckon.mbo.problems.download import SOURCES
+    from deadreckon.text_table import table
 
     parse(Problems, args, "design problems")
     rows = [["problem", "file", "what"]]
@@ -224,8 +224,8 @@ def get(args: Sequence[str]) -> None:
 
 def methods(args: Sequence[str]) -> None:
     """Lists the methods."""
-    from deadreckon.cli.show import table
     from deadreckon.mbo import DESIGNERS
+    from deadreckon.text_table import table
 
     parse(Methods, args, "design methods")
     print(table([["method", "algorithm and source"], *([name, line] for name, (_, line) in DESIGNERS.items())]))
@@ -284,7 +284,7 @@ def describe(args: Sequence[str]) -> None:
     from deadreckon.mbo.design_draft import describe as drafted
 
     options = parse(Describe, args, "design describe")
-    schema, told = drafted(options.data, options.target, **reading(options))
+    schema, told = drafted(options.data, options.target, **mapping_options(options.file))
     for line in told:
         print(f"! {line}", file=sys.stderr)
     if options.save is None:

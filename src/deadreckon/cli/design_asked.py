@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from deadreckon.cli.data import mapping_options
 from deadreckon.errors import UserError
 from deadreckon.names import shown
 
@@ -18,7 +19,7 @@ def check_problem(options: Any) -> None:
     Raises:
         UserError: one line, with the option.
     """
-    said = {name: getattr(options, name) for name in OF_TABLES} | reading(options)
+    said = {name: getattr(options, name) for name in OF_TABLES} | mapping_options(options.file)
     said["minimise"] = None if options.minimise is None else True  # without names it is given, too
     for name, value in said.items():
         if value not in (None, (), {}):
@@ -67,11 +68,6 @@ def size_told(data: Any) -> str:
     return f"{data.name}: {len(data):,} designs, {len(names):,} variables{listed}"
 
 
-def reading(options: Any) -> dict[str, Any]:
-    """Keywords of the reader of tables that were given."""
-    return {key: value for key, value in vars(options.file).items() if value is not None}
-
-
 def asked(options: Any) -> dict[str, Any]:
     """Keywords of `Designs.from_csv` but for those of the scores."""
     return {
@@ -79,7 +75,7 @@ def asked(options: Any) -> dict[str, Any]:
         "levels": {column: _listed(text) for column, text in options.levels.items()}, "steps": options.steps,
         "logs": options.logs, "fixed": options.fix, "groups": options.groups,
         "constraints": options.constraints, "mixtures": tuple(map(_listed, options.mixtures)), "forbidden": options.forbid,
-        "max_distance": options.max_distance, "apart": options.apart, **reading(options),
+        "max_distance": options.max_distance, "apart": options.apart, **mapping_options(options.file),
     }  # fmt: skip
 
 

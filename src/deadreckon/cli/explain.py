@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from deadreckon.cli.parse import parse, with_policy_seed
+from deadreckon.cli.parse import RUN, parse, with_policy_seed
 
 
 @dataclass
@@ -16,9 +16,7 @@ class Explain:
     Without LOG the result is kept in the run's folder, and `deadreckon report` draws it.
     """
 
-    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
-    """run folder (its first seed that has not failed), folder of `ope` or `recommend` (the policy to deploy), cross-fit, or
-    policy file (.npz)"""
+    run: RUN
     log: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")] = None
     """log on whose rows the policy is explained; None: the one that it was trained on"""
     policy_seed: int | None = None  # seed of the run whose policy is explained; None: the first that has not failed

@@ -6,16 +6,14 @@ from typing import Annotated, Literal
 
 import tyro
 
-from deadreckon.cli.parse import parse, with_policy_seed
+from deadreckon.cli.parse import RUN, parse, with_policy_seed
 
 
 @dataclass
 class Export:
     """Write a policy's deterministic actions for other programs, checked on rows of its log, with a model card."""
 
-    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
-    """run folder (its first seed that has not failed), folder of `ope` or `recommend` (the policy to deploy), cross-fit, or
-    policy file (.npz)"""
+    run: RUN
     format: Literal["onnx", "stablehlo", "numpy", "mlflow"]
     """form of the export: an ONNX graph, a program of jax.export, files for numpy alone, or an MLflow model"""
     out: str  # folder to write, which must not exist yet

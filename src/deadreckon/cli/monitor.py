@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from deadreckon.cli.lines import outcome
-from deadreckon.cli.parse import parse, with_policy_seed
+from deadreckon.cli.parse import RUN, parse, with_policy_seed
 from deadreckon.errors import as_one_line
 
 
@@ -19,9 +19,7 @@ class Monitor:
     Exit code 0: no alarm; 1: drift, values outside the log, or a value below the estimate; 2: bad input; 70: it failed.
     """
 
-    run: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
-    """run folder (its first seed that has not failed), folder of `ope` or `recommend` (the policy to deploy), cross-fit, or
-    policy file (.npz)"""
+    run: RUN
     log: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]  # new log, in the order of time
     html: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None  # HTML page to write; an old one is replaced
     reference: Annotated[str | None, tyro.conf.arg(metavar="LOG")] = None

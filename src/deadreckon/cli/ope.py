@@ -42,8 +42,8 @@ def ope(args: Sequence[str]) -> None:
     if args and args[0] == "bench":
         return bench(args[1:])
     if "--list" in args:
-        from deadreckon.cli.show import table
         from deadreckon.ope.registry import ESTIMATORS
+        from deadreckon.text_table import table
 
         print(table([["estimator", "algorithm and source"], *([name, line] for name, (_, line) in ESTIMATORS.items())]))
         return None
@@ -111,11 +111,11 @@ def use(policy: Mapping[str, Any], given: Sequence[str], greedy: bool) -> str | 
     """
     from deadreckon.policies import portable
     from deadreckon.policies.resolve import PICKLES
-    from deadreckon.runs.crossfit import NAME
+    from deadreckon.runs.records import CROSS_FIT
 
     file = policy["file"]
     if file is None:
-        crossed = [each for each in given if Path(each).name == policy["run"] and (Path(each) / NAME).exists()]
+        crossed = [each for each in given if Path(each).name == policy["run"] and (Path(each) / CROSS_FIT).exists()]
         # Of several seeds there is one file for all, which is another policy than the one that was judged.
         return f"deadreckon.load_cross_fit({crossed[0]!r}).policy_of({policy['seed']})" if crossed else None
     if Path(file).suffix in PICKLES:

@@ -7,7 +7,7 @@ import io
 import re
 import sys
 from collections.abc import Sequence
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import tyro
 
@@ -15,6 +15,11 @@ from deadreckon.errors import UserError
 from deadreckon.training.field_names import COMMON, meant
 
 T = TypeVar("T")
+_POLICY = (
+    "run folder (its first seed that has not failed), folder of `ope` or `recommend` (the policy to deploy), cross-fit, or "
+    "policy file (.npz)"
+)
+RUN = Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN", help=_POLICY)]  # whose policy a command uses
 _OF_A_PART = re.compile(r"--(\w+)\.(no-)?([\w-]+)(=.*)?")  # such as --agent.no-layer-norm
 _WRONG = ("could not convert", "invalid literal", "no type matching", "Could not find valid parse", "input length")
 _NOT_PARSED = re.compile(rf"Error parsing (--[\w.-]+): .*(?:{'|'.join(_WRONG)}).*")

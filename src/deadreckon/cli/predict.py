@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from deadreckon.cli.data import Reading
-from deadreckon.cli.parse import parse
+from deadreckon.cli.data import Reading, mapping_options
+from deadreckon.cli.parse import RUN, parse
 from deadreckon.errors import UserError, unknown
 
 _ENDINGS = (".csv", ".parquet")
@@ -20,9 +20,7 @@ _ENDINGS = (".csv", ".parquet")
 class Predict:
     """Write the actions of a policy in the rows of a table, named as in the log that it was trained on."""
 
-    policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
-    """run folder (its first seed that has not failed), folder of `ope` or `recommend` (the policy to deploy), cross-fit, or
-    policy file (.npz)"""
+    policy: RUN
     table: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TABLE")]
     """table with the columns of the log's observations: CSV, Parquet, a spreadsheet or a database"""
     out: Annotated[str, tyro.conf.arg(metavar="FILE")]  # file to write, .csv or .parquet; an old one is replaced
@@ -46,7 +44,7 @@ def predict(args: Sequence[str]) -> None:
     """Predicts and writes."""
     options = parse(Predict, args, "predict")
     out = Path(options.out)
-    from deadreckon.runs.settings import check_seed
+    from deadreckon.randomness import check_seed
 
     seed = secrets.randbits(31) if options.seed is None else options.seed
     check_seed(seed)
@@ -70,10 +68,9 @@ def predict(args: Sequence[str]) -> None:
             "column options, or by an earlier version; train it again from a table with --action and --reward, or call its "
             "policy in Python with arrays"
         )
-    ways = {key: value for key, value in vars(options.file).items() if value is not None}
     schema = Schema.from_json(policy.encoder.schema, str(found.file)).read_as(own)
     kept: dict[str, Any] = dict.fromkeys(options.keep)  # which reading fills in
-    table, told = read_rows(source, schema, plain=kept, **(own or {}) | ways)
+    table, told = read_rows(source, schema, plain=kept, **(own or {}) | mapping_options(options.file))
     sampled = found.sampled if options.sampled is None else options.sampled
     for line in (*found.doubts(sampled), *told):
         print(f"! {line}", file=sys.stderr)

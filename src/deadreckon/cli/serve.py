@@ -5,11 +5,8 @@ import socket
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
 
-import tyro
-
-from deadreckon.cli.parse import parse
+from deadreckon.cli.parse import RUN, parse
 from deadreckon.errors import UserError, extra
 
 
@@ -17,9 +14,7 @@ from deadreckon.errors import UserError, extra
 class Serve:
     """Serve a policy over HTTP: POST /predict takes rows as JSON and returns named actions; GET /docs describes it."""
 
-    policy: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
-    """run folder (its first seed that has not failed), folder of `ope` or `recommend` (the policy to deploy), cross-fit, or
-    policy file (.npz)"""
+    policy: RUN
     host: str = "127.0.0.1"  # address to listen on; 127.0.0.1 answers this machine alone, 0.0.0.0 the network
     port: int = 8000  # port to listen on; 0: any free one
     policy_seed: int | None = None  # seed of the run whose policy is served; None: the first that has not failed

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from deadreckon.cli.parse import parse
 from deadreckon.errors import unknown
+from deadreckon.text_table import table
 
 
 @dataclass
@@ -17,17 +18,6 @@ class Tasks:
 @dataclass
 class Agents:
     """List the learning algorithms."""
-
-
-def table(rows: Sequence[Sequence[str]], right: Sequence[int] = (), sparse: bool = False) -> str:
-    """Columns of text, the first row a heading; columns in `right` are right-aligned, if sparse empty ones left out."""
-    filled = [i for i in range(len(rows[0])) if not sparse or any(row[i] not in ("", "-") for row in rows[1:])]
-    widths = {i: max(len(row[i]) for row in rows) for i in filled}
-    lines = []
-    for row in rows:
-        cells = (row[i].rjust(width) if i in right else row[i].ljust(width) for i, width in widths.items())
-        lines.append("  ".join(cells).rstrip())
-    return "\n".join([lines[0], "  ".join("-" * width for width in widths.values()), *lines[1:]])
 
 
 def tasks(args: Sequence[str]) -> None:

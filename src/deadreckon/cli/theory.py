@@ -24,9 +24,9 @@ class Theory:
 def theory(args: Sequence[str]) -> None:
     """Lists, or computes, draws and prints."""
     options = parse(Theory, args, "theory")
-    from deadreckon.cli.show import table
+    from deadreckon.randomness import check_seed
     from deadreckon.report.theory import EXPERIMENTS
-    from deadreckon.runs.settings import check_seed
+    from deadreckon.text_table import table
 
     if options.name is None:
         print(table([["name", "what"], *([name, line] for name, (_, line) in EXPERIMENTS.items())]))

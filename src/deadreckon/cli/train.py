@@ -44,7 +44,7 @@ def train(args: Sequence[str]) -> None:
     parsed = parse(kind, rest, "train --online" if online else "train")
     judged_in = None if begun is None else begun[2]
     finished = _train_online(name, parsed, judged_in) if online else _train(name, parsed, own)
-    from deadreckon.runs.train import Run
+    from deadreckon.runs.run import Run
 
     outcome(summary(finished) if isinstance(finished, Run) else finished)
     if isinstance(finished, Run) and all(finished.failures):  # a cross-fit refuses such itself

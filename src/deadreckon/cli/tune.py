@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -106,7 +107,7 @@ def _in_rounds(options: Tune, given: dict[str, Any] | None, fixed: dict[str, Any
     from deadreckon.bench.store import Store
     from deadreckon.bench.tune import suite
     from deadreckon.bench.tuned import named
-    from deadreckon.cli.bench import Lines
+    from deadreckon.cli.lines import Lines
     from deadreckon.cli.progress import Watch
     from deadreckon.ope.coverage import MODEL
     from deadreckon.ope.registry import with_fields
@@ -130,8 +131,11 @@ def _in_rounds(options: Tune, given: dict[str, Any] | None, fixed: dict[str, Any
 
 
 def _told(result: Any, fixed: dict[str, Any], logs: Sequence[str]) -> None:
-    best = result.best.fields | fixed
-    print(f"\n{result}\n\nchosen: {' '.join(_option(name, value) for name, value in best.items() if value is not None)}")
+    from deadreckon.report.provenance import option
+
+    best = result.best.fields | fixed  # a field that is left to the agent (None) needs no option
+    chosen = [word for name, value in best.items() if value is not None for word in option(name, value)]
+    print(f"\n{result}\n\nchosen: {shlex.join(map(str, chosen))}")
     if result.by == "ope":
         from deadreckon.tasks.registry import of_log
 
@@ -139,14 +143,6 @@ def _told(result: Any, fixed: dict[str, Any], logs: Sequence[str]) -> None:
         print(_WHOLE.format(known[0]) if known else _JUDGING)
     elif len(result.trials) > 1:
         print(_SELECTED.format(len(result.trials)))
-
-
-def _option(name: str, value: Any) -> str:
-    """A field of an agent as `train` takes it; one that is left to the agent (None) has no option."""
-    option = name.replace("_", "-")
-    if isinstance(value, bool):
-        return f"--agent.{option}" if value else f"--agent.no-{option}"
-    return f"--agent.{option} {' '.join(map(str, value)) if isinstance(value, tuple | list) else value}"
 
 
 def _pair(text: str) -> tuple[str, str]:
@@ -162,7 +158,7 @@ def _values(text: str) -> Any:
     Raises:
         UserError: a range whose ends are not in order.
     """
-    if match := re.fullmatch(r"([^.,]+(?:\.\d+)?)\.\.([^:,]+)(:log)?", text):
+    if match := re.fullmatch(r"([^,]+?)\.\.([^:,]+)(:log)?", text):
         from deadreckon.bench.sampler import Range
 
         low, high = _value(match[1]), _value(match[2])

@@ -22,14 +22,14 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.entries import ORIGINAL, VERSION
 from deadreckon.data.formats.pickles import read_pickle
 from deadreckon.data.provenance import Provenance
-from deadreckon.data.transfer import RetryPolicy, download_file
+from deadreckon.data.transfer import download_file
 from deadreckon.errors import UserError
 from deadreckon.files import home
 from deadreckon.policies.dapg import load_dapg
 from deadreckon.policies.deployed import EnvPolicy, first_actions
 from deadreckon.progress import Progress
 from deadreckon.tasks.adroit import Adroit
-from deadreckon.training.fit import Fit
+from deadreckon.training.fit import Fit, complete
 from deadreckon.training.learner import lane_of
 
 ROOT = ("DEADRECKON_DAPG_URL", "https://raw.githubusercontent.com/aravindr93/hand_dapg/master/dapg")
@@ -38,30 +38,30 @@ UPDATES = 10_000  # of the clone behind the cloned logs
 _CHUNK = 2_000  # updates between its checkpoints
 
 
-def demonstrations_file(task: Adroit, retry: RetryPolicy | None = None) -> Path:
+def demonstrations_file(task: Adroit) -> Path:
     """The 25 demonstrations of a task as Rajeswaran et al. published them, downloaded if they are not there.
 
     Raises:
         UserError: one line: what went wrong with which address, and where the file may be put by hand.
     """
-    return _source(f"{task.name}-v0_demos.pickle", f"demonstrations/{task.name}-v0_demos.pickle", read_pickle, retry)
+    return _source(f"{task.name}-v0_demos.pickle", f"demonstrations/{task.name}-v0_demos.pickle", read_pickle)
 
 
-def policy_file(task: Adroit, retry: RetryPolicy | None = None) -> Path:
+def policy_file(task: Adroit) -> Path:
     """The policy that DAPG trained for a task, downloaded if it is not there; see `demonstrations_file`."""
-    return _source(f"{task.name}-v0_dapg_policy.pickle", f"policies/{task.name}-v0.pickle", load_dapg, retry)
+    return _source(f"{task.name}-v0_dapg_policy.pickle", f"policies/{task.name}-v0.pickle", load_dapg)
 
 
-def _source(name: str, address: str, check: Callable[[Path], Any], retry: RetryPolicy | None) -> Path:
+def _source(name: str, address: str, check: Callable[[Path], Any]) -> Path:
     place = home() / "data" / "adroit" / name
     variable, root = ROOT
     try:
-        return download_file(f"{os.environ.get(variable, root).rstrip('/')}/{address}", place, check, retry=retry)
+        return download_file(f"{os.environ.get(variable, root).rstrip('/')}/{address}", place, check)
     except UserError as error:
         raise UserError(f"{error}; the file can be put manually at {place}") from error
 
 
-def human(task: Adroit, retry: RetryPolicy | None = None) -> Dataset:
+def human(task: Adroit) -> Dataset:
     """The demonstrations of a task, with actions clipped to ±1, which is how the environment takes them and D4RL wrote them.
 
     They are those of the authors' pickle, whose last row of each demonstration has no known successor; where that has not
@@ -73,7 +73,7 @@ def human(task: Adroit, retry: RetryPolicy | None = None) -> Dataset:
     name = f"{task.name}-human-v1"
     copy, own = f"{name}@{ORIGINAL}", home() / "data" / "adroit" / f"{task.name}-v0_demos.pickle"
     copied = cached_path(copy).exists() and not own.exists()
-    log = load(copy) if copied else read_pickle(demonstrations_file(task, retry))
+    log = load(copy) if copied else read_pickle(demonstrations_file(task))
     if log.observations.shape[1:] != task.observation_shape:
         raise UserError(f"{log.name} has observations {log.observations.shape[1:]}, {task.name} has {task.observation_shape}")
     return Dataset.from_arrays(
@@ -134,23 +134,18 @@ def collect_adroit(
     return _joined([_repeated(people, shown, full), acted], full, provenance)
 
 
-def cloned_policy(log: Dataset, seed: int = 0, folder: Path | None = None, updates: int | None = None) -> EnvPolicy:
+def cloned_policy(log: Dataset, seed: int = 0, folder: Path | None = None) -> EnvPolicy:
     """Behaviour cloning of a log with the agent `bc` as it is.
 
     Args:
         log: of the demonstrations.
         seed: of the training.
         folder: of its checkpoints, from which a killed collection resumes.
-        updates: `UPDATES` if None.
     """
     agent = BC()
     rows = TransitionSource(log, agent.needs(log.spec))
-    job = Fit([agent], rows, [seed], updates or UPDATES, _CHUNK, folder)
-    if folder is not None:
-        job.resume()
-    for done in job.chunks():
-        if done.failures[0] is not None:
-            raise UserError(f"{log.name}: the clone failed, {done.failures[0].metric} was not finite")
+    job = Fit([agent], rows, [seed], UPDATES, _CHUNK, folder)
+    complete(job, f"{log.name}: its clone", lambda done: None, advice="")
     return EnvPolicy.of(agent.policy(lane_of(job.states, 0)), rows.view)
 
 

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from deadreckon._version import __version__
+from deadreckon.collect.growing_log import collected
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.provenance import Provenance
 from deadreckon.tasks.battery import BLOCKS, BUY, SELL, TASK, WAIT
 
 NIGHT, EVENING = (0, 1), (6, 7)  # blocks of the day in which the operator buys, and sells
@@ -38,10 +37,7 @@ def collect_battery(days: int, seed: int = 0) -> Dataset:
         rewards.append(earned)
     found = observations, actions, rewards, chances
     columns = [np.stack(each, 1).reshape(days * BLOCKS, *each[0].shape[1:]) for each in found]
-    provenance = Provenance(
-        "collected", seed=seed, versions={"numpy": np.__version__, "deadreckon": __version__},
-        extra={"task": TASK.name, "days": days, "tried": TRIED},
-    )  # fmt: skip
+    provenance = collected(None, seed, ("numpy",), {"task": TASK.name, "days": days, "tried": TRIED})
     terminals = np.tile(np.arange(BLOCKS) == BLOCKS - 1, days)
     return Dataset.from_arrays(
         observations=columns[0], actions=columns[1], rewards=columns[2], terminals=terminals, final_observations=seen,

@@ -1,20 +1,18 @@
 """How logs of driving are made: a controller, clean or with noise; along a lane pure pursuit at a steady speed."""
 
 from collections.abc import Callable
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from deadreckon._version import __version__
+from deadreckon.collect.growing_log import collected
 from deadreckon.collect.rollouts import COPIES, Segment, StatefulController, collect_rollouts
 from deadreckon.data.catalogue import version_of
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.provenance import Provenance
 from deadreckon.devices import acting_platform
 from deadreckon.progress import Progress
-from deadreckon.tasks.car import AXLE, BRAKE, DRIVE, STEER
+from deadreckon.tasks.car import actions_for
 from deadreckon.tasks.driving import AHEAD, HEADING, OFFSET, SPEED
 from deadreckon.tasks.pixels import Pixels, PixelSimulator
 from deadreckon.tasks.task import Task
@@ -37,10 +35,7 @@ def pursue(observations: np.ndarray) -> np.ndarray:
     heading = seen[:, HEADING]
     left = np.cos(heading) * (bend * LOOK**2 / 2 - seen[:, OFFSET]) - np.sin(heading) * LOOK
     circle = 2 * left / LOOK**2  # 1/m
-    wheels = np.arctan(2 * np.tan(np.arcsin(np.clip(circle * AXLE, -1.0, 1.0))))
-    wanted = EAGER * (CRUISE - seen[:, SPEED])
-    pedal = np.where(wanted >= 0.0, wanted / DRIVE, wanted / BRAKE)
-    return np.clip(np.stack([pedal, -wheels / STEER], 1), -1.0, 1.0).astype(np.float32)
+    return actions_for(circle, EAGER * (CRUISE - seen[:, SPEED]))
 
 
 class Shaken(StatefulController):
@@ -104,9 +99,7 @@ def collect_driving(
     who = {"controller": clean, "noisy": Shaken(COPIES, act, noise), "uniform": None}[kind]
     extra = {"task": task.name, "actions": kind, "device": acting_platform()}
     drawn = ("mujoco",) if isinstance(task, Pixels) else ()
-    versions = {each: metadata.version(each) for each in ("numpy", "jax", *drawn)} | {"deadreckon": __version__}
     return collect_rollouts(
         task, [Segment(who, steps)], name=f"{name}@{version_of(name)}", seed=seed,
-        provenance=Provenance("collected", name, seed, versions, extra=extra), threads=threads, scratch=scratch,
-        progress=progress,
+        provenance=collected(name, seed, ("numpy", "jax", *drawn), extra), threads=threads, scratch=scratch, progress=progress,
     )  # fmt: skip

@@ -1,23 +1,19 @@
 """How the Flow logs are made (thesis 7.3), and controllers that are known to calm traffic, which the tasks are measured by."""
 
-from importlib import metadata
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
-from deadreckon._version import __version__
+from deadreckon.collect.growing_log import collected
 from deadreckon.collect.rollouts import Segment, collect_rollouts
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.entries import VERSION
-from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box
 from deadreckon.progress import Progress
 from deadreckon.tasks.flow import Flow
 from deadreckon.tasks.flow_roads import SPEED_LIMIT
 from deadreckon.tasks.sumo import sumo_version
-
-KINDS = ("random", "controller")
 
 
 class Controller(Protocol):
@@ -125,11 +121,11 @@ def collect_flow(
     threads: int | None = None,
     progress: Progress | None = None,
 ) -> Dataset:
-    """Collects one of `KINDS`: uniform accelerations, or `Idm`; see `collect.rollouts.collect_rollouts`.
+    """Collects uniform accelerations, or what `Idm` does; see `collect.rollouts.collect_rollouts`.
 
     Args:
         task: where.
-        kind: among `KINDS`.
+        kind: `random` or `controller`.
         name: of the recipe, such as `flow-ring-controller-v0`.
         steps: rows.
         scratch: folder of a collection under way.
@@ -138,10 +134,8 @@ def collect_flow(
         progress: called with rows done and rows in all.
     """
     extra = {"task": task.name, "actions": "uniform" if kind == "random" else "intelligent driver model, within the bounds"}
-    versions = {"libsumo": sumo_version(task.name), "deadreckon": __version__}
-    versions |= {each: metadata.version(each) for each in ("numpy", "jax")}
+    provenance = collected(name, seed, ("numpy", "jax"), extra, {"libsumo": sumo_version(task.name)})
     return collect_rollouts(
         task, [Segment(None if kind == "random" else Idm(task), steps)], name=f"{name}@{VERSION}", seed=seed,
-        provenance=Provenance("collected", name, seed, versions, extra=extra), threads=threads, scratch=scratch,
-        progress=progress,
+        provenance=provenance, threads=threads, scratch=scratch, progress=progress,
     )  # fmt: skip

@@ -2,17 +2,15 @@
 
 import hashlib
 import shutil
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
-from deadreckon._version import __version__
+from deadreckon.collect.growing_log import collected
 from deadreckon.collect.rollouts import Segment, collect_rollouts
 from deadreckon.data.environments import SPEC
-from deadreckon.data.provenance import Provenance
 from deadreckon.devices import acting_platform
 from deadreckon.errors import UserError
 from deadreckon.files import alone
@@ -21,6 +19,7 @@ from deadreckon.names import file_part
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.resolve import policies_of
 from deadreckon.progress import Progress
+from deadreckon.randomness import check_seed
 from deadreckon.tasks.registry import own_fields, registered_fields
 from deadreckon.tasks.registry import task as find_task
 
@@ -73,8 +72,7 @@ def collect_in_task(
     task = find_task(task)
     if steps < 1:
         raise UserError(f"steps must be 1 or more, got {steps}")
-    if not 0 <= seed < 2**32:
-        raise UserError(f"seed must be 0 .. 2^32 - 1, got {seed}")
+    check_seed(seed)
     chance = isinstance(policy, str) and policy == RANDOM
     found = [None] if chance else policies_of(policy)
     if len(found) != 1:
@@ -84,13 +82,12 @@ def collect_in_task(
     path = Path(out) if out is not None else Path(f"{file_part(name.replace(' ', '-').replace(':', '-'))}.hdf5")
     if path.exists() and not force:
         raise UserError(f"{path} exists already; --force (force=True) replaces it")
-    versions = {each: metadata.version(each) for each in ("mujoco", "numpy", "jax")} | {"deadreckon": __version__}
     extra = {"task": task.name, "policy": by, "actions": "drawn", "device": acting_platform()}
     content = None if chance else _content(found[0])
     extra |= task.described | ({} if content is None else {"policy_content": content})
     extra |= {"task_fields": own} if (own := own_fields(task)) else {}
     extra |= {"task_registered": registered} if (registered := registered_fields(task)) else {}
-    provenance = Provenance("collected", None, seed, {**versions, **task.versions}, extra=extra)
+    provenance = collected(None, seed, ("mujoco", "numpy", "jax"), extra, task.versions)
     scratch = path.parent / f".{path.name}.part"
     # Of an environment that is given as an object nobody knows the settings, unless Gymnasium can make it again.
     alike = named or SPEC in extra or not _of_gymnasium(task)

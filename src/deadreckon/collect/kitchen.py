@@ -8,19 +8,16 @@ a row earns as many of the wanted sub-tasks as are done in what it observes, and
 """
 
 from dataclasses import replace
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from deadreckon._version import __version__
+from deadreckon.collect.growing_log import asked_for, collected, same_collection
 from deadreckon.collect.kitchen_demonstrator import KNOWN, Demonstrator
-from deadreckon.collect.stage import asked_for, same_collection
 from deadreckon.data.catalogue import version_of
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.kitchen import ELEMENTS, JOINTS
-from deadreckon.data.provenance import Provenance
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
 from deadreckon.progress import Progress
@@ -69,7 +66,7 @@ def collect_kitchen(
         progress: called now and then with the rows done and `steps`.
     """
     extra = {"task": task.name, "policies": ["demonstrator"], "noise": [task.noise, task.object_noise]}
-    provenance = _provenance(name, seed, extra)
+    provenance = collected(name, seed, ("mujoco", "gymnasium-robotics", "numpy"), extra)
     same_collection(scratch, asked_for(name, seed, [steps], provenance))
     parts: list[dict[str, np.ndarray]] = []
     rows, batch = 0, 0
@@ -146,8 +143,3 @@ def _split(batch: dict[str, np.ndarray]) -> list[dict[str, np.ndarray]]:
     columns = {key: np.split(batch[key], cuts) for key in _COLUMNS}
     columns["final"] = np.split(batch["final"], len(batch["final"]))
     return [{key: column[i] for key, column in columns.items()} for i in range(len(batch["final"]))]
-
-
-def _provenance(name: str, seed: int, extra: dict[str, Any]) -> Provenance:
-    versions = {each: metadata.version(each) for each in ("mujoco", "gymnasium-robotics", "numpy")}
-    return Provenance("collected", name, seed, versions | {"deadreckon": __version__}, extra=extra)

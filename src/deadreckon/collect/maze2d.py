@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadreckon._version import __version__
+from deadreckon.collect.growing_log import collected
 from deadreckon.collect.planner import routes
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.entries import VERSION
@@ -31,8 +31,6 @@ class Pursuit:
 
     Attributes:
         target: (copies, 2) float32, what each copy is heading for.
-        pursuits: how many have ended, in all copies.
-        failures: how many of these ran out of patience.
     """
 
     def __init__(self, task: Maze2D, copies: int, generator: np.random.Generator, *, patience: int, fixed: bool = False):
@@ -55,7 +53,6 @@ class Pursuit:
         self._cell = np.zeros(copies, int)  # the cell it belongs to
         self._goal = np.zeros(copies, int)  # the target's cell
         self._age = np.zeros(copies, int)
-        self.pursuits = self.failures = 0
 
     def start(self, observations: np.ndarray) -> None:
         """New targets for all copies, seen at (copies, 4) observations."""
@@ -86,8 +83,6 @@ class Pursuit:
             return ended
         reached = near & final
         over = np.flatnonzero(ended | reached)
-        self.pursuits += len(over)
-        self.failures += len(over) - int(np.count_nonzero(reached))
         self._retarget(over, observations)
         ended |= reached
         self._head_on(np.flatnonzero(near | ended))
@@ -241,12 +236,5 @@ def demonstrations(task: Maze2D, episodes: int = 25, seed: int = 0) -> Dataset:
 
 
 def _provenance(task: Maze2D, name: str, seed: int, streams: int) -> Provenance:
-    import mujoco
-
-    return Provenance(
-        source="collected",
-        recipe=name,
-        seed=seed,
-        versions={"mujoco": mujoco.__version__, "numpy": np.__version__, "deadreckon": __version__},
-        extra={"task": task.name, "streams": streams, "patience": task.horizon, "reward_from": "observation after the step"},
-    )
+    extra = {"task": task.name, "streams": streams, "patience": task.horizon, "reward_from": "observation after the step"}
+    return collected(name, seed, ("mujoco", "numpy"), extra)

@@ -4,6 +4,8 @@ from functools import lru_cache
 
 import numpy as np
 
+DISCOUNT = 0.99  # of the Q-iteration
+
 
 def routes(grid: np.ndarray) -> np.ndarray:
     """What `next_cells` says of a grid, planned once."""
@@ -15,13 +17,11 @@ def _planned(grid: bytes, shape: tuple[int, int]) -> np.ndarray:
     return next_cells(np.frombuffer(grid, bool).reshape(shape))
 
 
-def next_cells(grid: np.ndarray, *, iterations: int = 50, discount: float = 0.99) -> np.ndarray:
+def next_cells(grid: np.ndarray) -> np.ndarray:
     """Which cell to go to next, for every goal and every cell.
 
     Args:
         grid: (rows, columns) bool, True where free; cells are numbered as `np.argwhere(grid)` lists them.
-        iterations: of the Q-iteration, hence the longest way that it finds, in moves.
-        discount: of the Q-iteration.
 
     Returns:
         (cells, cells) int; entry [goal, cell] is the neighbour (or the cell itself) to move to. Entry [goal, goal] is
@@ -36,9 +36,9 @@ def next_cells(grid: np.ndarray, *, iterations: int = 50, discount: float = 0.99
     moves = np.where(moves < 0, np.arange(count), moves)  # (4, cells); into a wall means to stay
 
     at_goal = np.eye(count)
-    value = np.zeros((count, count))  # [goal, cell]
-    for _ in range(iterations):
+    value, before = at_goal, np.zeros((count, count))  # [goal, cell]
+    while (value != before).any():
         # Reward 1 for being at the goal, where the episode ends.
-        value = np.where(at_goal, 1.0, discount * value[:, moves].max(1))
+        value, before = np.where(at_goal, 1.0, DISCOUNT * value[:, moves].max(1)), value
     best = moves[value[:, moves].argmax(1), np.arange(count)]
     return np.where((at_goal > 0) | (value == 0), np.arange(count), best)

@@ -13,6 +13,7 @@ from deadreckon.errors import UserError, unknown
 from deadreckon.files import alone
 from deadreckon.interrupts import resumable
 from deadreckon.progress import Progress
+from deadreckon.randomness import check_seed
 
 
 class Maker(Protocol):
@@ -98,8 +99,7 @@ def _make(
     steps = found.steps if steps is None else steps
     if steps < 1:
         raise UserError(f"{found.name}: steps must be 1 or more, got {steps}")
-    if not 0 <= seed < 2**32:
-        raise UserError(f"{found.name}: seed must be 0 .. 2^32 - 1, got {seed}")
+    check_seed(seed)
     made = found.make(name=found.name, steps=steps, seed=seed, threads=threads, scratch=scratch, progress=progress)
     return dataclasses.replace(made, name=collected_name(found, steps, seed))
 

@@ -16,66 +16,36 @@ from deadreckon.collect.maze2d import to_the_goal
 from deadreckon.collect.town import drive
 from deadreckon.data.spec import Box
 from deadreckon.tasks import control, driving, flow, gym_mujoco, town
+from deadreckon.tasks.driving import LaneDriving
 from deadreckon.tasks.flow import Flow
 from deadreckon.tasks.flow_merge import Merge
 from deadreckon.tasks.maze2d import TASKS, Maze2D
-from deadreckon.tasks.task import Reference, Task
+from deadreckon.tasks.task import Task
+from deadreckon.tasks.town import TownDriving
+
+EPISODES = 100  # of uniform actions (thesis 7.3), and of a controller
+GOING = 1000  # episodes of Maze2D's controller
 
 
-def measure(task: Maze2D, *, episodes: int = 100, expert_episodes: int = 1000, seed: int = 0) -> Reference:
-    """Mean returns of uniform random actions, and of the logs' controller going to the task's goal and staying there.
+def measure(task: Maze2D | LaneDriving | TownDriving | Flow) -> tuple[float, float]:
+    """Mean returns of uniform random actions, and of a controller in episodes with the same starts.
 
-    Args:
-        task: a Maze2D task.
-        episodes: of uniform random actions; the thesis takes 100.
-        expert_episodes: of the controller.
-        seed: of the starts, the actions and the waypoints' jitter.
+    In a maze that is the controller of the logs going to the task's goal and staying there; along a lane and in a town that of
+    the logs without noise. In Flow it is PI with saturation on the ring, whose length it need not know, and past the on-ramp
+    FollowerStopper at the speed that the reward asks for (Stern et al. 2018).
     """
-    # Sparse and dense variants see the same episodes.
-    starts, actions, jitter = np.random.SeedSequence(seed).spawn(3)
-    seeds = [int(s) for s in starts.generate_state(max(episodes, expert_episodes), np.uint64)]
-
-    random = uniform_return(task, seeds[:episodes], np.random.default_rng(actions))
-    ways = to_the_goal(task, seeds[:expert_episodes], np.random.default_rng(jitter))
-    expert = sum(float(way.rewards.mean(dtype=np.float64)) for way in ways)
-    source = f"measured on this simulator: {episodes} episodes of uniform actions, {expert_episodes} of the waypoint planner"
-    return Reference(random, expert, source)
-
-
-def measure_flow(task: Flow, *, episodes: int = 100, seed: int = 0) -> Reference:
-    """Mean returns of uniform random actions, and of a controller that calms traffic.
-
-    That is PI with saturation on the ring, whose length it need not know, and past the on-ramp FollowerStopper at the speed
-    that the reward asks for (Stern et al. 2018).
-
-    Args:
-        task: a Flow task.
-        episodes: of each.
-        seed: of the starts and actions.
-    """
-    calm = PISaturation(task) if task.road == "ring" else FollowerStopper(task, Merge.TARGET)
-    return _between(task, calm, episodes, seed)
-
-
-def measure_driving(task: Task, controller: Controller = pursue, *, episodes: int = 100, seed: int = 0) -> Reference:
-    """Mean returns of uniform random actions, and of the controller of the logs without noise.
-
-    Args:
-        task: a driving task.
-        controller: of its logs.
-        episodes: of each.
-        seed: of the starts and actions.
-    """
-    return _between(task, controller, episodes, seed)
-
-
-def _between(task: Task, controller: Controller, episodes: int, seed: int) -> Reference:
-    """Uniform actions as 0 and a controller as 100, in the same episodes."""
-    starts, actions = np.random.SeedSequence(seed).spawn(2)
-    seeds = [int(s) for s in starts.generate_state(episodes, np.uint64)]
-    random = uniform_return(task, seeds, np.random.default_rng(actions))
-    expert = float(controlled_returns(task, controller, seeds).mean())
-    return Reference(random, expert, f"on this simulator: {episodes} episodes of uniform actions, {episodes} of a controller")
+    # Sparse and dense variants of a maze see the same episodes.
+    starts, actions, jitter = np.random.SeedSequence(0).spawn(3)
+    seeds = [int(s) for s in starts.generate_state(GOING, np.uint64)]
+    random = uniform_return(task, seeds[:EPISODES], np.random.default_rng(actions))
+    if isinstance(task, Maze2D):
+        ways = to_the_goal(task, seeds, np.random.default_rng(jitter))
+        return random, sum(float(way.rewards.mean(dtype=np.float64)) for way in ways)
+    if isinstance(task, Flow):
+        controller = PISaturation(task) if task.road == "ring" else FollowerStopper(task, Merge.TARGET)
+    else:
+        controller = drive if isinstance(task, TownDriving) else pursue
+    return random, float(controlled_returns(task, controller, seeds[:EPISODES]).mean())
 
 
 def controlled_returns(task: Task, controller: Controller, seeds: Sequence[int]) -> np.ndarray:
@@ -104,16 +74,10 @@ def uniform_return(task: Task, seeds: Sequence[int], generator: np.random.Genera
 
 def main() -> None:
     """Prints the measured table."""
-    for task in TASKS:
-        found = measure(task)
-        print(f'    "{task.name}": ({found.random:.4f}, {found.expert:.4f}),')
-    for task, controller in ((driving.TASK, pursue), (town.TASK, drive)):
-        found = measure_driving(task, controller)
-        print(f'    "{task.name}": ({found.random:.4f}, {found.expert:.4f}),')
-    if importlib.util.find_spec("libsumo") is not None:
-        for task in flow.TASKS:
-            found = measure_flow(task)
-            print(f'    "{task.name}": ({found.random:.4f}, {found.expert:.4f}),')
+    sumo = flow.TASKS if importlib.util.find_spec("libsumo") is not None else ()
+    for task in (*TASKS, driving.TASK, town.TASK, *sumo):
+        random, expert = measure(task)
+        print(f'    "{task.name}": ({random:.4f}, {expert:.4f}),')
     for task in gym_mujoco.TASKS:
         print(f"{task.name}, uniform actions: {uniform_return(task, range(1000), np.random.default_rng(0)):.4f}")
     for task in control.TASKS if importlib.util.find_spec("dm_control") is not None else ():

@@ -1,14 +1,13 @@
 """Logs made by policies: whole episodes, run side by side and written one after the other.
 
-Episode `k` of an act follows from the seed, the act and `k` alone: its start, and the draws of its actions. So a log depends
-on neither cores nor interruptions: what was on disk when a collection was killed is kept, and the rest is the same.
+Episode `k` of a segment follows from the seed, the segment and `k` alone: its start, and the draws of its actions. So a log
+depends on neither cores nor interruptions: what was on disk when a collection was killed is kept, and the rest is the same.
 """
 
 import itertools
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -18,8 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PRNGKeyArray
 
-from deadreckon._version import __version__
-from deadreckon.collect.stage import FLUSH, Episode, Stage, asked_for
+from deadreckon.collect.growing_log import FLUSH, Episode, GrowingLog, asked_for, collected
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box
@@ -109,11 +107,11 @@ def collect_rollouts(
     for segment in segments:
         if isinstance(segment.policy, Policy) and jax.tree.leaves(segment.policy.start(1)):
             raise UserError(f"{name}: a policy with a memory of earlier steps cannot collect a log")
-    stage = Stage(scratch, task, kinds, asked_for(name, seed, [segment.rows for segment in segments], provenance))
+    log = GrowingLog(scratch, task, kinds, asked_for(name, seed, [segment.rows for segment in segments], provenance))
     dense = all(has_densities(each.policy, task) for each in segments)
     with on_processor():
-        _collect(task, segments, stage, seed, dense, threads, progress)
-    return stage.log(name, provenance, densities=dense)
+        _collect(task, segments, log, seed, dense, threads, progress)
+    return log.log(name, provenance, densities=dense)
 
 
 def has_densities(policy: Any, task: Task) -> bool:
@@ -155,7 +153,7 @@ def played(task: Task, policy: EnvPolicy | None, rows: int, seed: int) -> Datase
 def _collect(
     task: Task,
     segments: Sequence[Segment],
-    stage: "Stage",
+    log: GrowingLog,
     seed: int,
     dense: bool,
     threads: int | None,
@@ -165,17 +163,17 @@ def _collect(
     with simulating(task, [0] * copies_of(task), threads) as simulator:
         for which, segment in enumerate(segments):
             before = sum(each.rows for each in segments[:which])
-            if stage.rows - before >= segment.rows:
+            if log.rows - before >= segment.rows:
                 continue
             root = jax.random.fold_in(jax.random.key(seed), which)
-            missing = segment.rows - (stage.rows - before)
-            scene = _Scene(task, simulator, segment.policy, root, [seed, which], dense, missing)
-            first = stage.episodes[which] if which < len(stage.episodes) else 0
+            missing = segment.rows - (log.rows - before)
+            copies = _SideBySide(task, simulator, segment.policy, root, [seed, which], dense, missing)
+            first = log.episodes[which] if which < len(log.episodes) else 0
             told = (lambda rows, b=before, m=before + segment.rows: progress(min(b + rows, m), total)) if progress else None
-            for episodes in scene.play(first, stage.rows - before, segment.rows, told):
-                stage.append(episodes, segment.rows - (stage.rows - before), which)
+            for episodes in copies.run(first, log.rows - before, segment.rows, told):
+                log.append(episodes, segment.rows - (log.rows - before), which)
                 if progress:
-                    progress(stage.rows, total)
+                    progress(log.rows, total)
 
 
 def copies_of(task: Task) -> int:
@@ -211,15 +209,15 @@ def _draw(
     return jax.vmap(one)(observations, episodes, ages)
 
 
-class _Scene:
-    """Episodes of one act, side by side: a copy that has ended one begins the next.
+class _SideBySide:
+    """Episodes of one segment, side by side: a copy that has ended one begins the next.
 
     Attributes:
         dense: whether the log-densities of actions are logged.
         most: number of copies in use; less than all where their rows would take too much memory.
         episode: (copies,) which each copy is in, -1 at rest.
         age: (copies,) steps of it done.
-        paid: (copies,) rewards of the last step.
+        rewards: (copies,) of the last step.
         columns: (most, steps, *shape) rows of the unfinished episodes, none of which is longer than the rows still missing.
     """
 
@@ -234,13 +232,13 @@ class _Scene:
         self.copies = copies_of(task)
         self.episode, self.age = np.full(self.copies, -1), np.zeros(self.copies, int)
         self.seen = np.zeros((self.copies, *task.observation_shape), task.observation_dtype)
-        self.paid = np.zeros(self.copies)
+        self.rewards = np.zeros(self.copies)
         kinds, steps = column_kinds(task, policy), min(task.horizon, missing)
         each = steps * sum(int(np.prod(shape)) * np.dtype(dtype).itemsize for shape, dtype in kinds.values())
         self.most = max(1, min(self.copies, int(MEMORY * memory()) // each))
         self.columns = {key: np.zeros((self.most, steps, *shape), dtype) for key, (shape, dtype) in kinds.items()}
 
-    def play(self, first: int, rows: int, wanted: int, progress: Callable[[int], None] | None) -> Iterator["list[Episode]"]:
+    def run(self, first: int, rows: int, wanted: int, progress: Callable[[int], None] | None) -> Iterator[list[Episode]]:
         """Runs the episodes `first`, `first` + 1, ... until `rows` and theirs are `wanted`; gives them in order, bit by bit.
 
         The order is that of their numbers, not that in which they end: no episode is left out because it is long.
@@ -289,9 +287,9 @@ class _Scene:
             for copy, number in zip(which, numbers):
                 generator = np.random.default_rng([*self.seed, int(number), 1])
                 self.policy.begin(self.simulator, int(copy), self.seen[copy], generator)
-        self.episode[which], self.age[which], self.paid[which] = numbers, 0, 0.0
+        self.episode[which], self.age[which], self.rewards[which] = numbers, 0, 0.0
 
-    def _step(self) -> Iterator[tuple[int, "Episode"]]:
+    def _step(self) -> Iterator[tuple[int, Episode]]:
         """One step of all copies; gives the numbers and rows of the episodes that ended with it."""
         alive = np.flatnonzero(self.episode >= 0)
         told: dict[str, np.ndarray] = {}
@@ -317,13 +315,13 @@ class _Scene:
         parts = dict(zip(COLUMNS, (self.seen, actions, rewards, terminals, timeouts, log_probs))) | told
         for key, part in parts.items():
             self.columns[key][alive, self.age[alive]] = part[alive]
-        self.seen, self.paid = seen, np.array(rewards)
+        self.seen, self.rewards = seen, np.array(rewards)
         self.age[alive] += 1
         for copy in alive[(terminals | timeouts)[alive]]:
             yield int(self.episode[copy]), self._rows(copy)
             self.episode[copy] = -1
 
-    def _rows(self, copy: int) -> "Episode":
+    def _rows(self, copy: int) -> Episode:
         """The episode that a copy is in, so far."""
         columns = {key: column[copy, : self.age[copy]].copy() for key, column in self.columns.items()}
         return Episode(columns, self.seen[copy].copy())
@@ -334,7 +332,7 @@ class _Scene:
         log_probs = np.full(self.copies, np.nan, np.float32)
         for copy in alive.tolist():
             row = [copy]
-            step = Step(self.seen[row], self.paid[row], self.age[row] == 0)
+            step = Step(self.seen[row], self.rewards[row], self.age[row] == 0)
             generator = np.random.default_rng([*self.seed, int(self.episode[copy]), int(self.age[copy]) + 1])
             given, _ = self.policy.act(step, self.policy.start(1), generator, greedy=False)
             actions[row] = self._checked(given, 1, np.zeros(1, int))
@@ -369,7 +367,7 @@ def action_kind(task: Task) -> tuple[tuple[int, ...], Any]:
 
 
 def column_kinds(task: Task, policy: Any) -> dict[str, tuple[tuple[int, ...], Any]]:
-    """Shape and dtype of a row of each of `COLUMNS`, and of what the policy tells if it is a guide."""
+    """Shape and dtype of a row of each of `COLUMNS`, and of what the policy tells if it is a `StatefulController`."""
     kinds = (task.observation_shape, np.dtype(task.observation_dtype)), action_kind(task), ((), np.float32), ((), bool)
     known = dict(zip(COLUMNS, (*kinds, ((), bool), ((), np.float32))))
     told = policy.columns if isinstance(policy, StatefulController) else {}
@@ -381,5 +379,4 @@ def acted_in(body: str, name: str, seed: int, extra: dict[str, Any]) -> Provenan
 
     They act on the processor, unless `extra` names another `device`.
     """
-    versions = {each: metadata.version(each) for each in ("mujoco", body, "numpy", "jax")} | {"deadreckon": __version__}
-    return Provenance("collected", name, seed, versions, extra={"device": acting_platform()} | extra)
+    return collected(name, seed, ("mujoco", body, "numpy", "jax"), {"device": acting_platform()} | extra)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from deadreckon.collect.driving import CRUISE, EAGER
-from deadreckon.tasks.car import AXLE, BRAKE, DRIVE, STEER
+from deadreckon.tasks.car import actions_for
 from deadreckon.tasks.town import (
     AHEAD,
     APPROACH,
@@ -54,13 +54,10 @@ def drive(observations: np.ndarray) -> np.ndarray:
     way = route_ahead(seen)
     ahead, left = way[:, LOOK].T
     circle = 2 * left / (ahead**2 + left**2)  # 1/m
-    wheels = np.arctan(2 * np.tan(np.arcsin(np.clip(circle * AXLE, -1.0, 1.0))))
     bend = np.abs(seen[:, 4 : 4 + len(AHEAD)])
     in_bends = np.sqrt((ACROSS / np.maximum(bend, 1e-3) + 2 * GENTLE * AHEAD).min(1))
     allowed = np.minimum(np.minimum(CRUISE, in_bends), np.minimum(_at_the_light(seen), _behind_others(seen, way)))
-    wanted = EAGER * (allowed - seen[:, SPEED])
-    pedal = np.where(wanted >= 0.0, wanted / DRIVE, wanted / BRAKE)
-    return np.clip(np.stack([pedal, -wheels / STEER], 1), -1.0, 1.0).astype(np.float32)
+    return actions_for(circle, EAGER * (allowed - seen[:, SPEED]))
 
 
 def _at_the_light(seen: np.ndarray) -> np.ndarray:

@@ -3,14 +3,13 @@
 from pathlib import Path
 
 from deadreckon.agents.agent import Agent
-from deadreckon.collect.stage import asked_for, same_collection
+from deadreckon.collect.growing_log import asked_for, same_collection
 from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Spec
-from deadreckon.errors import UserError
 from deadreckon.online import Exploration, Online
 from deadreckon.progress import Progress
 from deadreckon.tasks.task import Task
-from deadreckon.training.fit import Fit
+from deadreckon.training.fit import Fit, complete
 
 CHUNK = 2000  # updates between checkpoints
 
@@ -52,10 +51,6 @@ def train_for_rows(
     same_collection(folder, asked_for(name, seed, [steps], provenance))
     experience = Exploration(task, lanes[0], [seed], updates, settings, [path], threads)
     job = Fit(lanes, experience, [seed], updates, CHUNK, folder / "checkpoints")
-    job.resume()
-    for done in job.chunks():
-        if done.failures[0] is not None:
-            raise UserError(f"{name}: training with seed {seed} failed, {done.failures[0].metric} was not finite")
-        if progress:
-            progress(min(experience.count, steps), steps)
+    told = (lambda done: progress(min(experience.count, steps), steps)) if progress else (lambda done: None)
+    complete(job, f"{name}: training with seed {seed}", told, advice="")
     return path

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+WIDTH = 200  # most characters of names that are listed
+
 
 class Asked(NamedTuple):
     """The given roles: columns, or prefixes that stand for prefix_0, prefix_1, ...; None or empty if names decide."""
@@ -26,10 +28,10 @@ class Asked(NamedTuple):
     kinds: Mapping[str, str] | Sequence[str] = ()
 
 
-def listed(names: Sequence[str], width: int = 200) -> str:
-    """The names, as many as fit."""
+def listed(names: Sequence[str]) -> str:
+    """The names, as many as fit into `WIDTH` characters."""
     shown = [name for name in names if name]
     all_of_them = len(shown)
-    while len(shown) > 1 and len(", ".join(shown)) > width:
+    while len(shown) > 1 and len(", ".join(shown)) > WIDTH:
         shown.pop()
     return f"columns: {', '.join(shown)}{', ...' if len(shown) < all_of_them else ''}"

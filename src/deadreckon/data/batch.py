@@ -238,7 +238,7 @@ def _discount(r: TransitionSource, rows: np.ndarray) -> np.ndarray:
 
 def _next_action(r: TransitionSource, rows: np.ndarray) -> np.ndarray:
     action = _action(r, np.minimum(rows + 1, len(r.log) - 1))
-    inside = ~r.log._is_end[rows]
+    inside = ~r.log.is_end[rows]
     return action * inside.reshape(-1, *[1] * (action.ndim - 1)).astype(action.dtype)
 
 
@@ -260,7 +260,7 @@ _COLUMNS: dict[str, Callable[[TransitionSource, np.ndarray], np.ndarray]] = {
     "terminal": lambda r, i: np.asarray(r.log.terminals[r.last(i)], np.float32),
     "discount": _discount,
     "next_action": _next_action,
-    "follows": lambda r, i: (~r.log._is_end[i]).astype(np.float32),
+    "follows": lambda r, i: (~r.log.is_end[i]).astype(np.float32),
     "return_to_go": lambda r, i: r._returns_to_go[i],
     "monte_carlo": lambda r, i: r._monte_carlo[i],
     "time": lambda r, i: (i - r.log.starts[r.log.episode_at(i)]).astype(np.float32),

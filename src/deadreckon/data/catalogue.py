@@ -8,7 +8,7 @@ from typing import Any
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.entries import ENTRIES, ORIGINAL, TWIN, VERSION, Entry
 from deadreckon.data.formats import minari_ids as minaris
-from deadreckon.data.formats.build import TABLE_ENDINGS
+from deadreckon.data.formats.build import ENDINGS, TABLE_ENDINGS
 from deadreckon.data.formats.io import read
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import home, is_there, read_json
@@ -96,7 +96,7 @@ def load(name: Path | str, mmap: bool | None = None, strict: bool = False, **opt
     text = str(name)
     if text.startswith("minari:") or is_there(name) or (text not in ENTRIES and minaris.installed(text)):
         return read(name, mmap=mmap, strict=strict, **options)
-    looks_like_a_file = Path(text).suffix in (".hdf5", ".h5", ".npz", ".pickle", ".pkl", ".gz", ".txt", *TABLE_ENDINGS)
+    looks_like_a_file = Path(text).suffix in (*ENDINGS, *TABLE_ENDINGS, ".txt")
     if isinstance(name, Path) or looks_like_a_file:
         raise UserError(f"no file {text}")
     text = plain_name(text)

@@ -42,14 +42,14 @@ def checked_columns(log: str, columns: Mapping[str, Any], action_space: Box | Di
     if isinstance(space, Discrete) and LOG_PROBS in extras:
         _check_log_probabilities(log, extras[LOG_PROBS])
     rewards = _flat(log, "rewards", columns["rewards"], np.float32)
-    terminals = _flag(log, "terminals", columns["terminals"]) if "terminals" in columns else np.zeros(rows, bool)
+    terminals = flags(log, "terminals", columns["terminals"]) if "terminals" in columns else np.zeros(rows, bool)
     following = columns.get("next_observations")
     if following is not None:
         following = _observation_column(log, "next_observations", following)
         if following.shape != observations.shape:
             raise UserError(f"{log}: next_observations have shape {following.shape}, observations {observations.shape}")
     if "timeouts" in columns:
-        timeouts = _flag(log, "timeouts", columns["timeouts"]).copy()
+        timeouts = flags(log, "timeouts", columns["timeouts"]).copy()
     elif following is not None:
         timeouts = np.append(breaks(observations, following), True) & ~terminals
     else:
@@ -68,25 +68,28 @@ def _finals(
 ) -> tuple[np.ndarray, np.ndarray]:
     """(episodes, *shape) what was seen after each episode's last row, and (episodes,) bool whether that is known."""
     if following is not None:
-        known = _flag(log, "final_known", columns["final_known"]) if "final_known" in columns else np.ones(len(last), bool)
-        if len(known) != len(last):
-            raise UserError(f"{log}: final_known has {len(known)} values, {len(last)} episodes need one each")
-        return np.ascontiguousarray(following[last]), known
+        return np.ascontiguousarray(following[last]), known_finals(log, columns, len(last))
     if "final_observations" not in columns:
         return np.ascontiguousarray(observations[last]), np.zeros(len(last), bool)
     _check_numbers(log, "final_observations", np.asanyarray(columns["final_observations"]))
-    final, known = _observation_column(log, "final_observations", columns["final_observations"]), np.ones(len(last), bool)
+    final = _observation_column(log, "final_observations", columns["final_observations"])
     if final.shape != (len(last), *observations.shape[1:]):
         want = (len(last), *observations.shape[1:])
         raise UserError(f"{log}: final_observations have shape {final.shape}, {want} is needed, one per episode")
-    if "final_known" in columns:
-        known = _flag(log, "final_known", columns["final_known"])
-        if len(known) != len(last):
-            raise UserError(f"{log}: final_known has {len(known)} values, {len(last)} episodes need one each")
+    known = known_finals(log, columns, len(last))
     if not known.all():
         # A placeholder; nobody bootstraps from it, because these rows are dropped or terminal.
         final = np.where(known.reshape(-1, *[1] * (final.ndim - 1)), final, observations[last])
     return final, known
+
+
+def known_finals(log: str, columns: Mapping[str, Any], episodes: int) -> np.ndarray:
+    """(episodes,) bool of the column `final_known`; all true without one.
+
+    Raises:
+        UserError: it does not hold a truth value for each episode.
+    """
+    return flags(log, "final_known", columns["final_known"], episodes) if "final_known" in columns else np.ones(episodes, bool)
 
 
 def _blocks(column: np.ndarray) -> range:
@@ -153,8 +156,22 @@ def _float32(log: str, key: str, column: np.ndarray) -> np.ndarray:
     return small
 
 
-def _flag(log: str, key: str, column: np.ndarray) -> np.ndarray:
+def flags(log: str, key: str, column: np.ndarray, rows: int | None = None) -> np.ndarray:
+    """(rows,) bool of a column of truth values; not a copy of one that has them already.
+
+    Args:
+        log: its name, for errors.
+        key: of the column, likewise.
+        column: with one value per row, true or false or 1 or 0.
+        rows: number of values that it must have; None: any.
+
+    Raises:
+        UserError: a value is not one of these, or there are more or fewer than `rows`.
+    """
     column = _flat(log, key, column, None)
+    if rows is not None and len(column) != rows:
+        one = ", one per episode" if key in _LAST else ""
+        raise UserError(f"{log}: column {key} has {len(column)} values, {rows} are needed{one}")
     if column.dtype != bool:
         wrong = ~np.isin(column, (0, 1))
         if wrong.any():

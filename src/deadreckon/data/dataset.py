@@ -170,13 +170,14 @@ class Dataset(Shown):
         return f"Dataset({self.name}: {len(self):,} steps, {self.episodes:,} episodes, {self.action_space})"
 
     @cached_property
-    def _is_end(self) -> np.ndarray:
+    def is_end(self) -> np.ndarray:
+        """(rows,) bool: the row is its episode's last, a terminal or a timeout."""
         return np.asarray(self.terminals) | np.asarray(self.timeouts)
 
     @cached_property
     def ends(self) -> np.ndarray:
         """(episodes,) index of each episode's last row."""
-        return np.flatnonzero(self._is_end)
+        return np.flatnonzero(self.is_end)
 
     @cached_property
     def starts(self) -> np.ndarray:
@@ -236,7 +237,7 @@ class Dataset(Shown):
         apart = np.zeros(len(self), bool)
         if self.successors is not None:
             apart[:-1] = breaks(self.observations, self.successors)
-        return apart & ~self._is_end
+        return apart & ~self.is_end
 
     @property
     def dropped(self) -> int:
@@ -247,7 +248,7 @@ class Dataset(Shown):
         """Observation after each of `rows`; it never crosses into another episode. Same shape rule as indexing."""
         if self.successors is not None:
             return self.successors[rows]
-        ends = self._is_end[rows]
+        ends = self.is_end[rows]
         following = np.asarray(self.observations[np.minimum(rows + 1, len(self) - 1)])
         following[ends] = self.final_observations[np.searchsorted(self.ends, rows[ends])]
         return following

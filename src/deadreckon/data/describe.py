@@ -21,12 +21,11 @@ from deadreckon.data.text_columns import with_dates
 from deadreckon.errors import UserError
 
 
-def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafted:
+def describe_table(source: Any, **asked: Any) -> Drafted:
     """Drafts the schema of a table, with levels, ranges and the replacements of missing values.
 
     Args:
         source: the path of a file that holds a table, or a table as `frame_columns` takes it.
-        name: of the table, for errors; the path, or "frame".
         **asked: the known roles of columns; see `data.frame.frame_columns`.
 
     Returns:
@@ -36,10 +35,11 @@ def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafte
         UserError: no such file or table, or a given column does not exist.
     """
     file = Path(source) if isinstance(source, str | Path) else None
+    name = str(file) if file else "frame"  # for errors
     ways: dict[str, Any] = {}
     lines: list[str] = []  # of the file's reader
     if file is None:
-        table, _, lines = with_dates(to_arrow(source, name or "frame"), Dialect.asked(dates=asked.pop("dates", None)).dates)
+        table, _, lines = with_dates(to_arrow(source, name), Dialect.asked(dates=asked.pop("dates", None)).dates)
     else:
         from deadreckon.data.formats.any_table import table_of_kind
         from deadreckon.data.formats.kind import READING, sniff
@@ -48,7 +48,6 @@ def describe_table(source: Any, name: str | None = None, **asked: Any) -> Drafte
         ways = {key: asked.pop(key) for key in READING if key in asked}
         table, dialect, lines = table_of_kind(file, sniff(file, ways.get("separator")), ways, levels_in(asked))
         ways = pinned(dialect) | ways
-    name = name or (str(file) if file else "frame")
     schema, told = draft(table, Asked(**asked), name, needed=False)
     for role in ("action", "reward"):
         if not schema.having(role):

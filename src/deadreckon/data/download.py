@@ -5,7 +5,6 @@ gets its name only when it is complete and can be read.
 """
 
 import contextlib
-import hashlib
 import os
 import re
 import shutil
@@ -23,7 +22,7 @@ from deadreckon.data.catalogue import cached_path, entry, plain_name, record_pat
 from deadreckon.data.connection import TransferError
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.entries import ORIGINAL, TWIN, Entry
-from deadreckon.data.transfer import Progress, Received, RetryPolicy, Sums, fetch, file_hashes, file_size, forget
+from deadreckon.data.transfer import Progress, Received, RetryPolicy, Sums, fetch, file_size, forget, sha256_of
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import alone, read_json, write_json
 from deadreckon.interrupts import resumable
@@ -253,7 +252,7 @@ def _there(found: Entry, source: str, path: Path, wanted: str | None) -> Downloa
     """The log that is at `path` already, if it is the wanted one."""
     if source == ORIGINAL:
         record = read_json(record_path(path)) if record_path(path).exists() else None
-        have = file_hashes(path, {"sha256": hashlib.sha256()})["sha256"] if wanted else None
+        have = sha256_of(path) if wanted else None
     else:
         from deadreckon.data.formats.hdf5 import read_hdf5
 

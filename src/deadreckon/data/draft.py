@@ -13,6 +13,7 @@ import pyarrow as pa
 from deadreckon.data import roles
 from deadreckon.data.arrow import distinct, flat, is_text, levels_of_whole_numbers
 from deadreckon.data.asked import Asked, listed
+from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.kinds import asked_kinds, check_column, columns_like, kind_of
 from deadreckon.data.legal_columns import find_legal
 from deadreckon.data.rest import rest
@@ -139,14 +140,17 @@ class _Maker:
             self.told.append(f"column {index[0]!r} looks like a row number and is left out of the observations")
         self.following_asked_for()
         self.ahead_by_name()
-        self.following_by_name()
         self.ends_by_name()
+        of_ours = roles.ours(self.names) and LOG_PROBS not in self.names and not self.having("propensity")
         for column in [column for column in self.names if column not in self.roles]:
             if roles.DONE.fullmatch(column.lower()):
                 self.give([column], "ignore", "says that an episode ended, not why")
                 self.doubt(column, "marks starts of episodes and is left out: --episode names a column that identifies them"
                            if "first" in column.lower() else f"marks ends of episodes and is left out: --terminal {column} "
                            f"where the task itself ended, --timeout {column} where only the recording did")  # fmt: skip
+            elif column == "propensity" and of_ours:
+                self.give([column], "propensity", "by its name beside names of ours")
+                self.told.append("column propensity is read as the probability of the logged action (--propensity)")
             elif roles.like("propensity", column) and "propensity" not in {role for role, _ in self.roles.values()}:
                 self.give([column], "ignore", "looks like the probability of the logged action")
                 self.doubt(column, f"looks like a probability of the logged action and is left out: --propensity {column}, or "
@@ -154,6 +158,7 @@ class _Maker:
             elif roles.like("cost", column):
                 self.give([column], "cost", "named like a cost")
                 self.doubt(column, "looks like a cost, is kept and not observed (--observations to observe it)")
+        self.following_by_name()
         if self.asked.observations is not None:
             self.give([c for c in self.names if c not in self.roles], "ignore", "not named among the observations")
             return
@@ -224,7 +229,7 @@ class _Maker:
                 self.doubt(column, f"looks like the {of} of the next row and is left out (--observations to observe it)")
 
     def following_by_name(self) -> None:
-        """Next observations whose names say whose."""
+        """Next observations whose names say whose; what has no role yet is observed."""
         if self.having("next_observation"):
             return
         named = self.asked.observations is not None
@@ -235,8 +240,7 @@ class _Maker:
             return
         found = ", ".join(list(pairs)[:4]) + (", ..." if len(pairs) > 4 else "")
         paired = {*pairs, *pairs.values()}
-        lacking = [column for column in observed if column not in paired and not roles.not_observed(column)]
-        if lacking:
+        if lacking := [column for column in observed if column not in paired]:
             self.give(list(pairs), "ignore", "looks like a next observation")
             shown = ", ".join(lacking[:4])
             self.told.append(f"columns {found} look like next observations and are left out, because {shown} have none")

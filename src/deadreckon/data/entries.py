@@ -183,6 +183,13 @@ ENTRIES: dict[str, Entry] = {
 }
 
 
+def task_of(name: str) -> str | None:
+    """The task of a log of the catalogue, by the log's name; None for other logs, and for originals of another world."""
+    base, _, version = name.partition("@")
+    found = ENTRIES.get(base)
+    return None if found is None or (found.elsewhere and version == ORIGINAL) else found.task
+
+
 def has_original(name: str) -> bool:
     """Whether a benchmark has published files of this log, or nobody knows since it is not in the catalogue."""
     return name not in ENTRIES or bool(ENTRIES[name].sources)

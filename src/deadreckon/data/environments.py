@@ -4,13 +4,13 @@ Logs of the package's tasks are known by the task's name. Others say it themselv
 environment is then not opened here, because a file must not name code that runs.
 """
 
-import re
 import warnings
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.entries import task_of
 from deadreckon.errors import UserError
 
 SPEC, BOUNDS = "env_spec", "observation_bounds"  # in a log's provenance
@@ -35,14 +35,6 @@ IDS = {
     **{f"antmaze-{e.lower()}{'-' * bool(e)}{maze.lower()}": f"{_MODULE}AntMaze{e}{maze.replace('-', '')}-v2"
        for e in ("", "Eval") for maze in _WALKED},
 }  # fmt: skip
-
-
-_LOG = re.compile(r"(?P<whole>[a-z\d-]+)-v\d")
-_KINDS = (
-    "random", "uniform", "noisy", "medium", "expert", "medium-replay", "medium-expert", "uniform-expert", "controller", "human",
-    "cloned", "full-replay",
-)  # fmt: skip
-_KIND = re.compile(f"-({'|'.join(_KINDS)})$")
 
 
 class Environment(NamedTuple):
@@ -83,15 +75,6 @@ def environment_of(log: Dataset) -> Environment | None:
     if not isinstance(space, gymnasium.spaces.Box) or space.shape != log.observations.shape[1:]:
         return None
     return Environment(with_spec.to_json(), space.low, space.high)
-
-
-def task_of(name: str) -> str | None:
-    """The task of a log of the catalogue, by the log's name; None for others. The catalogue itself stands above this module."""
-    found = _LOG.fullmatch(name.split("@")[0])
-    if found is None:
-        return None
-    whole = found["whole"]  # of mazes, "medium" is a size
-    return next((each for each in (whole, _KIND.sub("", whole)) if each in IDS), None)
 
 
 def noted_bounds(low: np.ndarray, high: np.ndarray) -> list[Any]:

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from deadreckon.data.scratch import BLOCK
+
 if TYPE_CHECKING:
     from deadreckon.data.dataset import Dataset
 
 _BLOCK = 2**22  # bytes looked at together: they stay in the processor's cache, and no memory-mapped column is loaded whole
-_ROWS = 262_144  # looked at together, likewise
 _TOGETHER = 4_194_304  # rows whose returns are made together, or one episode where that is longer
 _LONG = 4_096  # steps up to which episodes are walked back together even where they are few
 _STEP = np.uint64(0x9E3779B97F4A7C15)
@@ -31,8 +32,8 @@ def fingerprint(log: "Dataset") -> str:
         named["successors"] = log.successors
     for key, column in named.items():
         digest.update(f"{key}{column.shape}{column.dtype}".encode())
-        for start in range(0, len(column), _ROWS):
-            digest.update(np.ascontiguousarray(column[start : start + _ROWS]).tobytes())
+        for start in range(0, len(column), BLOCK):
+            digest.update(np.ascontiguousarray(column[start : start + BLOCK]).tobytes())
     return digest.hexdigest()
 
 
@@ -60,8 +61,8 @@ def alike_in(log: "Dataset", ids: np.ndarray) -> np.ndarray:
 def contents(log: "Dataset") -> np.ndarray:
     """(episodes,) uint64 hashes of what episodes hold, the same for equal ones."""
     ids = np.zeros(log.episodes, np.uint64)
-    for start in range(0, len(log), _ROWS):
-        row = np.arange(start, min(start + _ROWS, len(log)))
+    for start in range(0, len(log), BLOCK):
+        row = np.arange(start, min(start + BLOCK, len(log)))
         block, episode = slice(start, start + len(row)), log.episode_at(row)
         rows = np.zeros(len(row), np.uint64)
         for name in ("observations", "actions", "rewards"):
@@ -72,7 +73,7 @@ def contents(log: "Dataset") -> np.ndarray:
             new = np.zeros(len(row), bool)
             inside = row[row < len(log) - 1]
             said = log.successors[block][: len(inside)] != log.observations[start + 1 : start + 1 + len(inside)]
-            new[: len(inside)] = said.reshape(len(inside), -1).any(1) & ~log._is_end[inside]
+            new[: len(inside)] = said.reshape(len(inside), -1).any(1) & ~log.is_end[inside]
             found = np.zeros(int(new.sum()), np.uint64)
             _add(found, "successors", log.successors[block][new])
             rows[new] += found

@@ -185,19 +185,8 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
     if not (episode or time or terminal or timeout or following):
         columns["terminals"][:] = True
         encoder.warnings.append(ALONE)
-    order, ends = _order(table.num_rows, codes, moments)
-    if codes is not None or time is not None:
-        encoder.warnings += about_order(table, schema, codes, moments, order)
-    warnings = [*warnings, *encoder.warnings]
-    if order is not None:
-        columns, unknown = {key: scratch.ordered(column, order) for key, column in columns.items()}, unknown[order]
-    if order is not None and time is not None and moments is not None:
-        moments = moments[order]
-        if ties := int((~ends[:-1] & (moments[1:] == moments[:-1])).sum()):
-            warnings.append(f"{ties} rows have the {time.name} of the row before them; they stay in the table's order")
-        if time.kind != "date" and not pa.types.is_temporal(table.column(time.name).type):
-            stops = ends | columns["terminals"] | columns["timeouts"]
-            warnings += missing_steps(time.name, moments, stops, ends if episode is not None else None)
+    columns, unknown, ends, told = _in_order(table, schema, columns, unknown, codes, moments, scratch)
+    warnings = [*warnings, *encoder.warnings, *told]
     early = int((columns["terminals"] & ~ends).sum()) if episode is not None else 0
     if early:
         warnings.append(f"{early} terminal rows are not the last of their episode, which is cut there")
@@ -210,6 +199,39 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
     if group := schema.one("group"):
         extra["group"] = group.name
     return FrameColumns(columns, extra, warnings, _space(actions, encoder.resolved))
+
+
+def _in_order(
+    table: pa.Table, schema: Schema, columns: dict[str, Any], unknown: np.ndarray, codes: np.ndarray | None,
+    moments: np.ndarray | None, scratch: Scratch,
+) -> tuple[dict[str, Any], np.ndarray, np.ndarray, list[str]]:  # fmt: skip
+    """The columns in the order of episodes and time.
+
+    Args:
+        table: (rows,) of each column.
+        schema: of the table.
+        columns: by `from_arrays` names, (rows, ...) each.
+        unknown: (rows,) bool, where the next observation is missing.
+        codes: (rows,) index of each row's episode; None: no column tells episodes apart.
+        moments: (rows,) of each row; None: rows are in order.
+        scratch: where columns are kept.
+
+    Returns:
+        The columns, and `unknown`, in order; (rows,) bool whether a row is the last of its episode; and messages.
+    """
+    order, ends = _order(table.num_rows, codes, moments)
+    if order is None:
+        return columns, unknown, ends, []
+    told = about_order(table, schema, codes, moments, order)
+    columns, unknown = {key: scratch.ordered(column, order) for key, column in columns.items()}, unknown[order]
+    if (time := schema.one("time")) is not None and moments is not None:
+        moments = moments[order]
+        if ties := int((~ends[:-1] & (moments[1:] == moments[:-1])).sum()):
+            told.append(f"{ties} rows have the {time.name} of the row before them; they stay in the table's order")
+        if time.kind != "date" and not pa.types.is_temporal(table.column(time.name).type):
+            stops = ends | columns["terminals"] | columns["timeouts"]
+            told += missing_steps(time.name, moments, stops, ends if codes is not None else None)
+    return columns, unknown, ends, told
 
 
 def _ends_known(name: str, columns: dict[str, Any], unknown: np.ndarray, ends: np.ndarray, cut: bool) -> None:

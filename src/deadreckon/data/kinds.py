@@ -24,7 +24,7 @@ from deadreckon.data.schema import ALLOWED, KINDS, Kind, Role
 from deadreckon.errors import UserError, unknown
 
 _EXACT = 2**24  # up to which float32 holds every integer
-MOST_ACTIONS = 100  # different whole numbers in a column of actions beyond which it is read as continuous
+MOST_DISCRETE = 100  # different whole numbers in a column of actions beyond which it is read as continuous
 
 
 def columns_like(table: pa.Table, prefix: str, name: str) -> list[str]:
@@ -102,10 +102,10 @@ def _action(column: str, values: Any, kind: Kind, alone: bool) -> tuple[Kind, st
             return "number", "numbers", constant
         doubt = f"holds the whole numbers {levels[0]} to {levels[-1]} with a decimal point"
         return "integer", "whole numbers with a decimal point", f"{doubt} and is read as {count} discrete actions {as_number}"
-    if count > MOST_ACTIONS:
+    if count > MOST_DISCRETE:
         doubt = f"has {count:,} different whole numbers and is read as a continuous action"
         doubt += f" (--kinds {column}=integer makes each a discrete one)"
-        return "number", f"more than {MOST_ACTIONS} whole numbers", doubt
+        return "number", f"more than {MOST_DISCRETE} whole numbers", doubt
     doubt = constant if few else f"has {count} different whole numbers and is read as {count} discrete actions {as_number}"
     return kind, f"{count} whole numbers", doubt
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from deadreckon.data.checks import flags, known_finals
 from deadreckon.data.columns import MASKS
 from deadreckon.data.scratch import BLOCK
 from deadreckon.data.spec import Box, Discrete
@@ -52,7 +53,7 @@ def joined_masks(
         raise UserError(f"{log}: legal needs flat observations (rows, numbers), got shape {observations.shape}")
     if len(observations) != rows:
         raise UserError(f"{log}: column legal has {rows} rows, observations have {len(observations)}")
-    terminals = _flags(log, "terminals", columns.get("terminals", np.zeros(rows)), rows)
+    terminals = flags(log, "terminals", columns.get("terminals", np.zeros(rows)), rows)
     if space is not None and space.n != size:
         raise UserError(f"{log}: legal has a column for each of {size} actions, the action space has {space.n}")
     for key in ("next_legal", "final_legal"):
@@ -72,7 +73,7 @@ def joined_masks(
         final = _numbers(log, "final_observations", final).reshape(len(final), -1)
         if (mask := masks.get("final_legal")) is None:
             mask = np.zeros((len(final), size), bool)
-        known = _flags(log, "final_known", columns.get("final_known", np.ones(len(final))), len(final))
+        known = known_finals(log, columns, len(final))
         given["final_known"], mask = known & mask.any(1), mask | ~mask.any(1, keepdims=True)
         given["final_observations"] = _beside(final, mask)
     return given | {"observations": _beside(observations, legal)}, Discrete(size, masked=True)
@@ -86,13 +87,12 @@ def _following_masks(
     rows = len(legal)
     continues = np.append((observations[1:] == following[:-1]).all(1), False)
     if "timeouts" in columns:
-        timeouts = _flags(log, "timeouts", columns["timeouts"], rows)
+        timeouts = flags(log, "timeouts", columns["timeouts"], rows).copy()
     else:
         timeouts = ~continues & ~terminals
     timeouts[-1] |= not terminals[-1]
     ends = terminals | timeouts
-    episodes = int(ends.sum())
-    known = _flags(log, "final_known", columns.get("final_known", np.ones(episodes)), episodes)
+    known = known_finals(log, columns, int(ends.sum()))
     if (lost := ~continues & ~ends).any():
         row = int(np.argmax(lost))
         text = f"the next observation of row {row} is not the following row's, so its legal actions are not known"
@@ -108,14 +108,6 @@ def _numbers(log: str, key: str, column: Any) -> np.ndarray:
     if column.dtype.kind not in "fiub":
         raise UserError(f"{log}: column {key} holds {column.dtype}, numbers are needed")
     return column[:, None] if column.ndim == 1 else column
-
-
-def _flags(log: str, key: str, column: Any, rows: int) -> np.ndarray:
-    """(rows,) bool, a copy."""
-    column = np.array(column, bool).reshape(-1)
-    if len(column) != rows:
-        raise UserError(f"{log}: column {key} has {len(column)} values, {rows} are needed")
-    return column
 
 
 def _told(log: str, function: Callable[[np.ndarray], Any], observations: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ NAMES = {
     "legal": re.compile(r"((legal|valid|available|allowed|feasible|possible)(_?actions?)?|action_?masks?)"),
     "next_legal": re.compile(r"next_((legal|valid|available|allowed|feasible|possible)(_?actions?)?|action_?masks?)"),
 }
+OURS = ("observation", "action", "reward")  # or these with numbers behind them
 DONE = re.compile(r"dones?|is_done|ended|end_of_episode|is_last|is_first|last_step")  # says that, and not why, an episode ended
 IDENTITY = re.compile(
     r"(^|_)(u?u?id|user|customer|patient|session|site)(_?(id|no|nr|num|number))?$"
@@ -40,6 +41,11 @@ def not_observed(name: str) -> bool:
     """Whether a column will have another role than that of an observation by its name, so that it needs no next observation."""
     others = ("terminal", "timeout", "propensity", "cost", "episode", "time", "legal", "next_legal")
     return any(like(role, name) for role in others) or DONE.fullmatch(name.lower()) is not None
+
+
+def ours(names: Sequence[str]) -> bool:
+    """Whether a table has the names of columns that this package writes, so that they need no option."""
+    return all(key in names or numbered(names, key) for key in OURS)
 
 
 def row_numbers(names: Sequence[str]) -> list[str]:

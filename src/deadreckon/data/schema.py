@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, NotRequired, TypedDict, get_args
 
 from deadreckon.errors import UserError, unknown
-from deadreckon.files import read_toml, replacing
+from deadreckon.files import read_toml, write_text
 from deadreckon.names import is_control, repeated, safe_path, shown
 
 Role = Literal[
@@ -27,7 +27,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "cost": ("number", "integer", "flag"), "weight": ("number", "integer"),
     "legal": ("category", "flag"), "next_legal": ("category", "flag"),
 }  # fmt: skip
-# What [table] may hold: the file, and the options of `formats.any_table.read_table`.
+# What [table] may hold: the file, and the options of `formats.any_table.table_of_kind`.
 _TABLE = ("path", "separator", "decimal", "thousands", "encoding", "dates", "sheet", "query", "table")
 
 Level = str | int | float | bool
@@ -261,8 +261,7 @@ class Schema:
 
     def save(self, path: Path | str, about: str = "") -> None:
         """Writes the schema as TOML; see `to_toml`. Atomic."""
-        with replacing(path) as temporary:
-            temporary.write_text(self.to_toml(about), encoding="utf-8")
+        write_text(path, self.to_toml(about))
 
     @classmethod
     def load(cls, path: Path | str) -> "Schema":

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from deadreckon.data.scratch import BLOCK
 from deadreckon.errors import UserError
 
 if TYPE_CHECKING:
@@ -67,10 +68,9 @@ class Statistics:
     max: np.ndarray
 
     @classmethod
-    def of(cls, column: np.ndarray, block: int = 262_144) -> "Statistics":
+    def of(cls, column: np.ndarray) -> "Statistics":
         """One pass over `column` (rows first) in blocks, so that a memory-mapped column is never loaded whole."""
-        rows = len(column)
-        shape = column.shape[1:]
+        rows, shape, block = len(column), column.shape[1:], BLOCK
         if column.dtype == np.uint8:  # pictures
             block = max(1, PICTURED // max(1, int(np.prod(shape))))
         total, square = np.zeros(shape), np.zeros(shape)

@@ -118,6 +118,20 @@ def clusters(log: "Dataset", by: str = RANDOM) -> np.ndarray:
     return np.arange(log.episodes) if by in (RANDOM, TIME) else groups(log, by)[1]
 
 
+def units_of(log: "Dataset") -> np.ndarray:
+    """(episodes,) number of the independent unit that each episode belongs to: of its cluster by the log's group, or its own.
+
+    Raises:
+        UserError: the group's column changes within an episode.
+    """
+    return clusters(log, group_of(log) or RANDOM)
+
+
+def units_in_words(by: str) -> str:
+    """What clusters by `by` are, for messages."""
+    return "episodes" if by in (RANDOM, TIME) else f"values of {by}"
+
+
 def groups(log: "Dataset", by: str) -> tuple[np.ndarray, np.ndarray]:
     """The values of a column that has one per episode, and (episodes,) the number of each episode's; see `clusters`."""
     columns = {name: column for name, column in log.extras.items() if column.size == len(log)}
@@ -166,5 +180,4 @@ def folds(log: "Dataset", k: int, by: str = RANDOM, seed: int = 0) -> np.ndarray
 def _enough(log: "Dataset", cluster: np.ndarray, by: str, needed: int) -> None:
     count = int(cluster.max()) + 1
     if count < needed:
-        what = "episodes" if by in (RANDOM, TIME) else f"values of {by}"
-        raise UserError(f"{log.name}: {count} {what}, at least {needed} are needed to hold some out")
+        raise UserError(f"{log.name}: {count} {units_in_words(by)}, at least {needed} are needed to hold some out")

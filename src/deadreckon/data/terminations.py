@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from deadreckon.data import stands
-from deadreckon.data.entries import ENTRIES
+from deadreckon.data.entries import task_of
 from deadreckon.data.spec import Spec
 from deadreckon.errors import UserError
 
@@ -78,8 +78,7 @@ def of_spec(spec: Spec) -> Termination | None:
 
 def of_log(name: str) -> Termination | None:
     """The rule for a log of the catalogue; None where observations do not tell, and for other logs."""
-    entry = ENTRIES.get(name.split("@")[0])
-    return None if entry is None else _KNOWN.get(entry.task or "")
+    return _KNOWN.get(task_of(name) or "")
 
 
 def register(rule: Termination) -> None:

@@ -11,6 +11,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.held import HELD
 from deadreckon.data.schema import Column, Schema
 from deadreckon.data.spec import Box
+from deadreckon.text_table import table
 
 LEVELS = 6  # levels that are named
 SHOWN = 40  # rows of a table on a terminal
@@ -94,18 +95,17 @@ def columns_of(log: Dataset) -> tuple[Told, ...]:
     return tuple(out)
 
 
-def table_of(columns: Sequence[Told], most: int = SHOWN) -> str:
-    """Plain text, a line a column; of more than `most` the first and the last ones."""
+def text_of_columns(columns: Sequence[Told]) -> str:
+    """Plain text, a line a column; of more than `SHOWN` the first and the last ones."""
     cells = [[c.name, c.role, c.kind, c.holds, "?" if c.missing is None else f"{c.missing:,}", c.becomes] for c in columns]
     heads = ["column", "role", "kind", "levels or range", "missing", "becomes"]
-    if len(cells) > most:
-        gap = ["...", f"{len(cells) - most + 1:,} more", "", "", "", ""]
-        cells = [*cells[: most - most // 4 - 1], gap, *cells[-(most // 4) :]]
+    if len(cells) > SHOWN:
+        gap = ["...", f"{len(cells) - SHOWN + 1:,} more", "", "", "", ""]
+        cells = [*cells[: SHOWN - SHOWN // 4 - 1], gap, *cells[-(SHOWN // 4) :]]
     if all(c.missing is None for c in columns):
         heads, cells = heads[:4] + heads[5:], [row[:4] + row[5:] for row in cells]
     rows = [heads, *([" ".join(_cut(cell).split()) for cell in row] for row in cells)]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(heads))]
-    return "\n".join("  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in rows)
+    return table(rows, rule=False)
 
 
 def _dimensions(log: Dataset) -> tuple[Told, ...]:

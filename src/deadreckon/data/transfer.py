@@ -96,16 +96,13 @@ def fetch(
     return Received(url, hashes["sha256"], file_size(part), vouched)
 
 
-def download_file(
-    url: str, place: Path, check: Callable[[Path], Any], *, progress: Progress | None = None, retry: RetryPolicy | None = None
-) -> Path:
+def download_file(url: str, place: Path, check: Callable[[Path], Any], *, retry: RetryPolicy | None = None) -> Path:
     """Makes `place` the file at `url`, unless there is one already, and gives it.
 
     Args:
         url: as for `fetch`.
         place: the file.
         check: reads a file, and raises a `UserError` if it is not what is wanted; then it is not kept.
-        progress: as for `fetch`.
         retry: as for `fetch`.
 
     Raises:
@@ -116,7 +113,7 @@ def download_file(
     try:
         part = place.with_name(f".{place.name}.part")
         with alone(place), resumable(part):
-            fetch(url, part, progress=progress, retry=retry)
+            fetch(url, part, retry=retry)
             try:
                 check(part)
             except UserError as error:
@@ -237,6 +234,11 @@ def file_hashes(path: Path, hashes: Mapping[str, Any]) -> dict[str, str]:
             for hash_ in hashes.values():
                 hash_.update(block)
     return {algorithm: hash_.hexdigest() for algorithm, hash_ in hashes.items()}
+
+
+def sha256_of(path: Path) -> str:
+    """The SHA-256 of a file, in hexadecimal."""
+    return file_hashes(path, {"sha256": hashlib.sha256()})["sha256"]
 
 
 def _beside(part: Path) -> Path:

@@ -8,6 +8,7 @@ dataclasses (fields with defaults may be absent, further keys are refused),
 
 import dataclasses
 import functools
+import operator
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -67,6 +68,8 @@ def _check(value: Any, shape: Any, path: Path | str, field: str) -> None:
     if typing.is_typeddict(shape) or dataclasses.is_dataclass(shape):
         for key, (part, needed) in _fields(shape).items():
             if key in value:
+                # A field of a dataclass may be left out, so null is not among what its error proposes (TOML has none).
+                part = part if typing.is_typeddict(shape) or value[key] is None else _without_null(part)
                 _check(value[key], part, path, f"{field}.{key}" if field else key)
             elif needed:
                 raise UserError(f"{path}: {field or 'it'} lacks {key}")
@@ -127,6 +130,12 @@ def words(shape: Any) -> str:
     if origin is tuple:
         return f"a list of {len(parts)}"
     return _WORDS.get(shape, "an object")
+
+
+def _without_null(shape: Any) -> Any:
+    if typing.get_origin(shape) not in (Union, types.UnionType):
+        return shape
+    return functools.reduce(operator.or_, (part for part in typing.get_args(shape) if part is not type(None)))
 
 
 def _endless(shape: Any) -> bool:

@@ -16,7 +16,6 @@ from deadreckon.mbo.nn_distance import (
     nearest_scored,
     nn_distance,
     tried,
-    usual_distance,
 )
 from deadreckon.mbo.rules import written
 from deadreckon.randomness import generator
@@ -90,12 +89,12 @@ def batch(
 
 def least_distance(data: Designs) -> float:
     """Least distance between proposals, in the space of `Coordinates.place`."""
-    return (APART if data.rules.apart is None else data.rules.apart) * usual_distance(data)
+    return (APART if data.rules.apart is None else data.rules.apart) * data.usual_distance
 
 
 def least_from_data(data: Designs) -> float:
     """Least distance of proposals from designs of the table, in the same space; not above one that is given for proposals."""
-    return min(APART, data.rules.apart or APART) * usual_distance(data)
+    return min(APART, data.rules.apart or APART) * data.usual_distance
 
 
 def nearly_tried(data: Designs, x: np.ndarray) -> np.ndarray:
@@ -116,7 +115,7 @@ def repeats_told(data: Designs, x: np.ndarray) -> list[str]:
         return []
     return [
         f"{count:,} of {len(x):,} proposals nearly {'repeats' if count == 1 else 'repeat'} a design of the table (less than "
-        f"{least_from_data(data) / usual_distance(data):g} typical distances away): there are too few others, or repeats were "
+        f"{least_from_data(data) / data.usual_distance:g} typical distances away): there are too few others, or repeats were "
         "allowed"
     ]
 
@@ -180,7 +179,7 @@ def pulled(data: Designs, x: np.ndarray, limit: float) -> np.ndarray:
     Fixed variables keep their values. So rows that are too far by these alone do not count, and if all are, no design is moved.
     Categories become those of the row only where they alone, beside the fixed variables, are too far from it.
     """
-    x, view, usual = np.array(x, np.float32), data.coordinates, usual_distance(data)
+    x, view, usual = np.array(x, np.float32), data.coordinates, data.usual_distance
     fixed = [column for column, _ in data.rules.fixed]
     held = data.x.copy()
     held[:, fixed] = [value for _, value in data.rules.fixed]

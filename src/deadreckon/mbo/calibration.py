@@ -90,15 +90,14 @@ class Calibration:
         return self.a + self.b * mean, (self.scale / OWN**0.5 or 1.0) * off
 
 
-def conformal_factor(error: np.ndarray, share: float = LEVEL, independent: int | None = None) -> float:
-    """The factor on standard deviations with which normal intervals cover the given share of errors.
+def conformal_factor(error: np.ndarray, independent: int | None = None) -> float:
+    """The factor on standard deviations with which normal intervals cover the share `LEVEL` of errors.
 
     Args:
         error: (rows,) absolute errors in standard deviations.
-        share: of the errors to cover.
         independent: effective number of independent errors, for the finite-sample correction; None: all are.
     """
     n = len(error) if independent is None else independent
-    rank = min(int(np.ceil((n + 1) * share)), n)
+    rank = min(int(np.ceil((n + 1) * LEVEL)), n)
     rank = rank if n == len(error) else int(np.ceil(rank / n * len(error)))
     return float(np.sort(error)[rank - 1] / NORMAL)

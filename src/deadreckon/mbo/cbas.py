@@ -178,7 +178,7 @@ class CbAS(Designer):
         """Designs sampled from the last q."""
         view = setting.data.coordinates
         layout = Layout.of(view)
-        ensemble = Gaussian(self.lr, self.members, self.hidden, 2, "relu", self.batch_size)
+        ensemble = _ensemble(self)
         weight = redrawn(len(setting.data), self.members, 0)
         proxies = setting.train(ensemble, self.steps, "forward", {"weight": weight})
         priors = setting.train(Autoencoding(self, layout), self.steps, "generator")
@@ -197,6 +197,10 @@ class CbAS(Designer):
         return found
 
 
+def _ensemble(of: CbAS) -> Gaussian:
+    return Gaussian(of.lr, of.members, of.hidden, outputs=2, activation="relu", batch_size=of.batch_size)
+
+
 def _draw(layout: Layout, q: Generator, key: Array, count: int) -> tuple[Array, Array]:
     """Samples designs, some of them out of bounds; returns their coordinates and latent variables."""
     kz, kx = keys(key, "latent", "design")
@@ -212,15 +216,15 @@ def _round(of: CbAS, layout: Layout, prior: Generator, state: Rounds, x, y, weig
     mean, std = mixture(state.nets, jnp.clip(drawn, low, high))  # as they would be proposed; densities are of the samples
     threshold = jnp.maximum(state.threshold, jnp.percentile(mean, of.percentile))
     ratio = layout.log_prob(prior.decoder(latent), drawn) - layout.log_prob(state.q.decoder(latent), drawn)
-    log_count = jnp.clip(ratio, -LOG_RATIO, LOG_RATIO) + jax.scipy.stats.norm.logsf((threshold - mean) / std)
-    count = jnp.exp(log_count - log_count.max())
-    count = count / count.mean()
+    log_importance = jnp.clip(ratio, -LOG_RATIO, LOG_RATIO) + jax.scipy.stats.norm.logsf((threshold - mean) / std)
+    importance = jnp.exp(log_importance - log_importance.max())
+    importance = importance / importance.mean()
 
     def fit(i, carry):
         q, opt = carry
         k_rows, k_loss = keys(jax.random.fold_in(k_generator, i), "rows", "loss")
         rows = jax.random.randint(k_rows, (of.batch_size,), 0, of.samples)
-        return learn(q, opt, layout, drawn[rows], count[rows], of.lr, k_loss)[:2]
+        return learn(q, opt, layout, drawn[rows], importance[rows], of.lr, k_loss)[:2]
 
     q, opt = jax.lax.fori_loop(0, of.updates, fit, (state.q, state.opt))
     nets, nets_opt = state.nets, state.nets_opt
@@ -229,7 +233,7 @@ def _round(of: CbAS, layout: Layout, prior: Generator, state: Rounds, x, y, weig
         far = layout.log_prob(q.decoder(code), x) - layout.log_prob(prior.decoder(code), x)
         focus = jnp.exp(of.refit * jnp.clip(far, -LOG_RATIO, LOG_RATIO))
         focus = focus / focus.mean()
-        loss = Gaussian(of.lr, of.members, of.hidden, 2, "relu", of.batch_size).loss
+        loss = _ensemble(of).loss
 
         def refocus(i, carry):
             nets, opt = carry

@@ -13,7 +13,7 @@ import optax
 from jaxtyping import Array, Float
 
 from deadreckon.data.batch import Batch, BatchSpec
-from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
+from deadreckon.mbo.designer import Designer, DesignInput, Proposals, starts
 from deadreckon.mbo.surrogate import climb
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
@@ -98,7 +98,7 @@ class COMs(Designer):
 
     def solve(self, setting: DesignInput) -> list[Proposals]:
         """Gradient ascent from the best designs of the data."""
-        view, start = setting.data.coordinates, Search.start(setting.data, setting.n)
+        view, start = setting.data.coordinates, starts(setting.data, setting.n)
         margin, rate = DISCRETE if view.discrete else CONTINUOUS
         margin = margin if self.margin is None else self.margin
         rate = (rate if self.design_lr is None else self.design_lr) * view.size**0.5

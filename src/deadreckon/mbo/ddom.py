@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals
-from deadreckon.mbo.surrogate import Surrogate, counts
+from deadreckon.mbo.surrogate import Surrogate, score_weights
 from deadreckon.nets.mlp import MLP, ensemble
 from deadreckon.nets.optim import init_opt
 from deadreckon.randomness import key_for, keys
@@ -102,16 +102,16 @@ class DDOM(Designer):
     def solve(self, setting: DesignInput) -> list[Proposals]:
         """Designs sampled for the highest score of the data, which is the method's prediction for them."""
         data, view = setting.data, setting.data.coordinates
-        learner = Denoiser(self.lr, 1, self.hidden, 1, "swish", self.batch_size)
-        weight = counts(data.y, self.bins, self.smoothing, self.temperature)[:, None]
+        learner = Denoiser(self.lr, 1, self.hidden, outputs=1, activation="swish", batch_size=self.batch_size)
+        weight = score_weights(data.y, self.bins, self.smoothing, self.temperature)[:, None]
         best = (data.y.max() - view.y_mean) / view.y_std
         # Noise is unbounded, but designs are clipped: to the range of the data if the variables have no bounds.
         seen = view.encode(data.x)
-        low, high = (np.where(np.isfinite(b), b, e) for b, e in ((view.low, seen.min(0)), (view.high, seen.max(0))))
+        low, high = (np.where(np.isfinite(b), b, e) for b, e in zip(view.bounds, (seen.min(0), seen.max(0))))
         found = []
         for seed, (nets, _) in zip(setting.seeds, setting.train(learner, self.steps, "ddom", {"weight": weight})):
             key = key_for(jax.random.key(seed), "designs")
             x = sample(nets, best, self.guidance, low, high, key, count=setting.n, steps=self.sampling_steps)
             made = self.decoded(setting, seed, x, lambda x: (np.full(len(x), best), None))
-            found.append(replace(made, fitted=None))  # the prediction is the requested score, not that of a model
+            found.append(replace(made, fitted=None, requested=True))
         return found

@@ -11,6 +11,7 @@
     step = 5.0
 """
 
+import datetime
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -20,25 +21,20 @@ from deadreckon.data.formats.kind import READING
 from deadreckon.data.kinds import check_column
 from deadreckon.data.schema import toml_value
 from deadreckon.errors import UserError, unknown
-from deadreckon.files import read_toml, replacing
+from deadreckon.files import read_toml, write_text
 from deadreckon.foreign.shapes import checked, wrong
 from deadreckon.mbo.constraints import quoted
-from deadreckon.mbo.design_table import as_numbers, name_of, named_levels, read_designs, warn
-from deadreckon.mbo.design_values import DesignValues
+from deadreckon.mbo.design_table import name_of, read_for, warn
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.variables import KINDS
 from deadreckon.names import shown
 
 ROLES = ("input", "target", "std_error", "weighted", "group", "ignore")
-# The entries of a column in each role, beside role and unit; an ignored column may have any of them.
-_ENTRIES: dict[str, set[str]] = {
-    "input": {"kind", "low", "high", "levels", "step", "log", "fix"},
-    "target": set(),
-    "std_error": set(),
-    "weighted": {"weight"},
-    "group": set(),
-}
+# The entries of columns in one role alone, beside role and unit; an ignored column may have any of them.
+_ENTRIES = {"input": ("kind", "low", "high", "levels", "step", "log", "fix"), "weighted": ("weight",)}
 _LISTS = ("constraints", "mixtures", "forbidden")
+
+Value = str | bool | int | float | datetime.date | datetime.datetime | datetime.time  # of TOML
 
 
 @dataclass(frozen=True)
@@ -63,13 +59,16 @@ class DesignColumn:
     kind: str | None = None
     low: float | None = None
     high: float | None = None
-    levels: tuple[Any, ...] | None = None
+    levels: tuple[Value, ...] | None = None
     step: float | None = None
     log: bool = False
-    fix: Any = None
+    fix: Value | None = None
     weight: float | None = None
     unit: str = ""
     about: str = field(default="", compare=False)
+
+
+_IN_FILE = [each.name for each in fields(DesignColumn) if each.name != "about"]  # entries of a column in a file
 
 
 @dataclass(frozen=True)
@@ -91,7 +90,7 @@ class DesignSchema:
     forbidden: tuple[str, ...] = ()
     max_distance: float | None = None
     apart: float | None = None
-    table: Mapping[str, Any] = field(default_factory=dict)
+    table: Mapping[str, str | int] = field(default_factory=dict)
 
     def named(self, role: str) -> list[str]:
         """The columns in a role."""
@@ -152,12 +151,9 @@ class DesignSchema:
         ways = {**self.table, **{key: more.pop(key) for key in READING if key in more}}
         called = self.called(more)
         asked = together(called.options(), more)
-        targets = set(more.get("targets", ()))
-        numbers = targets | {asked["target"], *asked["weights"], *as_numbers(asked["kinds"])}
-        ignored, texts = set(asked["ignore"]) - targets, named_levels(asked["kinds"], asked["levels"])
-        table, _, told, converts = read_designs(path, ways, ignored, numbers, targets or {asked["target"]}, texts)
-        warn(path, told)
         target = asked.pop("target")
+        table, told, converts = read_for(path, ways, target, asked)
+        warn(path, told)
         if target is None:
             raise UserError(f'{path}: no column is the target; give one the role "target" in the schema, or name it (--target)')
         name, noticed = asked.pop("name", name_of(path)), asked.pop("noticed", ())
@@ -182,27 +178,27 @@ class DesignSchema:
         if not Path(path).exists():
             raise UserError(f"no file {path}; `deadreckon design describe TABLE --save {path}` drafts a schema")
         given = read_toml(path)
-        known = [f.name for f in fields(cls)]
-        for key in given:
-            if key not in known:
-                raise UserError(f"{path}: {unknown('entry', key, known)}")
         if not isinstance(given.get("columns"), Mapping):
             raise UserError(f"{path}: a schema needs a table [columns.NAME] for each column")
+        for name, told in given["columns"].items():
+            if not isinstance(told, Mapping) or told.get("role") not in ROLES:
+                got = told.get("role") if isinstance(told, Mapping) else told
+                raise UserError(f"{path}, column {name} needs a role ({', '.join(ROLES)}), got {got!r}")
+            for key in told:
+                if key not in _IN_FILE:  # comments on a column stand behind #
+                    raise UserError(f"{path}, column {name}: {unknown('entry', key, _IN_FILE)}")
+        if not isinstance(given.get("table", {}), Mapping):
+            raise UserError(f"{path}: [table] holds options of the file such as separator, got {given['table']!r}")
+        for key, value in given.get("table", {}).items():
+            if key not in READING:
+                raise UserError(f"{path}, [table]: {unknown('entry', key, READING)}")
+            if key != "sheet" and not isinstance(value, str):
+                raise wrong(path, f"table.{key}", "a text", value)
+        checked(given, cls, path)
         columns = {name: _column(f"{path}, column {name}", told) for name, told in given["columns"].items()}
         for role in ("target", "std_error", "group"):
             if len(both := [name for name, column in columns.items() if column.role == role]) > 1:
                 raise UserError(f"{path}: columns {both[0]} and {both[1]} both have the role {role}; only one column can")
-        for key in _LISTS:
-            if not isinstance(given.get(key, []), list):
-                raise UserError(f"{path}: {key} must be a list, got {given[key]!r}")
-        if not isinstance(given.get("table", {}), Mapping):
-            raise UserError(f"{path}: [table] holds options of the file such as separator, got {given['table']!r}")
-        for key in given.get("table", {}):
-            if key not in READING:
-                raise UserError(f"{path}, [table]: {unknown('entry', key, READING)}")
-            if key != "sheet" and not isinstance(given["table"][key], str):
-                raise wrong(path, f"table.{key}", "a text", given["table"][key])
-        checked(given, DesignValues, path)
         rest = {key: value for key, value in given.items() if key != "columns"}
         rest |= {key: tuple(map(tuple if key == "mixtures" else str, rest[key])) for key in _LISTS if key in rest}
         return cls(columns, **rest)
@@ -230,33 +226,24 @@ class DesignSchema:
 
     def save(self, path: Path | str, about: str = "") -> None:
         """Writes the schema as TOML; see `to_toml`. Atomic."""
-        with replacing(path) as temporary:
-            temporary.write_text(self.to_toml(about), encoding="utf-8")
+        write_text(path, self.to_toml(about))
 
 
-def _column(where: str, told: Any) -> DesignColumn:
-    known = [f.name for f in fields(DesignColumn) if f.name != "about"]
-    if not isinstance(told, Mapping) or told.get("role") not in ROLES:
-        got = told.get("role") if isinstance(told, Mapping) else told
-        raise UserError(f"{where} needs a role ({', '.join(ROLES)}), got {got!r}")
-    for key, value in told.items():
-        if key not in known:
-            raise UserError(f"{where}: {unknown('entry', key, known)}")
-        if key in ("low", "high", "step", "weight") and (isinstance(value, bool) or not isinstance(value, int | float)):
-            raise UserError(f"{where}: {key} must be a number, got {value!r}")
+def _column(where: str, told: Mapping[str, Any]) -> DesignColumn:
+    """The column of entries whose types are right."""
     role = told["role"]
-    for key in told:
-        if key not in _ENTRIES.get(role, set(known)) | {"role", "unit"}:
-            owner = next(each for each, entries in _ENTRIES.items() if key in entries)
-            raise UserError(f"{where}: {key} is of the role {owner}, and its role is {role}; leave {key} out")
+    for owner, entries in _ENTRIES.items():
+        for key in told:
+            if key in entries and role not in (owner, "ignore"):
+                raise UserError(f"{where}: {key} is of the role {owner}, and its role is {role}; leave {key} out")
     if told.get("kind", KINDS[0]) not in KINDS:
-        raise UserError(f"{where}: {unknown('kind', str(told['kind']), KINDS)}")
+        raise UserError(f"{where}: {unknown('kind', told['kind'], KINDS)}")
     if ("low" in told) != ("high" in told):
         raise UserError(f"{where}: low and high go together; one of them is missing")
     if role == "weighted" and "weight" not in told:
         raise UserError(f"{where}: a weighted column needs weight, a number")
-    if "levels" in told and not (isinstance(told["levels"], list) and told["levels"]):
-        raise UserError(f"{where}: levels must be a list of values, got {told['levels']!r}")
+    if told.get("levels") == []:
+        raise UserError(f"{where}: levels must be a list of values, got []")
     given: dict[str, Any] = {key: tuple(value) if key == "levels" else value for key, value in told.items()}
     return DesignColumn(**given)
 

@@ -29,21 +29,21 @@ def read_designs(
     targets: Collection[str] = (),
     texts: Collection[str] = (),
 ) -> tuple[pa.Table, Dialect | None, list[str], bool]:
-    """Reads a table as `data.formats.any_table.read_table` does, except that ignored columns stay texts, without messages.
+    """Reads a table as `data.formats.any_table.table_of_kind` does, except that ignored columns stay texts, without messages.
 
     Levels such as yes and no stay texts, too, unless the column is among `numbers`: proposals have the words of the table, so
     that they can be appended to it.
 
     Args:
         path: of the file.
-        ways: keywords of `read_table`.
+        ways: options of `table_of_kind`.
         ignored: columns that are no part of the designs.
         numbers: columns that must be numbers, such as scores.
         targets: columns of the scores, where they are known: rows without any do not decide how columns are read (`by_scored`).
         texts: columns that stay texts if the reader leaves them so (`named_levels`).
 
     Returns:
-        As `read_table`, and whether the reader converts texts that are numbers, as all do but the one of Parquet.
+        As `table_of_kind`, and whether the reader converts texts that are numbers, as all do but the one of Parquet.
     """
     known = _KNOWN._replace(texts=frozenset(ignored), flags=frozenset(numbers))
     kind = sniff(path, ways.get("separator"))
@@ -52,6 +52,28 @@ def read_designs(
     if converts := kind != "parquet":
         table, told = by_scored(table, dialect, told, targets, known)
     return table, dialect, told, converts
+
+
+def read_for(
+    path: Path | str, ways: Mapping[str, Any], target: str | None, options: Mapping[str, Any]
+) -> tuple[pa.Table, list[str], bool]:
+    """Reads a table for `Designs.from_frame` with the keywords `options`.
+
+    Args:
+        path: of the file.
+        ways: options of `formats.any_table.table_of_kind`.
+        target: the column to maximise; None: it is not known yet.
+        options: of which `targets`, `ignore`, `weights`, `kinds` and `levels` say how columns are read.
+
+    Returns:
+        The table, the reader's messages, and whether it converts texts that are numbers.
+    """
+    targets, kinds = set(options.get("targets") or ()), options.get("kinds")
+    scores = [each for each in (target,) if each is not None]
+    numbers = {*targets, *scores, *(options.get("weights") or ()), *as_numbers(kinds)}
+    ignored, texts = set(options.get("ignore") or ()) - targets, named_levels(kinds, options.get("levels"))
+    table, _, told, converts = read_designs(path, ways, ignored, numbers, targets or scores, texts)
+    return table, told, converts
 
 
 def by_scored(

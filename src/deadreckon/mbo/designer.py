@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 from jaxtyping import Array, Float
 
 from deadreckon.errors import UserError
@@ -26,7 +24,6 @@ from deadreckon.mbo.fitted import Fitted
 from deadreckon.mbo.local_search import on_grid
 from deadreckon.mbo.replicates import noise_beyond
 from deadreckon.mbo.validation import Quality
-from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.provided import Shown
 from deadreckon.randomness import generator
@@ -64,6 +61,7 @@ class Proposals(Shown):
             mean of several.
         minimise: whether the score was negated, as in `Designs`: `predicted` is then minus the value of the table.
         measured: whether the proposals are designs of the data, and `predicted` their measured scores.
+        requested: whether `predicted` is the score for which the designs were made, not the prediction of a model.
     """
 
     method: str
@@ -81,6 +79,7 @@ class Proposals(Shown):
     beyond: float = 0.0
     minimise: bool = False
     measured: bool = False
+    requested: bool = False
 
     def __len__(self) -> int:
         return len(self.x)
@@ -89,6 +88,11 @@ class Proposals(Shown):
     def predicts(self) -> bool:
         """Whether the method predicts the scores of its designs."""
         return bool(np.isfinite(self.predicted).all())
+
+    @property
+    def how(self) -> str:
+        """Where `predicted` is from: "measured", "requested" or "predicted"."""
+        return "measured" if self.measured else "requested" if self.requested else "predicted"
 
     @property
     def of_what(self) -> str:
@@ -324,26 +328,12 @@ def check_asked(n: int, seeds: Sequence[int]) -> None:
         raise UserError(f"seeds must be 0 .. 2^32 - 1 and at least one, got {list(seeds)}")
 
 
-class Search(NamedTuple):
-    """State of a gradient ascent: coordinates (m, size) of designs, and the optimiser state."""
-
-    x: Float[Array, "m z"]
-    opt: optax.OptState
-
-    @classmethod
-    def start(cls, data: Designs, n: int, worst: bool = False) -> "Search":
-        """Starts at the n best designs of the data, or the worst, and at random points near them if there are fewer."""
-        view, rows = data.coordinates, data.best(min(n, len(data)), worst)
-        x = view.encode(data.x[np.resize(rows, n)])
-        away = np.random.default_rng(0).standard_normal(x[len(rows) :].shape)
-        x[len(rows) :] = np.clip(x[len(rows) :] + AROUND * away, view.low, view.high)
-        if data.rules.fixed:
-            x = np.clip(x, *view.bounds)
-        x = jnp.asarray(x)
-        return cls(x, init_opt(x))
-
-    def ascend(self, value: Callable[[Array], Array], lr: Any, low: Array, high: Array) -> "Search":
-        """One step of gradient ascent (Adam) on `value` ((m, size) -> (m,)) for each design, clipped to bounds."""
-        grads = jax.grad(lambda x: -value(x).sum())(self.x)
-        x, opt = apply_gradients(self.x, grads, self.opt, lr)
-        return Search(jnp.clip(x, low, high), opt)
+def starts(data: Designs, n: int, worst: bool = False) -> Float[Array, "n z"]:
+    """Coordinates of the n best designs of the data, or the worst, and of random points near them if there are fewer."""
+    view, rows = data.coordinates, data.best(min(n, len(data)), worst)
+    x = view.encode(data.x[np.resize(rows, n)])
+    away = np.random.default_rng(0).standard_normal(x[len(rows) :].shape)
+    x[len(rows) :] = np.clip(x[len(rows) :] + AROUND * away, view.low, view.high)
+    if data.rules.fixed:
+        x = np.clip(x, *view.bounds)
+    return jnp.asarray(x)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from deadreckon.data.arrow import to_arrow
 from deadreckon.data.formats.csv_out import write_table
@@ -20,20 +21,19 @@ from deadreckon.mbo import doubts
 from deadreckon.mbo.constraints import read_fixed
 from deadreckon.mbo.coordinates import Coordinates
 from deadreckon.mbo.design_table import (
-    as_numbers,
     check_filled,
     groups_of,
     name_of,
-    named_levels,
     numbers_of,
     numpy_floats,
-    read_designs,
+    read_for,
     score_name,
     scored,
     trimmed,
     warn,
     whole_again,
 )
+from deadreckon.mbo.nn_distance import usual_distance
 from deadreckon.mbo.repair import Repair
 from deadreckon.mbo.replicates import errors_of, pooled, recipes, units, units_told
 from deadreckon.mbo.rules import NO_RULES, Rules
@@ -150,16 +150,13 @@ class Designs(Shown):
         Args:
             path: of the file.
             target: the column to maximise.
-            options: as for `from_frame`, and those of the reader (`data.formats.any_table.read_table`).
+            options: as for `from_frame`, and those of the reader (`data.formats.any_table.table_of_kind`).
 
         Raises:
-            UserError: as `from_frame` and `read_table`.
+            UserError: as `from_frame` and `table_of_kind`.
         """
         ways = {key: options.pop(key) for key in READING if key in options}
-        ignored = set(options.get("ignore", ())) - set(options.get("targets", ()))
-        numbers = {target, *options.get("targets", ()), *(options.get("weights") or ()), *as_numbers(options.get("kinds"))}
-        texts = named_levels(options.get("kinds"), options.get("levels"))
-        table, _, told, converts = read_designs(path, ways, ignored, numbers, options.get("targets") or [target], texts)
+        table, told, converts = read_for(path, ways, target, options)
         warn(path, told)
         options.setdefault("name", name_of(path))
         options.setdefault("converted", converts)
@@ -222,20 +219,7 @@ class Designs(Shown):
         table = to_arrow(frame, name)
         given = {"kinds": kinds, "bounds": bounds, "levels": levels, "ignore": ignore, "steps": steps, "logs": logs}
         outputs, grouped = [target, *(weights or {}), *([std_error] if std_error else [])], [groups] if groups else []
-        for column in (*outputs, *grouped, *(each for columns in given.values() for each in columns or ())):
-            check_column(table, column, name)
-        for what, columns in given.items():
-            if both := [column for column in outputs if column in (columns or ())]:
-                part = "" if both[0] == target else " or part of it"
-                raise UserError(f"{name}: {what} is of inputs, and {both[0]} is the target{part}")
-            if what != "ignore" and groups in (columns or ()):
-                raise UserError(f"{name}: {what} is of inputs, and {groups} holds the groups of rows")
-            if what != "ignore" and (both := [column for column in columns or () if column in {*ignore} - {*targets}]):
-                raise UserError(f"{name}: {what} is of inputs, and {both[0]} is ignored")
-        if groups in outputs:
-            raise UserError(f"{name}: {groups} cannot be the target or part of it and hold the groups of rows")
-        if table.num_rows == 0:
-            raise UserError(f"{name}: the table has no rows")
+        _check_given(name, table, given, outputs, groups, targets)
         inputs = [column for column in table.column_names if column not in (*outputs, *grouped, *ignore)]
         told = []
         if index := row_numbers(inputs):
@@ -305,6 +289,11 @@ class Designs(Shown):
     def units(self) -> np.ndarray:
         """(rows,) number of the unit, a group or a recipe, that each row is held out with (`replicates.units`)."""
         return units(self)
+
+    @cached_property
+    def usual_distance(self) -> float:
+        """The typical distance between neighbours of different recipes (`nn_distance.usual_distance`)."""
+        return usual_distance(self)
 
     @cached_property
     def coordinates(self) -> "Coordinates":
@@ -404,6 +393,37 @@ class Designs(Shown):
         with replacing(path) as temporary:
             write_table({**self.decode(x), **{key: list(value) for key, value in (more or {}).items()}}, temporary)
         return Path(path)
+
+
+def _check_given(
+    name: str, table: pa.Table, given: Mapping[str, Any], outputs: Sequence[str], groups: str | None, targets: Sequence[str]
+) -> None:
+    """Refuses keywords of `Designs.from_frame` about columns that the table lacks, or that are no inputs, and a table without
+    rows.
+
+    Args:
+        name: of the data.
+        table: the data.
+        given: keywords about inputs, and `ignore`.
+        outputs: the target, and other columns of the score.
+        groups: the column with the groups of rows; None: there is none.
+        targets: all targets for which the table is read.
+    """
+    grouped, ignore = [groups] if groups else [], given["ignore"]
+    for column in (*outputs, *grouped, *(each for columns in given.values() for each in columns or ())):
+        check_column(table, column, name)
+    for what, columns in given.items():
+        if both := [column for column in outputs if column in (columns or ())]:
+            part = "" if both[0] == outputs[0] else " or part of it"
+            raise UserError(f"{name}: {what} is of inputs, and {both[0]} is the target{part}")
+        if what != "ignore" and groups in (columns or ()):
+            raise UserError(f"{name}: {what} is of inputs, and {groups} holds the groups of rows")
+        if what != "ignore" and (both := [column for column in columns or () if column in {*ignore} - {*targets}]):
+            raise UserError(f"{name}: {what} is of inputs, and {both[0]} is ignored")
+    if groups in outputs:
+        raise UserError(f"{name}: {groups} cannot be the target or part of it and hold the groups of rows")
+    if table.num_rows == 0:
+        raise UserError(f"{name}: the table has no rows")
 
 
 def _not_whole(

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from deadreckon.data.batch import redrawn
-from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
+from deadreckon.mbo.designer import Designer, DesignInput, Proposals, starts
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.fitted import Fitted, covariance_of_members, in_blocks
 from deadreckon.mbo.replicates import row_weights
@@ -95,13 +95,16 @@ class Forward(Designer):
         """The prediction, which gradient ascent maximises."""
         return mean_of if self.objective == "mean" else least_of
 
+    def _learner(self) -> Gaussian:
+        return Gaussian(self.lr, self.members, self.hidden, outputs=2, activation="relu", batch_size=self.batch_size)
+
     def solve(self, setting: DesignInput) -> list[Proposals]:
         """Gradient ascent from the best designs of the data."""
-        learner = Gaussian(self.lr, self.members, self.hidden, 2, "relu", self.batch_size)
+        learner = self._learner()
         # The same bootstrap resamples for all seeds, because the lanes of one program share their rows.
         weight = {"weight": redrawn(len(setting.data), self.members, 0)}
         states = setting.train(learner, self.steps, "forward", weight)
-        view, start = setting.data.coordinates, Search.start(setting.data, setting.n)
+        view, start = setting.data.coordinates, starts(setting.data, setting.n)
         value = self._value
         found = []
         for seed, (nets, _) in zip(setting.seeds, states):
@@ -127,7 +130,7 @@ class Forward(Designer):
 
     def unseen(self, setting: DesignInput, x: np.ndarray, error: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """(m,) predicted means and standard deviations, noise included, of scores of other designs; `error` is ignored."""
-        learner, data = Gaussian(self.lr, self.members, self.hidden, 2, "relu", self.batch_size), setting.data
+        learner, data = self._learner(), setting.data
         weight = {"weight": redrawn(len(data), self.members, 0)}
         nets = setting.train(learner, self.steps, "held-out", weight)[0][0]
         view = data.coordinates

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from deadreckon.errors import UserError, extra
-from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
+from deadreckon.mbo.designer import Designer, DesignInput, Proposals, starts
 from deadreckon.mbo.surrogate import climb
 from deadreckon.training.hyperparameters import Count, NonNegative, static
 
@@ -97,7 +97,7 @@ class GPBO(Designer):
         """Gradient ascent on log EI from the best designs of the data; the same for every seed."""
         view = setting.data.coordinates
         process = self.fit(setting)
-        lr, start = self.design_lr * view.size**0.5, Search.start(setting.data, setting.n)
+        lr, start = self.design_lr * view.size**0.5, starts(setting.data, setting.n)
         x = climb(worth, process, start, self.ascent_steps, lr, *setting.bounds)
         return [self.decoded(setting, seed, x, process.posterior, noisy=False) for seed in setting.seeds]
 

@@ -34,14 +34,14 @@ def improved(
         more: function from (k, variables) designs to (k, variables) further ones to try, such as gradient steps; None: none.
         reach: size of the changes in the first and the last round, in ranges of the data.
     """
-    x = allowed(data, x)
+    x = moved_inside(data, x)
     worth, apart = value(x), least_distance(data)
     for i in range(rounds):
         order = spaced(data, x, worth, apart, kept)
         x, worth = x[order], worth[order]
         near = reach[0] * (reach[1] / reach[0]) ** (i / max(rounds - 1, 1))
         tried = [moved(data, x, near, rng), *([] if more is None else [more(x)])]
-        new = np.unique(allowed(data, np.concatenate(tried)).astype(np.float32), axis=0)
+        new = np.unique(moved_inside(data, np.concatenate(tried)).astype(np.float32), axis=0)
         x, worth = np.concatenate([x, new]), np.concatenate([worth, value(new)])
         _, first = np.unique(x.astype(np.float32), axis=0, return_index=True)
         x, worth = x[first], worth[first]
@@ -71,7 +71,7 @@ def spaced(data: Designs, x: np.ndarray, value: np.ndarray, apart: float, kept: 
     return np.array(order)
 
 
-def allowed(data: Designs, x: np.ndarray) -> np.ndarray:
+def moved_inside(data: Designs, x: np.ndarray) -> np.ndarray:
     """(rows, variables) designs moved into bounds, linear constraints and the largest distance to the data, up to rounding
     errors, without forbidden ones."""
     x, limit = data.repair.nearly(x), data.rules.max_distance

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.mbo.designer import Designer, DesignInput, Proposals
 from deadreckon.mbo.forward import Gaussian, mean_of
-from deadreckon.mbo.surrogate import counts
+from deadreckon.mbo.surrogate import score_weights
 from deadreckon.nets.mlp import MLP
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.randomness import key_for, keys
@@ -116,9 +116,9 @@ class MINs(Designer):
     def solve(self, setting: DesignInput) -> list[Proposals]:
         """Designs for scores that the inverse and the forward model agree on."""
         data, view = setting.data, setting.data.coordinates
-        weight = {"weight": counts(data.y, self.bins, self.smoothing, self.temperature)}
+        weight = {"weight": score_weights(data.y, self.bins, self.smoothing, self.temperature)}
         inverse = Inversion(self)
-        forward = Gaussian(self.forward_lr, 1, self.forward_hidden, 2, "relu", self.batch_size)
+        forward = Gaussian(self.forward_lr, 1, self.forward_hidden, outputs=2, activation="relu", batch_size=self.batch_size)
         pairs = setting.train(inverse, self.steps, "mins", weight)
         models = setting.train(forward, self.forward_steps, "forward")
         best = float((data.y.max() - view.y_mean) / view.y_std)

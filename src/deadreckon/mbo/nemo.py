@@ -20,7 +20,7 @@ probability of an inner bin to 1/(4K): see the deviations on the method's page.
 import hashlib
 import warnings
 from collections.abc import Callable
-from typing import ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -31,7 +31,7 @@ from jaxtyping import Array, Float
 
 from deadreckon.data.batch import Batch, BatchSpec
 from deadreckon.mbo.coordinates import Coordinates
-from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
+from deadreckon.mbo.designer import Designer, DesignInput, Proposals, starts
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.nml import Net, cross_entropy, middles, nll, p_nml, quantise, reached
 from deadreckon.nets.mlp import ensemble, joined, split
@@ -50,6 +50,19 @@ from deadreckon.training.hyperparameters import (
 
 STACKS = 4  # number of stacks of models; see `split`
 SAMPLE = 1000  # rows of the data on which it is checked that the models predict different scores for different designs
+
+
+class Search(NamedTuple):
+    """State of the gradient ascent: coordinates of the designs, and the optimiser state."""
+
+    x: Float[Array, "m z"]
+    opt: optax.OptState
+
+    def ascend(self, value: Callable[[Array], Array], lr: Any, low: Array, high: Array) -> "Search":
+        """One step of gradient ascent (Adam) on `value` ((m, size) -> (m,)) for each design, clipped to bounds."""
+        grads = jax.grad(lambda x: -value(x).sum())(self.x)
+        x, opt = apply_gradients(self.x, grads, self.opt, lr)
+        return Search(jnp.clip(x, low, high), opt)
 
 
 class State(NamedTuple):
@@ -98,8 +111,8 @@ class Training(eqx.Module):
         settings, logistic = self.settings, self.settings.architecture == "logistic"
         make = lambda k: Net.create(spec.size, settings.hidden, settings.bins, logistic, k)  # noqa: E731
         nets = split(ensemble(make, settings.bins, key), STACKS)
-        search = Search.start(spec.designs, self.designs, settings.start == "worst")
-        return State(nets, copy(nets), init_opt(nets), search, jnp.array(search.x))
+        x = starts(spec.designs, self.designs, settings.start == "worst")
+        return State(nets, copy(nets), init_opt(nets), Search(x, init_opt(x)), jnp.array(x))
 
     def update(self, state: State, batch: Batch, *, step, key):
         """One update of all models; after pretraining, every `model_updates` of them are followed by a step of all designs."""

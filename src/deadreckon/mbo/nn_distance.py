@@ -1,13 +1,16 @@
 """Distances of designs from scored ones: for distant designs, no data supports a model's predictions."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from deadreckon.mbo.designs import Designs
+if TYPE_CHECKING:
+    from deadreckon.mbo.designs import Designs
 
 SAMPLE = 1000  # largest number of designs of the data from which the typical distance is computed
 
 
-def nn_distance(data: Designs, x: np.ndarray) -> np.ndarray:
+def nn_distance(data: "Designs", x: np.ndarray) -> np.ndarray:
     """Distance of designs to the nearest scored one (`Coordinates.place`), in typical distances.
 
     Args:
@@ -15,18 +18,18 @@ def nn_distance(data: Designs, x: np.ndarray) -> np.ndarray:
         x: (n, variables) designs.
 
     Returns:
-        (n,) distances divided by the typical one (`usual_distance`): 1 is typical of neighbours in the data, 10 is far away.
+        (n,) distances divided by `Designs.usual_distance`: 1 is typical of neighbours in the data, 10 is far away.
     """
-    return nearest_scored(data, x)[0] / usual_distance(data)
+    return nearest_scored(data, x)[0] / data.usual_distance
 
 
-def distance_to_others(data: Designs, x: np.ndarray) -> np.ndarray:
+def distance_to_others(data: "Designs", x: np.ndarray) -> np.ndarray:
     """(n,) distance of each of two or more designs to the nearest other one, in the same units."""
     z = data.coordinates.place(x)
-    return _nearest(z, z, np.arange(len(z)))[0] / usual_distance(data)
+    return _nearest(z, z, np.arange(len(z)))[0] / data.usual_distance
 
 
-def usual_distance(data: Designs) -> float:
+def usual_distance(data: "Designs") -> float:
     """The typical distance: median distance of a scored design to the nearest one of another recipe; 1 if all are the same.
 
     It is measured in the space of `Coordinates.place`. Logged settings differ a little between runs of one recipe, and these
@@ -40,12 +43,12 @@ def usual_distance(data: Designs) -> float:
     return float(np.median(usual[usual > 0])) if (usual > 0).any() else 1.0
 
 
-def tried(data: Designs) -> np.ndarray:
+def tried(data: "Designs") -> np.ndarray:
     """(rows, variables) all complete designs of the table: scored ones, and tried or planned ones without a score."""
     return data.x if data.unscored is None else np.concatenate([data.x, data.unscored])
 
 
-def distance_to_tried(data: Designs, x: np.ndarray) -> np.ndarray:
+def distance_to_tried(data: "Designs", x: np.ndarray) -> np.ndarray:
     """(n,) distances of designs to the nearest complete one of the table, scored or not (`Coordinates.place`)."""
     with np.errstate(divide="ignore", invalid="ignore"):
         z = data.coordinates.place(tried(data))
@@ -53,7 +56,7 @@ def distance_to_tried(data: Designs, x: np.ndarray) -> np.ndarray:
     return _nearest(z, data.coordinates.place(x))[0]
 
 
-def nearest_scored(data: Designs, x: np.ndarray, among: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+def nearest_scored(data: "Designs", x: np.ndarray, among: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """(n,) distances of designs to the nearest scored one (`Coordinates.place`), and (n,) its row.
 
     Args:
@@ -66,7 +69,7 @@ def nearest_scored(data: Designs, x: np.ndarray, among: np.ndarray | None = None
     return far, among[nearest]
 
 
-def neighbours(data: Designs, x: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def neighbours(data: "Designs", x: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """The scored designs that are nearest to each of (n, variables) designs, the nearest first.
 
     Returns:
@@ -81,7 +84,7 @@ def neighbours(data: Designs, x: np.ndarray, count: int) -> tuple[np.ndarray, np
         some = some[np.lexsort((some, distance[some]))]
         out.append((distance[some], some))
     far, rows = (np.stack(each) for each in zip(*out))
-    return far / usual_distance(data), rows
+    return far / data.usual_distance, rows
 
 
 def _nearest(

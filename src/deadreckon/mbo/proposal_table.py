@@ -101,8 +101,10 @@ def about(data: Designs, made: Proposals) -> dict[str, list[Any]]:
         }
     elif made.measured:
         lines["predicted"] = "the measured score"
-    elif made.predicts:
+    elif made.requested:
         lines["predicted"] = "the score for which the method makes its designs, not that of a model"
+    elif made.predicts:
+        lines["predicted"] = "the method's prediction of the score"
     else:
         lines["predicted"] = "empty: the method has no model of the score"
     lines |= {**({} if made.mean_std is None else {"mean_std": OF_MEAN}), "distance": DISTANCE, "nearest_row": NEAREST}

@@ -24,7 +24,7 @@ from deadreckon.mbo.problems.problem import Problem, Scores
 from deadreckon.names import file_part
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.stats.interval import Interval
-from deadreckon.stats.means import mean_interval
+from deadreckon.stats.means import student_interval
 from deadreckon.training.revisions import of_learning, revisions
 
 REVISION = 1  # of the evaluation protocol; raised if scores change (see bench/identity.py)
@@ -70,22 +70,22 @@ class Result:
 
     def percentile(self, q: float, normalised: bool = False) -> Interval:
         """A percentile of the true scores: mean over seeds, with a Student's t interval."""
-        return mean_interval(np.array([self.scores(i).percentile(q, normalised) for i in range(len(self.seeds))]))
+        return student_interval(np.array([self.scores(i).percentile(q, normalised) for i in range(len(self.seeds))]))
 
     @property
     def exploitation(self) -> Interval:
         """Predicted minus true scores, in ranges of all data (`Scores.exploitation`); mean over seeds, with its interval."""
-        return mean_interval(np.array([self.scores(i).exploitation for i in range(len(self.seeds))]))
+        return student_interval(np.array([self.scores(i).exploitation for i in range(len(self.seeds))]))
 
     @property
     def distance(self) -> Interval:
         """Median distance of the designs to the visible data, where 1 is typical; mean over seeds, with its interval."""
-        return mean_interval(np.median(self.nn_distance, 1))
+        return student_interval(np.median(self.nn_distance, 1))
 
     @property
     def uncertainty(self) -> Interval:
         """Median predicted standard deviation, in ranges of all data; mean over seeds, with its interval."""
-        return mean_interval(np.median(self.predicted_std, 1) / (self.high - self.low))
+        return student_interval(np.median(self.predicted_std, 1) / (self.high - self.low))
 
 
 def evaluate_designers(

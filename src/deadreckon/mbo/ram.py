@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from deadreckon.mbo.designer import Designer, DesignInput, Proposals, Search
+from deadreckon.mbo.designer import Designer, DesignInput, Proposals, starts
 from deadreckon.mbo.fitted import Fitted
 from deadreckon.mbo.surrogate import Surrogate, climb
 from deadreckon.nets.mlp import MLP
@@ -62,7 +62,7 @@ class RaM(Designer):
     design_lr: NonNegative = 0.01  # step size of the designs, times the square root of the number of coordinates
 
     def _learner(self) -> Ranking:
-        return Ranking(self.lr, 1, self.hidden, 1, "relu", self.list_size)
+        return Ranking(self.lr, 1, self.hidden, outputs=1, activation="relu", batch_size=self.list_size)
 
     def unseen(self, setting: DesignInput, x: np.ndarray, error: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """(m,) outputs for other designs, greater for greater expected scores, and NaN for their standard deviations."""
@@ -73,7 +73,7 @@ class RaM(Designer):
     def solve(self, setting: DesignInput) -> list[Proposals]:
         """Gradient ascent from the best designs of the data; the model predicts an order, not scores."""
         learner = self._learner()
-        view, start = setting.data.coordinates, Search.start(setting.data, setting.n)
+        view, start = setting.data.coordinates, starts(setting.data, setting.n)
         seen = jnp.asarray(view.encode(setting.data.x))
         found = []
         for seed, (nets, _) in zip(setting.seeds, setting.train(learner, self.steps, "ram")):

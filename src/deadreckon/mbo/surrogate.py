@@ -1,4 +1,4 @@
-"""Models of the score and gradient ascent on them: the common parts of forward models, ensembles, COMs and RaM."""
+"""What methods share: learners of several networks, gradient ascent on a model of the score, and weights of designs."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +10,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from deadreckon.data.batch import Batch, BatchSpec
-from deadreckon.mbo.designer import Search
 from deadreckon.nets.mlp import MLP, ensemble
 from deadreckon.nets.optim import apply_gradients, init_opt
 
@@ -62,18 +61,18 @@ class Surrogate(eqx.Module):
 
 @eqx.filter_jit
 def climb(
-    value: Callable[[Any, Array], Float[Array, "m"]], nets: Any, start: Search, steps: int, lr: Any, low: Array, high: Array
+    value: Callable[[Any, Array], Float[Array, "m"]], nets: Any, start: Array, steps: int, lr: Any, low: Array, high: Array
 ) -> Float[Array, "m z"]:
-    """Coordinates after `steps` of plain gradient ascent on `value(nets, x)` for each design, clipped to bounds."""
+    """Coordinates after `steps` of plain gradient ascent on `value(nets, x)` for each design of `start`, clipped to bounds."""
 
     def step(_: Any, x: Array) -> Array:
         slope = jax.grad(lambda x: value(nets, x).sum())(x)
         return jnp.clip(x + lr * slope, low, high)
 
-    return jax.lax.fori_loop(0, steps, step, start.x)
+    return jax.lax.fori_loop(0, steps, step, start)
 
 
-def counts(y: np.ndarray, bins: int, smoothing: float, temperature: float) -> np.ndarray:
+def score_weights(y: np.ndarray, bins: int, smoothing: float, temperature: float) -> np.ndarray:
     """Weights of designs, larger for high scores (Kumar and Levine 2020, 3.3; Krishnamoorthy et al. 2023, 3.2).
 
     In a bin with N designs w = N / (N + K) exp(-(best - middle) / T) / N, scaled to the mean 1 and clipped at `MOST`, so that a

@@ -13,6 +13,7 @@ from deadreckon.dynamics import branches, packed
 from deadreckon.dynamics.ensemble import room
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
+from deadreckon.foreign.archive import read_array
 from deadreckon.online.model_learning import ModelLearning
 from deadreckon.randomness import generator, key_for
 
@@ -153,12 +154,5 @@ class BranchedRollouts(ModelLearning):
         turn = (blocks - 1) // self._turns
         self._needed = max(0, turn - self._kept + 1)
         for t in range(self._needed, turn + 1):
-            self._batches[t] = np.stack([_read(self._file(path, t)) for path in self.paths])
+            self._batches[t] = np.stack([read_array(self._file(path, t)) for path in self.paths])
         self._refill(turn)
-
-
-def _read(path: Path) -> np.ndarray:
-    try:
-        return np.load(path, allow_pickle=False)
-    except (OSError, ValueError) as error:
-        raise UserError(f"cannot read the rollouts in {path}: {error}") from error

@@ -71,7 +71,6 @@ class MixedReplay(Exploration):
     def _begin(self, agent: Agent) -> None:
         self.logged = logged_rows(self.share, self.needs.batch_size)
         rows = TransitionSource(self.log, replace(self.needs, columns=tuple(self.fields)))
-        self.usable = rows.count
         packed = packed_rows([rows], layout_of(self.fields)) if self.logged else {}
         self._logged = {"logged": (jax.device_put(packed), jnp.int32(rows.count))} if self.logged else {}
         lanes, capacity = self.replay.buffer.shape[:2]

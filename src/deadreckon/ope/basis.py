@@ -13,7 +13,7 @@ from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.importance import multiplied
 from deadreckon.ope.pareto import diagnosed
 from deadreckon.ope.support import SHORT
-from deadreckon.ope.weights import FEW, effective
+from deadreckon.ope.weights import FEW, effective_of_logs
 
 UNITS = 20  # least number of episodes or clusters for a valid interval
 HEAVY = 0.7  # Pareto k of the weights above which their mean is not reliable (Vehtari et al. 2024)
@@ -61,14 +61,14 @@ class Basis(NamedTuple):
         with np.errstate(over="ignore", invalid="ignore"):
             if whole:
                 average = np.exp(weights)
-                ess = effective(np.exp(weights - max(weights.max(), -1e300)))
+                ess = effective_of_logs(weights)
             else:
                 average = episodes.average(log_rho)
                 ess = episodes.sums(log_rho, np.zeros(len(log_rho)), normalised=False).ess
             told = {**multiplied(episodes, np.array([ess]), [average])}
         sums = np.full(int(cluster.max()) + 1, -np.inf)
         np.logaddexp.at(sums, cluster, weights)
-        told |= diagnosed([sums]) | {"effective clusters": np.array([effective(np.exp(sums - max(sums.max(), -1e300)))])}
+        told |= diagnosed([sums]) | {"effective clusters": np.array([effective_of_logs(sums)])}
         return cls(len(sums), float(ess), {name: float(each[0]) for name, each in told.items()})
 
     @property

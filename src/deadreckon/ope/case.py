@@ -124,25 +124,15 @@ class OPEInput(Fits):
         self.clusters = np.arange(data.episodes) if clusters is None else np.unique(clusters, return_inverse=True)[1]
         if len(set(self.names)) < len(self.names) or LOGGED in self.names:
             raise UserError(f"names must differ, and from {LOGGED!r}, got {', '.join(self.names)}")
-        self._parts: list[np.ndarray | None] = [None] * len(self.policies)
-        acting, acting_names = [], []
-        for i, policy in enumerate(self.policies):
-            if isinstance(policy, CrossFitted):
-                which = np.asarray(policy.which)[self.held]
-                if which.min() < 0 or which.max() >= len(policy.policies):
-                    raise UserError(f"{self.names[i]} has no policy for some evaluated episodes; each needs that of a fold")
-                self._parts[i] = len(acting) + which
-                acting += policy.policies
-                acting_names += [f"{self.names[i]} fold {k}" for k in range(len(policy.policies))]
-            else:
-                acting.append(policy)
-                acting_names.append(self.names[i])
-        self.owner = np.repeat(
-            np.arange(len(self.policies)),
-            [len(p.policies) if isinstance(p, CrossFitted) else 1 for p in self.policies],
-        )
+        self._parts = [np.asarray(p.which)[self.held] if isinstance(p, CrossFitted) else None for p in self.policies]
+        acting = []
+        for name, own, part in zip(self.names, each, self._parts):
+            if part is not None and (part.min() < 0 or part.max() >= len(own)):
+                raise UserError(f"{name} has no policy for some evaluated episodes; each needs that of a fold")
+            acting += [name] if part is None else [f"{name} fold {k}" for k in range(len(own))]
+        self.owner = np.repeat(np.arange(len(self.policies)), [len(own) for own in each])
         self.actor = Actor(
-            [behind(memoryless(p)) for p in acting], acting_names, data.spec, self.estimand.greedy, self.seed, noise, seen
+            [behind(memoryless(p)) for p in flat], acting, data.spec, self.estimand.greedy, self.seed, noise, seen
         )
         self.logged = logged
         if logged:
@@ -205,7 +195,7 @@ class OPEInput(Fits):
     def shown(self) -> np.ndarray:
         """(rows,) whether the behaviour policy's next action is known: the log shows it, or its frequency there, or there is no
         next row."""
-        return ~(self.data._is_end | self._apart) | self.ended | (self._habits is not None) | self._alone
+        return ~(self.data.is_end | self._apart) | self.ended | (self._habits is not None) | self._alone
 
     @cached_property
     def _apart(self) -> np.ndarray:
@@ -259,7 +249,7 @@ class OPEInput(Fits):
 
     def _endless(self, part: Episodes) -> np.ndarray:
         """(steps,) `beyond` of episodes that no terminal ends, by the step after which they are cut off."""
-        return -np.diff(part.kept) * self._ahead[: part.steps]
+        return -np.diff(part.uncensored) * self._ahead[: part.steps]
 
     @cached_property
     def _ahead(self) -> np.ndarray:
@@ -270,12 +260,17 @@ class OPEInput(Fits):
         done = np.array([discounted_steps(self.discount, int(step)) for step in steps])
         return 1.0 - done / discounted_steps(self.discount, horizon)
 
+    @property
+    def table(self) -> Table | None:
+        """The log's different observations, numbered; None if there are many, or actions are continuous. Made once."""
+        return self.once("table", lambda: Table.of(self.log))
+
     @cached_property
     def _habits(self) -> Callable[[np.ndarray], np.ndarray] | None:
         """A function from (n, d) observations to (n, actions) action frequencies in the log, for next actions that the log does
         not show. None if it shows them all, or if there are too many different observations."""
         whole = self.data.terminals[self.data.ends].all() and not self._apart.any()
-        if whole or (table := Table.of(self.log)) is None:
+        if whole or (table := self.table) is None:
             return None
         shares = table.shares(self.log)
         return lambda observations: shares[table.codes(np.asarray(observations))]
@@ -354,9 +349,9 @@ class OPEInput(Fits):
         return found
 
     @cached_property
-    def span(self) -> float:
+    def effective_horizon(self) -> float:
         """The divisor that brings a return to the scale of a reward."""
-        return self.estimand.span(self.data)
+        return self.estimand.effective_horizon(self.data)
 
     @cached_property
     def timed(self) -> Dataset:
@@ -369,7 +364,7 @@ class OPEInput(Fits):
         """(rows, policies, ...) table of the policies' actions after each row; see `Actor.table`."""
         # The behaviour policy's next action after an episode's last row is not known; its last action is used instead.
         rows = np.arange(len(self.data))
-        after = np.where(self.data._is_end, rows, rows + 1)
+        after = np.where(self.data.is_end, rows, rows + 1)
         return self._table("next", _Following(self.data), samples, after)
 
     def known_next(self, terminals: np.ndarray) -> dict[str, np.ndarray]:
@@ -414,7 +409,7 @@ class OPEInput(Fits):
                 if self._habits is not None and name == "final":
                     own = self._habits(self.data.final_observations)
                 if self._habits is not None and name == "next":
-                    unseen = self.data._is_end | self._apart
+                    unseen = self.data.is_end | self._apart
                     own[unseen] = self._habits(self.data.next_observations_at(np.flatnonzero(unseen)))
                 table[:, -1] = own
             return table
@@ -485,7 +480,9 @@ class OPEInput(Fits):
     def _acting(self, episodes: np.ndarray) -> list[np.ndarray]:
         """For each policy, (episodes,) which of the actor's policies acts in each of these episodes."""
         first = np.searchsorted(self.owner, np.arange(len(self.policies)))
-        return [np.full(len(episodes), first[i]) if part is None else part[episodes] for i, part in enumerate(self._parts)]
+        return [
+            np.full(len(episodes), begin) if part is None else begin + part[episodes] for begin, part in zip(first, self._parts)
+        ]
 
     def behavior_log_probs(
         self, kind: Literal["auto", "logged", "learned"], model: BehaviorModel, *, clipped: bool = False
@@ -530,7 +527,7 @@ class OPEInput(Fits):
         return self.once(("behavior policy", model), make)
 
     @cached_property
-    def manner(self) -> str:
+    def policies_digest(self) -> str:
         """Hash of the policies' actions at observations from all parts of the log, which identifies this set of policies. It
         does not depend on the seed of the case."""
         some = np.unique(np.linspace(0, len(self.data) - 1, 256).astype(int))

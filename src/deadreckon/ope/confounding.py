@@ -74,8 +74,9 @@ class Confounding:
         return float(ends[0] - error[0] - self.wider), float(ends[1] + error[1] + self.wider)
 
     def tipping(self, which: int) -> float:
-        """The largest Gamma at which the lower end stays above zero; NaN where it never is, infinite beyond 100."""
-        return tipping(lambda gamma: self.gain(which, gamma)[0], digits=2)
+        """The largest Gamma at which the lower end stays above zero; NaN where it never is, infinite beyond
+        `sensitivity.MOST`."""
+        return tipping(lambda gamma: self.gain(which, gamma)[0])
 
     def _one(self, which: int, gamma: float) -> tuple[np.ndarray, np.ndarray]:
         """(2,) least and largest gain, and (2, units) their influence functions."""

@@ -34,7 +34,9 @@ from deadreckon.stats.interval import level_in_words
 NAMES = ("cost", "costs")  # extra columns that are costs by their name alone, as in DSRL
 ROUNDING = 1e-9  # relative size of rounding errors in an influence function that is zero
 ALIKE = "in every evaluated episode with a weight for it the total is {:.4g}; how rare other totals are is not known"
-_SHARED = ("propensities", "behavior", "behavior policy", "coverage", "features", "next", "initial", "current", "final")
+_SHARED = (
+    "propensities", "behavior", "behavior policy", "coverage", "table", "features", "next", "initial", "current", "final",
+)  # fmt: skip
 
 
 class Cost(NamedTuple):

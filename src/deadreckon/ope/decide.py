@@ -20,20 +20,20 @@ from deadreckon.ope.fqe import FQE
 from deadreckon.ope.groups import Groups, by_group
 from deadreckon.ope.guarantee import guaranteed, refuse
 from deadreckon.ope.importance import ImportanceSampling, learns, log_ratios
-from deadreckon.ope.linear import Fit, LinearFQE
+from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.losses import with_rare_rewards, without_losses
 from deadreckon.ope.registry import as_estimators
 from deadreckon.ope.select import MOVED, Choice, doubted, moved_most, select, unbounded_where_unsupported
+from deadreckon.ope.sensitivity import MOST
 from deadreckon.ope.settings import DecisionOptions, DecisionSettings
 from deadreckon.ope.support import Support, support
 from deadreckon.ope.tail import tails
-from deadreckon.ope.weights import effective
+from deadreckon.ope.weights import effective_of_logs
 from deadreckon.settings import check_kind
 from deadreckon.stats.interval import ALPHA
 
 UNSEEN = "no check can detect confounding: an unrecorded variable that influenced both the logged actions and the rewards"
 GROUPS = 50  # most groups with separate gains
-MOST = 100.0  # factor of odds up to which the tipping point is searched
 
 
 class Decision(NamedTuple):
@@ -242,16 +242,13 @@ def automatic(case: OPEInput, model: BehaviorModel = PROPENSITIES, accept_model_
         return [FQE()]
     if case.data.lengths.max() == 1:
         return [weighted, ImportanceSampling(model=model)]
-    critics = LinearFQE()
-    marginal = DoublyRobust(kind="marginal", fqe=critics)
-    table = Fit(critics, case).features.table is not None
+    marginal, table = DoublyRobust(kind="marginal", fqe=LinearFQE()), case.table is not None
     episodes = case.episodes
     ratios = log_ratios(case, "auto", model, None)[: len(case.policies)]
     along = [episodes.cumulate(row) for row in ratios[~degenerate]]
     if table and max(map(case.beyond_of, along)) > TAIL:
         return [marginal, weighted]
     last = np.stack([row[case.data.ends] for row in along])
-    weights = np.exp(last - last.max(1, keepdims=True).clip(min=-1e300))
-    if (effective(weights) >= min(SHARE * case.data.episodes, MANY)).all() or not (table or accept_model_based):
+    if (effective_of_logs(last) >= min(SHARE * case.data.episodes, MANY)).all() or not (table or accept_model_based):
         return [weighted, marginal]
     return [marginal, weighted]

@@ -30,7 +30,6 @@ from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import Scale
 from deadreckon.ope.weights import effective, few
 from deadreckon.randomness import keys
-from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitInterval, host, static
 
 PRESETS: dict[str, dict[str, Any]] = {
@@ -170,14 +169,13 @@ def estimates(
 
     An episode's weight is the sum of its rows' ratios, averaged over members.
     """
-    low, high = ensemble_interval(found)
     rows = ratios.mean(0) * case.data.usable
     weight = np.stack([np.bincount(case.data.episode_of, own, case.data.episodes) for own in rows])
     ess = effective(weight)
-    return Estimates(
-        label, case.names, found.mean(0), low, high, case.estimand, bootstrap=found, ess=ess,
-        warnings=(*few(case.names, ess, case.data.episodes), *warnings), diagnostics={"settled": settled.astype(float)},
-    )  # fmt: skip
+    warnings = [*few(case.names, ess, case.data.episodes), *warnings]
+    return Estimates.of_members(
+        label, case, found, ess=ess, warnings=tuple(warnings), diagnostics={"settled": settled.astype(float)}
+    )
 
 
 def occupancy_rows(case: OPEInput, learner: Any, members: int, samples: int, initial_samples: int) -> TransitionSource:

@@ -85,9 +85,10 @@ class Result:
     def _compared(self) -> dict[Any, Metrics]:
         return {}
 
-    def risks(self, k: int = TRIED) -> tuple[float, float, float]:
-        """SharpeRatio@k against the behaviour policy; type I and II errors of deploying what seems no worse than it."""
-        sharpe = sharpe_ratio(self.estimates, self.truth, self.behavior, k)
+    def risks(self) -> tuple[float, float, float]:
+        """SharpeRatio@k against the behaviour policy, with k of `TRIED`; type I and II errors of deploying what seems no worse
+        than it."""
+        sharpe = sharpe_ratio(self.estimates, self.truth, self.behavior, TRIED)
         return sharpe, *error_rates(self.estimates, self.truth, self.behavior)
 
 
@@ -153,7 +154,10 @@ def evaluate_log(
                 estimates = estimator.on(case)
             except DivergedError as error:  # other methods and other logs continue
                 estimates = _no_estimates(estimator, names, discount, str(error))
-            result = _result(estimates, data.name, behavior, truth, errors, str(estimator))
+            result = Result(
+                data.name, estimates.method, estimates.names, behavior, truth, errors, estimates.value, estimates.low,
+                estimates.high, estimates.seconds, estimates.warnings, str(estimator),
+            )  # fmt: skip
             if path is not None:
                 write_json(path, {"asked": identity, "result": to_json(result)})
         results.append(result)
@@ -172,13 +176,6 @@ def _no_estimates(estimator: Estimator, names: tuple[str, ...], discount: float,
     """Estimates that are NaN, for a method that gave none."""
     nan = np.full(len(names), np.nan)
     return Estimates(estimator.label, names, nan, nan, nan, Estimand(discount), warnings=(f"no estimates: {why}",))
-
-
-def _result(
-    estimates: Estimates, log: str, behavior: float, truth: np.ndarray, errors: np.ndarray, settings: str
-) -> Result:
-    known = log, estimates.method, estimates.names, behavior, truth, errors
-    return Result(*known, estimates.value, estimates.low, estimates.high, estimates.seconds, estimates.warnings, settings)
 
 
 def to_json(result: Result) -> dict[str, Any]:
@@ -290,11 +287,11 @@ def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
         form = ".2f" if max((abs(c.value) for c in row.values() if math.isfinite(c.value)), default=0.0) < 100 else ",.0f"
         shown = [pair(row[m].value, row[m].spread) if m in row else "" for m in methods]
         lines.append(f"| {log} | " + " | ".join(shown) + " |")
-        printed = [row[m].printed if m in row else None for m in methods]
-        if any(printed):
-            redrawn = [pair(row[m].mean, row[m].spread) if p else "" for m, p in zip(methods, printed)]
+        theirs = [row[m].printed if m in row else None for m in methods]
+        if any(theirs):
+            redrawn = [pair(row[m].mean, row[m].spread) if p else "" for m, p in zip(methods, theirs)]
             lines.append("| over redrawn policies | " + " | ".join(redrawn) + " |")
-            lines.append("| thesis E.2 | " + " | ".join(pair(*p) if p else "" for p in printed) + " |")
+            lines.append("| thesis E.2 | " + " | ".join(pair(*p) if p else "" for p in theirs) + " |")
     # A method that has no value on some log has no median: one over the other logs would be too favourable.
     values = {m: [row[m].value if m in row else math.nan for row in table.values()] for m in methods}
     form = ".2f" if max((abs(m) for v in values.values() for m in v if math.isfinite(m)), default=0.0) < 100 else ",.0f"
@@ -302,16 +299,16 @@ def markdown(results: Sequence[Result], metric: str, **options: Any) -> str:
     return "\n".join([*lines, "| median | " + " | ".join(medians) + " |"])
 
 
-def risks(results: Sequence[Result], k: int = TRIED) -> str:
+def risks(results: Sequence[Result]) -> str:
     """A table of the risks of choosing by each estimator, as means over logs (those for which a rate is defined).
 
     Methods without finite estimates on some log are left out; see `Result.risks`.
     """
-    lines = [f"| | SharpeRatio@{k} | type I error | type II error |", "|---|---:|---:|---:|"]
+    lines = [f"| | SharpeRatio@{TRIED} | type I error | type II error |", "|---|---:|---:|---:|"]
     for method in dict.fromkeys(r.method for r in results):
         own = [r for r in results if r.method == method]
         if all(np.isfinite(r.estimates).all() for r in own):
-            columns = np.array([r.risks(k) for r in own]).T
+            columns = np.array([r.risks() for r in own]).T
             shown = [f"{np.nanmean(c):.2f}" if np.isfinite(c).any() else "" for c in columns]
             lines.append(f"| {method} | " + " | ".join(shown) + " |")
     return "\n".join(lines)

@@ -30,7 +30,7 @@ from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import FQE
-from deadreckon.ope.importance import check_range, effective_clusters, learns, log_ratios, logged_probs, multiplied, tails_of
+from deadreckon.ope.importance import check_range, effective_clusters, learns, log_ratios, logged_probs, weight_diagnostics
 from deadreckon.ope.linear import Fit, LinearFQE
 from deadreckon.ope.mrdr import out_of_fold
 from deadreckon.ope.shrinkage import shrinkage_scores
@@ -101,13 +101,12 @@ class DoublyRobust(Estimator):
         if self.kind in ("switch", "dros"):
             return self._trusting(case)
         plain, episodes = self.kind in ("dr", "mrdr"), case.episodes
-        ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
+        log_rhos = self._log_rhos(case)
         nuisances, begins = self.nuisances(case)
         begin, errors = nuisances.begins, nuisances.errors
-        values, ess, bootstrap, influence, tails, average, left, shifts, share = [], [], [], [], [], [], [], [], []
+        values, ess, bootstrap, influence, left, shifts = [], [], [], [], [], []
         learned = learns(case, self.behavior)
-        for i, row in enumerate(ratios):
-            log_rho = episodes.cumulate(row)
+        for i, log_rho in enumerate(log_rhos):
             sums = episodes.sums(log_rho, errors[i], normalised=not plain, alive_only=self.alive_only)
             start, pulls, drawn = episodes.means(begin[i])
             if self.kind == "magic":
@@ -123,13 +122,8 @@ class DoublyRobust(Estimator):
             bootstrap.append(redrawn)
             influence.append(pulls)
             ess.append(sums.ess)
-            tails.append(episodes.typical(log_rho, whole=False))
-            average.append(episodes.average(log_rho))
-            share.append(case.beyond_of(log_rho))
         ess, redrawn = np.asarray(ess), np.stack(bootstrap, 1)
-        warnings = self._warnings(case, ess, nuisances, share)
-        diagnostics = self._diagnostics(case, nuisances) | tails_of(case, tails) | multiplied(case.episodes, ess, average)
-        diagnostics["beyond"] = np.array(share)
+        diagnostics, warnings = self._diagnosed(case, nuisances, log_rhos, ess)
         nuisance = None
         early = 0.0  # least share of the critics' error that remains, with that of the behaviour policy
         if left:
@@ -145,8 +139,13 @@ class DoublyRobust(Estimator):
         return Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), bootstrap=redrawn, ess=ess, nuisance=nuisance,
             corrected=case.beyond <= TAIL and early <= TAIL, warnings=tuple(warnings),
-            inflation=stretched(share), diagnostics=diagnostics,
+            inflation=stretched(diagnostics["beyond"]), diagnostics=diagnostics,
         )  # fmt: skip
+
+    def _log_rhos(self, case: OPEInput) -> list[np.ndarray]:
+        """For each policy the (rows,) logarithms of the products of its ratios along each episode."""
+        ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
+        return [case.episodes.cumulate(row) for row in ratios]
 
     def nuisances(self, case: OPEInput) -> tuple[OutOfFold, np.ndarray | None]:
         """Predictions on the evaluated rows; and (members, policies, episodes) initial values of critics that are not
@@ -200,21 +199,20 @@ class DoublyRobust(Estimator):
         if self.folds < 2:
             raise UserError(f"kind={self.kind!r} needs folds of 2 or more: other folds choose the limit of the weights")
         episodes, fold, data = case.episodes, case.folds(self.folds), case.data
-        ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
+        log_rhos = self._log_rhos(case)
         nuisances, _ = self.nuisances(case)
-        kept, span = np.exp(episodes.log_kept), self._span(case)
-        values, influence, ess, tails, average, left, share, shifts = [], [], [], [], [], [], [], []
-        for i, row in enumerate(ratios):
-            log_rho = episodes.cumulate(row)
+        uncensored, bound = np.exp(episodes.log_uncensored), self._error_bound(case)
+        values, influence, ess, left, shifts = [], [], [], [], []
+        for i, log_rho in enumerate(log_rhos):
             grid = TRUSTED[-1:] if case.names[i] == LOGGED else TRUSTED
-            given = nuisances.begins[i], row, nuisances.errors[i] / kept, data.lengths, case.discount
-            over = beyond(row, data.lengths, case.discount, grid)
+            given = nuisances.begins[i], log_rho, nuisances.errors[i] / uncensored, data.lengths, case.discount
+            over = beyond(log_rho, data.lengths, case.discount, grid)
             scores = switch_scores(*given, grid) if self.kind == "switch" else shrinkage_scores(*given, np.square(grid))
 
             def choose(some: np.ndarray, scores: np.ndarray = scores, over: np.ndarray = over) -> int:
                 part = scores[:, some]
                 switch = self.kind == "switch"
-                return least_bound(part, span * over[:, some].mean(1) if switch else bias_bound(part, part[-1]))
+                return least_bound(part, bound * over[:, some].mean(1) if switch else bias_bound(part, part[-1]))
 
             each, chosen = cross_fitted(scores, fold, choose)
             value, pulls, _ = episodes.means(each)
@@ -223,24 +221,25 @@ class DoublyRobust(Estimator):
             whole, same = (episodes.sums(log_rho, nuisances.errors[i], normalised=each) for each in (False, True))
             ess.append(whole.ess)
             shifts.append(same.value() - whole.value())
-            tails.append(episodes.typical(log_rho, whole=False))
-            average.append(episodes.average(log_rho))
-            left.append(over[chosen].mean() / case.span)
-            share.append(case.beyond_of(log_rho))
-        ess, more = np.asarray(ess), {"untrusted": np.array(left), "beyond": np.array(share)}
+            left.append(over[chosen].mean() / case.effective_horizon)
+        ess = np.asarray(ess)
+        diagnostics, warnings = self._diagnosed(case, nuisances, log_rhos, ess)
+        diagnostics["untrusted"] = np.array(left)
         if learns(case, self.behavior):
-            more["normalising"] = np.array(shifts)
-        warnings = [
-            *self._warnings(case, ess, nuisances, share),
-            f"the interval of {self.label} includes the variance, but not the bias of limited weights",
-        ]  # fmt: skip
+            diagnostics["normalising"] = np.array(shifts)
+        warnings.append(f"the interval of {self.label} includes the variance, but not the bias of limited weights")
         return Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), ess=ess, corrected=case.beyond <= TAIL,
-            warnings=tuple(warnings), inflation=stretched(share),
-            diagnostics=self._diagnostics(case, nuisances) | tails_of(case, tails) | multiplied(episodes, ess, average) | more,
+            warnings=tuple(warnings), inflation=stretched(diagnostics["beyond"]), diagnostics=diagnostics,
         )  # fmt: skip
 
-    def _warnings(self, case: OPEInput, ess: np.ndarray, nuisances: OutOfFold, share: Sequence[float]) -> list[str]:
+    def _diagnosed(
+        self, case: OPEInput, nuisances: OutOfFold, log_rhos: Sequence[np.ndarray], ess: np.ndarray
+    ) -> tuple[dict[str, np.ndarray], list[str]]:
+        """The diagnostics of critics and weights, and the warnings that follow from them."""
+        critics, doubts = self._critics_diagnosed(case, nuisances)
+        weights = weight_diagnostics(case, log_rhos, ess)
+        share = weights["beyond"]
         found, worst = case.episodes.warnings(case.names, ess), int(np.argmax(share))
         if share[worst] > TAIL:
             whose = f"of {case.names[worst]} " if share[worst] > case.beyond else ""
@@ -248,19 +247,25 @@ class DoublyRobust(Estimator):
                 f"{100 * share[worst]:.0f} % of the discounted time {whose}lies beyond the ends of the recording, where "
                 "nothing corrects the critics; a horizon asks for what was recorded"
             )
-        return found + self._convergence_warnings(case, nuisances)
+        return critics | weights, found + doubts
 
     @staticmethod
-    def _span(case: OPEInput) -> float:
+    def _error_bound(case: OPEInput) -> float:
         """Bound of a critic's expected error of one step: of one-step episodes the range of a reward, else that of a value."""
         reward = case.data.spec.reward
         if case.data.lengths.max() == 1:
             return float(reward.max - reward.min)
-        return float(max(reward.max, 0.0) - min(reward.min, 0.0)) * case.span
+        return float(max(reward.max, 0.0) - min(reward.min, 0.0)) * case.effective_horizon
 
-    def _convergence_warnings(self, case: OPEInput, nuisances: OutOfFold) -> list[str]:
+    def _critics_diagnosed(self, case: OPEInput, nuisances: OutOfFold) -> tuple[dict[str, np.ndarray], list[str]]:
+        """The diagnostics of critics, and warnings of those that diverge, overfit or have not converged.
+
+        `residual` and `training residual` are the root mean squared errors of each policy's critics out of fold, and on their
+        training rows, both in standard deviations of the reward.
+        """
         found = [f"the critics of {name} diverge" for name, settled in zip(case.names, nuisances.settled) if not settled]
-        residual, fitted = self._residuals(case, nuisances)
+        scale = float(case.data.spec.reward.std) or 1.0
+        residual, fitted = np.sqrt(np.square(nuisances.errors).mean(1)) / scale, np.sqrt(nuisances.fitted) / scale
         over = np.flatnonzero(residual > OVERFIT * fitted)
         if len(over):
             worst = over[np.argmax(residual[over] / np.maximum(fitted[over], 1e-12))]
@@ -268,24 +273,11 @@ class DoublyRobust(Estimator):
                 f"the critics of {case.names[worst]} overfit: their error is {residual[worst]:.2g} reward standard deviations "
                 f"out of fold and {fitted[worst]:.2g} on the training rows; estimates remain valid, but intervals are wide"
             )
-        return found + self._network(case)[1]
-
-    @staticmethod
-    def _residuals(case: OPEInput, nuisances: OutOfFold) -> tuple[np.ndarray, np.ndarray]:
-        """(policies,) root mean squared errors of the critics out of fold, and on their training rows, both in standard
-        deviations of the reward."""
-        scale = float(case.data.spec.reward.std) or 1.0
-        return np.sqrt(np.square(nuisances.errors).mean(1)) / scale, np.sqrt(nuisances.fitted) / scale
-
-    def _diagnostics(self, case: OPEInput, nuisances: OutOfFold) -> dict[str, np.ndarray]:
-        settled = nuisances.settled & self._network(case)[0]
-        residual, fitted = self._residuals(case, nuisances)
-        return {"residual": residual, "training residual": fitted, "settled": settled.astype(float)}
-
-    def _network(self, case: OPEInput) -> tuple[np.ndarray, list[str]]:
-        """Whether each policy's networks have converged, and a warning if not; of linear critics all have."""
-        what = "fqe by folds" if self.folds > 1 else "fqe"
-        return self.fqe.convergence(case, what) if isinstance(self.fqe, FQE) else (np.ones(case.count, bool), [])
+        settled = nuisances.settled
+        if isinstance(self.fqe, FQE):
+            still, more = case.convergence("fqe by folds" if self.folds > 1 else "fqe", case.names)
+            settled, found = settled & still, found + more
+        return {"residual": residual, "training residual": fitted, "settled": settled.astype(float)}, found
 
     def _marginal(self, case: OPEInput) -> Estimates:
         """Estimates by ratios of occupancies; of the behaviour policy, the mean return if a terminal ends every episode."""
@@ -328,13 +320,14 @@ class DoublyRobust(Estimator):
             influence.append(pulls)
             weights.append(weight)
         ess = effective(np.stack(weights))
-        warnings = [*few(case.names, ess, episodes.count), *self._convergence_warnings(case, nuisances)]
+        diagnostics, doubts = self._critics_diagnosed(case, nuisances)
+        warnings = [*few(case.names, ess, episodes.count), *doubts]
         mass = np.array([mean for mean, _ in masses])
         high = inference.student(mass, np.stack([pulled for _, pulled in masses], 1), 2 * inference.SURE)[1]
         means = {"mass": mass, "mass high": high}
         with np.errstate(divide="ignore"):
             means |= effective_clusters(case, [np.log(weight) for weight in weights])
-        exact = Fit(self.fqe, case).features.table is not None
+        exact = case.table is not None
         if exact:
             warnings.append(
                 f"{self.label} assumes that observations are Markov (they hold all that matters), which its interval does "
@@ -347,7 +340,7 @@ class DoublyRobust(Estimator):
             )
         return Estimates.of_influence(
             self.label, case, np.asarray(values), np.stack(influence, 1), ess=ess, corrected=exact,
-            warnings=tuple(warnings), diagnostics=self._diagnostics(case, nuisances) | means,
+            warnings=tuple(warnings), diagnostics=diagnostics | means,
         )  # fmt: skip
 
     def _critics_errors(self, case: OPEInput, nuisances: OutOfFold, begins: np.ndarray | None) -> np.ndarray:
@@ -403,7 +396,7 @@ class DoublyRobust(Estimator):
         return begin + float(x @ partial), drawn + redrawn @ x, pulls, float(uncorrected)
 
 
-def stretched(share: Sequence[float]) -> np.ndarray | None:
+def stretched(share: Sequence[float] | np.ndarray) -> np.ndarray | None:
     """(policies,) factors of the standard errors if the recording ends early; None: one.
 
     A share b of a policy's discounted time lies beyond it (`OPEInput.beyond_of`), where the critics are not corrected. The

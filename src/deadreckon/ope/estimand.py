@@ -74,7 +74,7 @@ class Estimand:
                 f"(for instance {int(log.lengths.max())}, the longest episode) or a discount below 1"
             )
 
-    def span(self, log: Dataset) -> float:
+    def effective_horizon(self, log: Dataset) -> float:
         """The largest discounted number of steps of an episode: a return divided by it is on the scale of a reward."""
         if self.horizon is not None:
             return discounted_steps(self.discount, self.horizon)

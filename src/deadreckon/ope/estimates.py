@@ -8,6 +8,7 @@ import numpy as np
 from deadreckon.ope.estimand import TAIL, Estimand
 from deadreckon.provided import Shown
 from deadreckon.stats import inference
+from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.stats.interval import PERCENT, decimals, fixed
 
 if TYPE_CHECKING:
@@ -84,6 +85,12 @@ class Estimates(Shown):
             low, high = np.where(ess > 0, low, -np.inf), np.where(ess > 0, high, np.inf)
         more |= {"influence": influence, "ess": ess, "nuisance": nuisance}
         return cls(method, case.names, value, low, high, case.estimand, **more)
+
+    @classmethod
+    def of_members(cls, method: str, case: "OPEInput", found: np.ndarray, **more: Any) -> "Estimates":
+        """The means of the (members, policies) estimates of an ensemble, with intervals by their spread."""
+        low, high = ensemble_interval(found)
+        return cls(method, case.names, found.mean(0), low, high, case.estimand, bootstrap=found, **more)
 
     @property
     def discount(self) -> float:

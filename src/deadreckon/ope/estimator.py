@@ -13,7 +13,8 @@ from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimates import Estimates
 from deadreckon.training.hyperparameters import check_fields
 
-APART = "evaluates each policy on all episodes, and cross-fitted ones differ by fold, trained on the other folds; use dr-linear"
+CROSSED = "cross-fitted ones differ by fold, trained on the other folds"
+MIXED = "those of a mixture differ by episode, one drawn for each"
 
 
 class Estimator(eqx.Module):
@@ -63,7 +64,8 @@ class Estimator(eqx.Module):
         if case.discount == 1.0 and not self.takes_horizon:
             raise UserError(f"{self.label} needs a discount below 1, got 1")
         if case.crossed and not self.takes_crossed:
-            raise UserError(f"{self.label} {APART}")
+            differ = CROSSED if case.cross_fitted.any() else MIXED
+            raise UserError(f"{self.label} evaluates each policy on all episodes, and {differ}; use dr-linear")
         if case.data.successors is not None and not self.takes_apart:
             raise UserError(
                 f"{case.data.name}: its rows do not follow each other, so {self.label} would take what the behaviour policy "

@@ -66,20 +66,21 @@ class Features:
 
     Args:
         log: with the observations and actions; its rewards are not used.
-        cosines: number of random Fourier features.
+        cosines: number of random Fourier features, if there is no table.
         seed: of these.
+        table: of the log, with a feature for each observation and action; None: there is none.
     """
 
-    def __init__(self, log: Dataset, cosines: int, seed: int):
+    def __init__(self, log: Dataset, cosines: int, seed: int, table: Table | None):
         spec = log.spec
         self.cosines = cosines
         self.view, self.discrete = Normalizer.of(spec, standardise=True), spec.discrete
         p, self.actions = spec.observation_size, spec.action_size
-        rng = generator(seed, "features")
-        self.table = Table.of(log)
-        if self.table is not None:
-            self.size = len(self.table.seen) * self.actions
+        self.table = table
+        if table is not None:
+            self.size = len(table.seen) * self.actions
             return
+        rng = generator(seed, "features")
         inputs = p if self.discrete else p + self.actions
         scale = np.repeat(SCALES, [cosines - cosines // 2, cosines // 2]) * np.sqrt(inputs)
         self.frequencies = (rng.standard_normal((inputs, cosines)) / scale).astype(np.float32)

@@ -48,7 +48,7 @@ class Fits:
         self._metrics: dict[str, dict[int, dict[str, float]]] = {}  # of each fit, by number of updates
 
     @cached_property
-    def manner(self) -> str:
+    def policies_digest(self) -> str:
         """Identifies the set of policies."""
         raise NotImplementedError
 
@@ -130,8 +130,9 @@ class Fits:
         # Only these columns say which rows each model is trained on: they encode held-out episodes, clusters and folds.
         columns = {name: _digest(column) for name, column in {**rows.extra, **(rows.initial or {})}.items()}
         asked = {
-            "learner": described(on_device(learner)), "steps": steps, "log": rows.log.fingerprint, "policies": self.manner,
-            "columns": columns, "estimand": self.estimand.as_json(), "seed": self.seed, "revision": REVISION,
+            "learner": described(on_device(learner)), "steps": steps, "log": rows.log.fingerprint,
+            "policies": self.policies_digest, "columns": columns, "estimand": self.estimand.as_json(), "seed": self.seed,
+            "revision": REVISION,
         }  # fmt: skip
         return folder_of(self.out, what, asked)
 

@@ -26,7 +26,6 @@ from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import Best, Fitted, OutOfFold, create, expected, sizes, taken, where_known
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
-from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, UnitInterval, host, static
 
 
@@ -40,8 +39,8 @@ class State(NamedTuple):
 
 
 class Scale(NamedTuple):
-    """Units of the critics: a return divided by the discounted number of steps (`OPEInput.span`) and by the standard deviation
-    of the reward.
+    """Units of the critics: a return divided by the discounted number of steps (`OPEInput.effective_horizon`) and by the
+    standard deviation of the reward.
 
     Attributes:
         std: standard deviation of the reward, or 1 if it never changes.
@@ -60,10 +59,10 @@ class Scale(NamedTuple):
         reward = case.data.spec.reward
         std = float(reward.std) or 1.0
         ends = bool(np.asarray(case.data.terminals).any())
-        low, high = float(reward.min) / std, float(reward.max) / std
+        low, high, unit = float(reward.min) / std, float(reward.max) / std, std * case.effective_horizon
         if case.discount == 1.0 and case.estimand.horizon is None:  # an episode may be longer than any in the log
-            return cls(std, std * case.span, -np.inf, np.inf)
-        return cls(std, std * case.span, min(low, 0.0) if ends else low, max(high, 0.0) if ends else high)
+            return cls(std, unit, -np.inf, np.inf)
+        return cls(std, unit, min(low, 0.0) if ends else low, max(high, 0.0) if ends else high)
 
 
 class Critics(eqx.Module):
@@ -160,8 +159,8 @@ class FQE(Estimator):
         # While values propagate back in time, targets are still too small, and so are losses: these do not count.
         first = 0.0 if soon else self.steps / 2
         learner = Critics(
-            self, case.discount, scale, share=1.0 / case.span, first=first, members=weight.shape[1], policies=case.count,
-            stops=check is not None,
+            self, case.discount, scale, share=1.0 / case.effective_horizon, first=first, members=weight.shape[1],
+            policies=case.count, stops=check is not None,
         )  # fmt: skip
         extra = {"policy": case.next_actions(self.samples), "weight": weight[data.episode_of]} | case.known_next(data.terminals)
         if check is not None:
@@ -220,13 +219,7 @@ class FQE(Estimator):
         values = self.fitted(case).values(case.timed.observations[case.data.starts], case.initial_actions(self.initial_samples))
         weight = case.redrawn(self.members).T
         found = (values * weight[:, None]).sum(-1) / weight.sum(-1)[:, None]
-        low, high = ensemble_interval(found)
-        settled, warnings = self.convergence(case)
-        return Estimates(
-            self.label, case.names, found.mean(0), low, high, case.estimand, bootstrap=found, warnings=tuple(warnings),
-            diagnostics={"settled": settled.astype(float)},
-        )  # fmt: skip
-
-    def convergence(self, case: OPEInput, what: str = "fqe") -> tuple[np.ndarray, list[str]]:
-        """Whether each policy's critics have converged, (policies,), and a warning if one's have not."""
-        return case.convergence(what, case.names)
+        settled, warnings = case.convergence("fqe", case.names)
+        return Estimates.of_members(
+            self.label, case, found, warnings=tuple(warnings), diagnostics={"settled": settled.astype(float)}
+        )

@@ -23,7 +23,6 @@ from deadreckon.ope.critics import in_blocks, sizes, where_known
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.fqe import Scale
-from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.training.hyperparameters import Count, NonNegative, Sizes, TwoOrMore, host, static
 
 
@@ -139,7 +138,7 @@ class FQED(Estimator):
         """The learner for a case, and the rows that it is trained on."""
         data, scale = case.data, Scale.of(case)
         scale = scale._replace(high=max(scale.high, scale.low + 1e-3))
-        learner = Distributions(self, case.discount, scale, share=1.0 / case.span, policies=case.count)
+        learner = Distributions(self, case.discount, scale, share=1.0 / case.effective_horizon, policies=case.count)
         weight = case.redrawn(self.members)[data.episode_of]
         extra = {"policy": case.next_actions(self.samples), "weight": weight} | case.known_next(data.terminals)
         return learner, TransitionSource(data, learner.needs(data.spec), extra)
@@ -153,9 +152,7 @@ class FQED(Estimator):
         of = lambda seen, table: _values(learner, state.critics, seen, table)  # noqa: E731
         values = learner.scale.unit * in_blocks(of, first, case.initial_actions(self.initial_samples))
         found = (values * redrawn.T[:, None]).sum(-1) / redrawn.sum(0)[:, None]
-        low, high = ensemble_interval(found)
         settled, warnings = case.convergence("fqe-d", case.names)
-        return Estimates(
-            self.label, case.names, found.mean(0), low, high, case.estimand, bootstrap=found, warnings=tuple(warnings),
-            diagnostics={"settled": settled.astype(float)},
-        )  # fmt: skip
+        return Estimates.of_members(
+            self.label, case, found, warnings=tuple(warnings), diagnostics={"settled": settled.astype(float)}
+        )

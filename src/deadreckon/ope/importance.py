@@ -18,7 +18,7 @@ from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.pareto import diagnosed
-from deadreckon.ope.weights import Episodes, effective
+from deadreckon.ope.weights import Episodes, effective_of_logs
 from deadreckon.settings import check_kind
 from deadreckon.stats import inference, means
 from deadreckon.training.hyperparameters import Count, Positive, static
@@ -59,14 +59,15 @@ class ImportanceSampling(Estimator):
     def solve(self, case: OPEInput) -> Estimates:
         """Weighted sums of the logged rewards."""
         episodes = case.episodes
-        ratios = log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
-        rewards = np.asarray(case.data.rewards, np.float64)
+        log_rhos = [
+            episodes.cumulate(row) for row in log_ratios(case, self.behavior, self.model, self.log_ratio_range, self.folds)
+        ]
+        rewards, whole = np.asarray(case.data.rewards, np.float64), self.kind == "trajectory"
         bounds = self._bounds(case, rewards)
         plain = not self.normalised and learns(case, self.behavior)
-        values, lows, highs, ess, bootstrap, influence, tails, average, share, shifts = [], [], [], [], [], [], [], [], [], []
-        for row in ratios:
-            log_rho = episodes.cumulate(row)
-            if self.kind == "trajectory":
+        values, lows, highs, ess, bootstrap, influence, shifts = [], [], [], [], [], [], []
+        for log_rho in log_rhos:
+            if whole:
                 summed = partial(episodes.whole, log_rho, rewards)
             else:
                 summed = partial(episodes.sums, log_rho, rewards, alive_only=self.alive_only)
@@ -79,19 +80,16 @@ class ImportanceSampling(Estimator):
             if self.interval != "bootstrap":
                 each = sums.value() + sums.influence()
                 if not self.normalised and episodes.even and not case.clustered:
-                    each = episodes.contributions(log_rho, rewards, whole=self.kind == "trajectory")
+                    each = episodes.contributions(log_rho, rewards, whole=whole)
                 low, high = self._interval(each, bounds) if sums.ess > 0 else (-np.inf, np.inf)
                 lows.append(low)
                 highs.append(high)
             ess.append(sums.ess)
-            tails.append(episodes.typical(log_rho, whole=self.kind == "trajectory"))
-            average.append(episodes.average(log_rho))
-            share.append(case.beyond_of(log_rho))
         ess, values = np.asarray(ess), np.asarray(values)
-        warnings = episodes.warnings(case.names, ess, whole=self.kind == "trajectory", ahead=case.cut_ahead)
+        warnings = episodes.warnings(case.names, ess, whole=whole, ahead=case.cut_ahead)
         if not np.isfinite(values).all():
             warnings.append("weights overflow; normalised=True keeps them finite")
-        diagnostics = tails_of(case, tails) | multiplied(episodes, ess, average) | {"beyond": np.array(share)}
+        diagnostics = weight_diagnostics(case, log_rhos, ess, whole=whole)
         if shifts:
             diagnostics["normalising"] = np.array(shifts)
         found = Estimates.of_influence(
@@ -152,6 +150,24 @@ def check_range(log_ratios: tuple[float, float] | None) -> None:
         raise UserError(f"log_ratio_range must be (least, greatest), got {log_ratios[0]:g}, {log_ratios[1]:g}")
 
 
+def weight_diagnostics(
+    case: OPEInput, log_rhos: Sequence[np.ndarray], ess: np.ndarray, *, whole: bool = False
+) -> dict[str, np.ndarray]:
+    """Diagnostics of weights that are multiplied along episodes: `tails_of`, `multiplied`, and `beyond`, the share of each
+    policy's discounted time that lies beyond the ends of the recording (`OPEInput.beyond_of`).
+
+    Args:
+        case: log and policies.
+        log_rhos: for each policy the (rows,) logarithms of the products of its ratios; see `Episodes.cumulate`.
+        ess: (policies,) effective sample size of the weights, in episodes.
+        whole: each episode has one weight, its last; otherwise one at each step.
+    """
+    episodes = case.episodes
+    tails = tails_of(case, [episodes.typical(log_rho, whole=whole) for log_rho in log_rhos])
+    means = multiplied(episodes, ess, [episodes.average(log_rho) for log_rho in log_rhos])
+    return tails | means | {"beyond": np.array([case.beyond_of(log_rho) for log_rho in log_rhos])}
+
+
 def tails_of(case: OPEInput, log_weights: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
     """Diagnostics of weights: `pareto.diagnosed` of each policy's (episodes,) or (rows,) weights, given as logarithms, and
     `effective_clusters`. If episodes come in clusters, both use the sums of weights over clusters, which are independent."""
@@ -168,8 +184,7 @@ def effective_clusters(case: OPEInput, log_weights: Sequence[np.ndarray]) -> dic
 
 
 def _effective(sums: np.ndarray) -> dict[str, np.ndarray]:
-    top = sums.max(1, keepdims=True)
-    return {"effective clusters": effective(np.exp(sums - np.where(np.isfinite(top), top, 0.0)))}
+    return {"effective clusters": effective_of_logs(sums)}
 
 
 def _by_cluster(case: OPEInput, log_weights: Sequence[np.ndarray]) -> np.ndarray:

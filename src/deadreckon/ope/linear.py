@@ -126,7 +126,7 @@ class Fit:
         self.given = estimator.ridge
         self.samples = estimator.samples
         count = estimator.fourier_features
-        self.features = case.once(("features", count), lambda: Features(case.log, count, case.seed))
+        self.features = case.once(("features", count), lambda: Features(case.log, count, case.seed, case.table))
         self.std = float(case.log.spec.reward.std) or 1.0
         self.horizon = case.estimand.horizon
         self.counts_next = case.discount > 0 and self.horizon != 1 and not np.asarray(case.log.terminals).all()
@@ -146,7 +146,7 @@ class Fit:
             np.zeros(groups), np.bincount(group, minlength=groups).astype(float),
             np.zeros((groups, 2, d, d)), np.zeros((groups, 2, d)), np.zeros((groups, 2)), count - 1 if case.logged else -1,
         )  # fmt: skip
-        after, first = self.next_actions(case), case.initial_actions(self.samples)
+        after, first = self.next_actions(case), case.initial_actions(self.samples) if start else None
         of_row = group[data.episode_of]
         for g in range(groups):
             rows = np.flatnonzero(of_row == g)
@@ -169,7 +169,9 @@ class Fit:
                     for i in range(count):
                         shown = case.shown[own] if i == out.logged else np.ones(len(own), bool)
                         out.next[g, i] += phi[goes_on][shown].T @ follows[shown, i]
-            for part in blocks(np.flatnonzero(group == g)) if start else ():
+            if first is None:
+                continue
+            for part in blocks(np.flatnonzero(group == g)):
                 seen = data.observations[data.starts[part]]
                 out.start[g] += self.features.expected(seen, first[part]).sum(0, dtype=np.float64)
         return out
@@ -404,7 +406,7 @@ class Fit:
             found = {"errors": error}
             if marginal:
                 weight = phi @ critic.ratios.T
-                found |= {"weighted": weight[:, 0] * error, "weights": weight[:, 0] / case.span}
+                found |= {"weighted": weight[:, 0] * error, "weights": weight[:, 0] / case.effective_horizon}
                 found["mass"] = weight[:, 0] * (1.0 - discount * goes_on)
             return found
         time, rows, last = case.time[part], np.arange(len(part)), self.horizon - 1
@@ -420,7 +422,7 @@ class Fit:
             weight[:, :-1] *= known[:, None]
             every = np.where(known[:, None], rewards[:, None] + discount * every_v - every_q, 0.0)  # by steps to go
             every[:, 0] = rewards - every_q[:, 0]
-            found |= {"weighted": (weight * every[:, ::-1]).sum(1), "weights": weight.sum(1) / case.span}
+            found |= {"weighted": (weight * every[:, ::-1]).sum(1), "weights": weight.sum(1) / case.effective_horizon}
             found["mass"] = weight[:, :-1].sum(1) * (1.0 - discount * goes_on) + weight[:, -1]
         return found
 

@@ -50,7 +50,7 @@ def without_losses(case: OPEInput, found: Estimates, support: Support, model: Be
         lacks = lacking(case, np.maximum(least - returns, 0.0), count, alpha / len(out))
         if lacks.chance > alpha / 2 / len(out) and low <= lacks.most:
             out[i] = (
-                f"none of its {lacks.rows:.0f} effective {unit} has a {what} below {least:.4g}, but {lacks.share:.1%} of all "
+                f"none of its {count:.0f} effective {unit} has a {what} below {least:.4g}, but {lacks.share:.1%} of all "
                 f"{unit} do; this happens by chance in {lacks.chance:.0%} of logs, and with as many of them as the log may "
                 f"have its lower end would be {low - lacks.most:+.4g}"
             )
@@ -98,14 +98,12 @@ class Lacking(NamedTuple):
     """What the rows of a policy may lack by chance.
 
     Attributes:
-        rows: how many effective rows it has.
         share: share of all rows that have something beyond what these have.
-        chance: probability that so many rows have nothing of it if it does not depend on the action.
+        chance: probability that as many rows have nothing of it if it does not depend on the action.
         most: upper confidence limit of the mean over all rows of what is beyond; 0 if the log has none of it, which then
             nobody can know.
     """
 
-    rows: float
     share: float
     chance: float
     most: float
@@ -128,4 +126,4 @@ def lacking(case: OPEInput, beyond: np.ndarray, rows: float, alpha: float) -> La
         # Few events are not normal: Clopper and Pearson's limit of the share of clusters with one, of the size that they have.
         limit = scipy.special.betaincinv(count + 1, units - count, 1 - alpha / 2) if count < units else 1.0
         most = max(most, mean * units / count * float(limit))
-    return Lacking(rows, share, (1.0 - share) ** rows, most)
+    return Lacking(share, (1.0 - share) ** rows, most)

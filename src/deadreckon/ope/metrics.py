@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.randomness import check_seed
 from deadreckon.stats.ranks import spearman, spearman_of_each
 
 RESAMPLES = 1000  # of the policies
@@ -120,8 +121,7 @@ def compare(
         raise UserError(f"k must be 1 .. the number of policies, of which there are {len(truth)}, got {k}")
     if resamples < 1:
         raise UserError(f"resamples must be 1 or more, got {resamples}")
-    if not 0 <= seed < 2**32:
-        raise UserError(f"seed must be 0 .. 2^32 - 1, got {seed}")
+    check_seed(seed)
     for what, values in (("estimate", estimates), ("true value", truth)):
         if not np.isfinite(values).all():
             raise UserError(f"the {what} of policy {int(np.flatnonzero(~np.isfinite(values))[0])} is not finite")

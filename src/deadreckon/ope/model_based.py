@@ -20,7 +20,6 @@ from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.randomness import generator, key_for
-from deadreckon.stats.bootstrap import ensemble_interval
 from deadreckon.training.hyperparameters import Count, CountOrZero, NonNegative, Sizes, static
 
 KINDS: dict[str, type[Model]] = {"feedforward": Gaussian, "autoregressive": AutoRegressive}
@@ -95,8 +94,7 @@ class ModelBased(Estimator):
                     model, params, limits, observation, action, alive, total, factor, endings, key
                 )
             returns[:, i] = unit * np.asarray(total.mean(1))
-        low, high = ensemble_interval(returns)
-        return Estimates(self.label, case.names, returns.mean(0), low, high, case.estimand, bootstrap=returns)
+        return Estimates.of_members(self.label, case, returns)
 
 
 @eqx.filter_jit

@@ -18,16 +18,15 @@ Both weights and targets are products along episodes, so these critics are for s
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor
 
 from deadreckon.errors import UserError
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import OutOfFold
 from deadreckon.ope.estimand import TAIL
-from deadreckon.ope.linear import PILOT, RIDGES, Fit
+from deadreckon.ope.linear import PILOT, RIDGES, Fit, solved
 from deadreckon.ope.linear_sums import Critic, blocks
 from deadreckon.ope.sequences import cumulate, starts_of, times
 
@@ -52,22 +51,19 @@ def log_weights(
     return logs
 
 
-def mrdr_targets(
-    log_ratios: np.ndarray, rewards: np.ndarray, lengths: np.ndarray, discount: float, beyond: np.ndarray | float = 0.0
-) -> np.ndarray:
+def mrdr_targets(log_ratios: np.ndarray, rewards: np.ndarray, lengths: np.ndarray, discount: float) -> np.ndarray:
     """(rows,) returns from each row on, r_t + discount rho_{t+1} (r_{t+1} + discount rho_{t+2} (...)), in units of the reward.
 
-    Farajtabar et al. 2018, section 3.2. The row's own ratio is not in it.
+    Farajtabar et al. 2018, section 3.2. The row's own ratio is not in it. Nothing follows an episode's last row.
 
     Args:
         log_ratios: (rows,) log pi(a|s) / beta(a|s) of the logged actions.
         rewards: (rows,).
         lengths: (episodes,) rows of each episode.
         discount: per step.
-        beyond: (episodes,) value of what follows the last row: zero after terminals, a critic's where the log was cut off.
     """
-    first, lengths, rho = starts_of(lengths), np.asarray(lengths), np.exp(log_ratios)
-    ahead = np.broadcast_to(np.asarray(beyond, float), lengths.shape).copy()  # from the next row on, with its ratio
+    first, rho = starts_of(lengths), np.exp(log_ratios)
+    ahead = np.zeros(len(lengths))  # from the next row on, with its ratio
     targets = np.empty(len(rewards))
     for back in range(1, int(lengths.max()) + 1):
         there = np.flatnonzero(lengths >= back)
@@ -161,8 +157,7 @@ def _solve(gram: np.ndarray, moment: np.ndarray, fit: Fit) -> np.ndarray:
     if fit.given is None and len(gram) > 1:
         for own, target in zip(gram, moment):
             for j, ridge in enumerate(RIDGES):
-                found = cho_solve(cho_factor(fit.penalised(whole - own, ridge)), right - target)
+                found = solved(cho_factor(fit.penalised(whole - own, ridge)), right - target)
                 errors[j] += found @ own @ found - 2 * found @ target
     ridge = fit.given if fit.given is not None else RIDGES[int(np.argmin(errors))] if len(gram) > 1 else PILOT
-    solved: Any = cho_solve(cho_factor(fit.penalised(whole, ridge)), right)
-    return solved
+    return solved(cho_factor(fit.penalised(whole, ridge)), right)

@@ -138,13 +138,15 @@ def select(
         alpha: share of logs for which one of the intervals may miss.
 
     Raises:
-        UserError: no estimates, of different policies, or without the behaviour policy.
+        UserError: no estimates, of different policies, or without the behaviour policy as the last.
     """
     if not estimates:
         raise UserError("no estimates to select by")
     first = estimates[0]
     if any(each.names != first.names for each in estimates):
         raise UserError("the estimates are of different policies")
+    if LOGGED in first.names[:-1]:  # policies are numbered without it, here and in `doubted`
+        raise UserError(f"the {LOGGED} must be the last policy of an estimate, got {', '.join(first.names)}")
     names = [name for name in first.names if name != LOGGED]
     if support is not None and len(support.missing) != len(names):
         raise UserError(f"support must have a number for each of {len(names)} policies, got {len(support.missing)}")

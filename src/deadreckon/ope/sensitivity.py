@@ -22,6 +22,9 @@ import numpy as np
 
 from deadreckon.errors import UserError
 
+MOST = 100.0  # factor of odds up to which the tipping point is searched
+DIGITS = 2  # after the point, to which it is rounded down
+
 
 def check_gamma(gamma: float) -> None:
     """Refuses invalid ratios of odds.
@@ -100,26 +103,25 @@ def _steps(beyond: np.ndarray, until: np.ndarray) -> np.ndarray:
     return after + np.append(0.0, np.cumsum(until))
 
 
-def tipping(lower: Callable[[float], float], most: float = 100.0, digits: int = 3) -> float:
+def tipping(lower: Callable[[float], float]) -> float:
     """The largest Gamma at which `lower(Gamma)`, a lower bound of a gain that falls with it, stays above zero.
 
     Args:
         lower: function of Gamma, for Gamma of one or more.
-        most: largest Gamma of the search.
-        digits: after the point, to which the answer is rounded down.
 
     Returns:
-        Gamma; NaN where the gain is not above zero even at 1; infinity where it is still above zero at `most`.
+        Gamma, rounded down to `DIGITS`; NaN where the gain is not above zero even at 1; infinity where it is still above zero
+        at `MOST`.
     """
     if not lower(1.0) > 0:
         return float("nan")
-    if lower(most) > 0:
+    if lower(MOST) > 0:
         return float("inf")
-    holds, fails = 1.0, most
-    while fails - holds > 10.0**-digits / 2:
+    holds, fails = 1.0, MOST
+    while fails - holds > 10.0**-DIGITS / 2:
         middle = float(np.sqrt(holds * fails))
         if lower(middle) > 0:
             holds = middle
         else:
             fails = middle
-    return float(np.floor(holds * 10**digits) / 10**digits)
+    return float(np.floor(holds * 10**DIGITS) / 10**DIGITS)

@@ -14,6 +14,7 @@ from deadreckon.ope.behavior_model import PROPENSITIES, BehaviorModel
 from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.sensitivity import check_gamma
 from deadreckon.progress import Watcher, unwatched
+from deadreckon.randomness import check_seed
 from deadreckon.settings import Settings
 
 
@@ -28,8 +29,7 @@ class FitSettings(Settings):
     def check_values(self) -> None:
         """Refuses seeds out of range."""
         super().check_values()
-        if not 0 <= self.seed < 2**32:
-            raise UserError(f"seed must be 0 .. 2^32 - 1, got {self.seed}")
+        check_seed(self.seed)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ step only.
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope.sequences import corrected, cumulate
+from deadreckon.ope.sequences import corrected
 
 
 def shrunk(log_weights: np.ndarray, strength: float) -> np.ndarray:
@@ -34,7 +34,7 @@ def shrunk(log_weights: np.ndarray, strength: float) -> np.ndarray:
 
 def shrinkage_scores(
     begin: np.ndarray,
-    log_ratios: np.ndarray,
+    log_rho: np.ndarray,
     errors: np.ndarray,
     lengths: np.ndarray,
     discount: float,
@@ -44,7 +44,7 @@ def shrinkage_scores(
 
     Args:
         begin: (episodes,) V at the initial states.
-        log_ratios: (rows,) log pi(a|s) / beta(a|s) of the logged actions.
+        log_rho: (rows,) log rho_{0:t}; see `sequences.cumulate`.
         errors: (rows,) r + discount V(s') - Q(s, a), with V(s') zero after terminals; in units of the reward.
         lengths: (episodes,) rows of each episode.
         discount: per step.
@@ -53,5 +53,4 @@ def shrinkage_scores(
     Raises:
         UserError: a negative lambda.
     """
-    log_rho = cumulate(log_ratios, lengths)
     return np.stack([corrected(begin, shrunk(log_rho, s), errors, lengths, discount) for s in strengths])

@@ -25,9 +25,8 @@ from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
-from deadreckon.ope.features import TABLE, Features
+from deadreckon.ope.features import TABLE
 from deadreckon.ope.importance import log_ratios, tails_of
-from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.sequences import starts_of
 from deadreckon.training.hyperparameters import Count, static
 
@@ -38,8 +37,8 @@ class Marginal:
 
     Attributes:
         value: expected discounted return within the horizon, the length of the longest episode.
-        scores: (episodes,) the value and each episode's influence on it, to first order; their mean, counted as episodes
-            are, is the value, and their variance over n that of the value.
+        scores: (episodes,) the value and each episode's influence on it, to first order; their mean is the value, and their
+            variance over n that of the value.
         states: (steps, states) the policy's distribution d_t, which may sum to less than one where episodes end.
         lost: probability that reached, before the last step, states in which all logged episodes were cut off.
         ess: (steps,) effective sample size (sum w)^2 / sum w^2, in episodes, of the weights d_t(s) n rho_t / n_t(s) of each
@@ -76,14 +75,12 @@ class StateMarginal(Estimator):
     def solve(self, case: OPEInput) -> Estimates:
         """Propagates the state distribution of each policy; intervals by the influence functions of episodes."""
         data, episodes = case.data, case.episodes
-        count = LinearFQE().fourier_features  # not used here; the same features are shared with linear critics
-        features = case.once(("features", count), lambda: Features(case.log, count, case.seed))
-        if features.table is None:
+        if case.table is None:
             raise UserError(
                 f"smis needs discrete actions and few different observations, {TABLE // 2} with two actions, which {data.name} "
                 "does not have; bin its observations, or use dr-linear or drl"
             )
-        states, rewards = features.table.codes(data.observations), np.asarray(data.rewards, np.float64)
+        states, rewards = case.table.codes(data.observations), np.asarray(data.rewards, np.float64)
         values, influence, ess, tails, lost, share = [], [], [], [], [], []
         for row in log_ratios(case, self.behavior, self.model, None, self.folds):
             found = state_marginal(
@@ -117,7 +114,6 @@ def state_marginal(
     discount: float,
     *,
     normalised: bool = True,
-    counts: np.ndarray | None = None,
 ) -> Marginal:
     """The value of a policy by its distribution over states at each step.
 
@@ -130,7 +126,6 @@ def state_marginal(
         discount: per step.
         normalised: divide by sums of ratios, so that transitions sum to one and rewards stay within theirs; otherwise by
             numbers of episodes, without bias but for states that no episode reached.
-        counts: (episodes,) how often each episode counts, as in a bootstrap sample; None: once.
 
     Raises:
         UserError: states that are not whole numbers from zero, or columns of different lengths.
@@ -144,16 +139,17 @@ def state_marginal(
             f"{lengths.sum():,} rows do not belong together"
         )
     size, steps, first = int(states.max()) + 1, int(lengths.max()), starts_of(lengths)
-    count = np.ones(len(lengths)) if counts is None else np.asarray(counts, float)
-    rho, all_of_them = np.exp(log_ratios), count.sum()
+    rho, n = np.exp(log_ratios), len(lengths)
 
     def at(t: int):
-        """Episodes, states, ratios and rewards at a step; whether what follows is known, whether a row does, and its state."""
+        """Episodes, states, ratios, what is summed to normalise them, and rewards at a step; whether what follows is known,
+        whether a row does, and its state."""
         there = np.flatnonzero(lengths > t)
         row = first[there] + t
         on = lengths[there] > t + 1
         after = np.where(on, states[np.minimum(row + 1, len(states) - 1)], 0)
-        return there, states[row], rho[row], rewards[row], on | ended[there], on, after
+        base = rho[row] if normalised else np.ones(len(row))
+        return there, states[row], rho[row], base, rewards[row], on | ended[there], on, after
 
     def per_state(s: np.ndarray, x: np.ndarray) -> np.ndarray:
         return np.bincount(s, x, size)
@@ -164,38 +160,34 @@ def state_marginal(
         return np.divide(1.0, total, out=np.zeros(size), where=total > 0)[s]
 
     reached = np.zeros((steps, size))
-    reached[0] = per_state(states[first], count) / all_of_them
-    lost, scores, ess, going_on = 0.0, np.zeros(len(lengths)), np.zeros(steps), np.ones(steps)
+    reached[0] = per_state(states[first], np.ones(n)) / n
+    lost, scores, ess, going_on = 0.0, np.zeros(n), np.zeros(steps), np.ones(steps)
     over = 0.0  # probability of having ended
     for t in range(steps):
-        there, s, ratio, _, known, on, after = at(t)
-        weight = all_of_them * count[there] * ratio * shares(s, count[there] * (ratio if normalised else 1.0)) * reached[t][s]
+        there, s, ratio, base, _, known, on, after = at(t)
+        weight = n * ratio * shares(s, base) * reached[t][s]
         # Ended episodes have no rows at this step; the probability of having ended counts as that share of the episodes, each
         # with a weight of one.
-        sure = weight.sum() + all_of_them * over
-        ess[t] = sure**2 / max(np.square(weight).sum() + all_of_them * over, 1e-300)
+        sure = weight.sum() + n * over
+        ess[t] = sure**2 / max(np.square(weight).sum() + n * over, 1e-300)
         if t == steps - 1:
-            going_on[t] = 1.0 - over - weight[ended[there]].sum() / all_of_them
+            going_on[t] = 1.0 - over - weight[ended[there]].sum() / n
             break
-        each = count[there] * (ratio if normalised else 1.0)
-        known_share = shares(s, each * known)
-        flow = count[there] * ratio * known_share * reached[t][s]
+        flow = ratio * shares(s, base * known) * reached[t][s]
         reached[t + 1] = per_state(after, flow * on)
         over += float(flow[known & ~on].sum())
         going_on[t] = 1.0 - over
-        gone = per_state(s, each * known) <= 0
+        gone = per_state(s, base * known) <= 0
         lost += float(reached[t][gone].sum())
     ahead = np.zeros(size)  # value of each state at the next step
     for t in reversed(range(steps)):
-        there, s, ratio, reward, known, on, after = at(t)
-        base = ratio if normalised else np.ones_like(ratio)
-        each = count[there] * base
-        share, known_share = shares(s, each), shares(s, each * known)
+        there, s, ratio, base, reward, known, on, after = at(t)
+        share, known_share = shares(s, base), shares(s, base * known)
         beyond = discount * on * ahead[after]
-        now = per_state(s, count[there] * ratio * reward * share)
-        then = per_state(s, count[there] * known * ratio * beyond * known_share)
+        now = per_state(s, ratio * reward * share)
+        then = per_state(s, known * ratio * beyond * known_share)
         pull = share * (ratio * reward - base * now[s]) + known_share * known * (ratio * beyond - base * then[s])
-        scores[there] += all_of_them * discount**t * reached[t][s] * pull
+        scores[there] += n * discount**t * reached[t][s] * pull
         ahead = now + then
     value = float(reached[0] @ ahead)
     return Marginal(value, scores + ahead[states[first]], reached, lost, ess, going_on)

@@ -11,12 +11,12 @@ An infinite tau is plain doubly robust estimation, a tau of zero the critic alon
 import numpy as np
 
 from deadreckon.errors import UserError
-from deadreckon.ope.sequences import corrected, cumulate, times, totals
+from deadreckon.ope.sequences import corrected, times, totals
 
 
 def switch_scores(
     begin: np.ndarray,
-    log_ratios: np.ndarray,
+    log_rho: np.ndarray,
     errors: np.ndarray,
     lengths: np.ndarray,
     discount: float,
@@ -26,7 +26,7 @@ def switch_scores(
 
     Args:
         begin: (episodes,) V at the initial states.
-        log_ratios: (rows,) log pi(a|s) / beta(a|s) of the logged actions.
+        log_rho: (rows,) log rho_{0:t}; see `sequences.cumulate`.
         errors: (rows,) r + discount V(s') - Q(s, a), with V(s') zero after terminals; in units of the reward.
         lengths: (episodes,) rows of each episode.
         discount: per step.
@@ -35,15 +35,14 @@ def switch_scores(
     Raises:
         UserError: a threshold that is negative or no number.
     """
-    log_rho, limits = cumulate(log_ratios, lengths), _logs(thresholds)
     scores = [corrected(begin, np.exp(np.where(log_rho <= limit, log_rho, -np.inf)), errors, lengths, discount)
-              for limit in limits]  # fmt: skip
+              for limit in _logs(thresholds)]  # fmt: skip
     return np.stack(scores)
 
 
-def beyond(log_ratios: np.ndarray, lengths: np.ndarray, discount: float, thresholds: np.ndarray) -> np.ndarray:
+def beyond(log_rho: np.ndarray, lengths: np.ndarray, discount: float, thresholds: np.ndarray) -> np.ndarray:
     """(thresholds, episodes) scores whose means estimate the policy's discounted time with weights above each threshold."""
-    log_rho, fade = cumulate(log_ratios, lengths), discount ** times(lengths)
+    fade = discount ** times(lengths)
     above = lambda limit: totals(np.exp(np.where(log_rho > limit, log_rho, -np.inf)) * fade, lengths)  # noqa: E731
     return np.stack([above(limit) for limit in _logs(thresholds)])
 

@@ -111,7 +111,7 @@ class Actor:
             for i, name in enumerate(self.names):
                 entropy = sequence(self.seed, f"actions, {purpose}", start, i)
                 if self.spec.discrete:
-                    found = self._probabilities(i, self._seen(i, part), entropy)
+                    found = self._probabilities(i, part, entropy)
                 else:
                     found = self._actions(i, part, entropy, inner[0])
                 if not np.isfinite(found).all():
@@ -136,7 +136,7 @@ class Actor:
         entropy = sequence(self.seed, "actions, made up", t, which)
         if not self.spec.discrete:
             return self._actions(which, observations, entropy, 1)[:, 0]
-        chances = self._probabilities(which, self._seen(which, observations), entropy).cumsum(1)
+        chances = self._probabilities(which, observations, entropy).cumsum(1)
         drawn = generator(self.seed, "choices, made up", t, which).random(len(observations)) * chances[:, -1]
         return (drawn[:, None] >= chances[:, :-1]).sum(1)
 
@@ -149,17 +149,16 @@ class Actor:
             UserError: a policy samples its actions and gives no probabilities of them.
         """
         out = np.empty((len(self.policies), len(actions)))
-        view = Normalizer.of(self.spec)
+        view, degenerate = Normalizer.of(self.spec), self.degenerate
         for start in range(0, len(actions), BLOCK):
             part, taken = np.asarray(observations[start : start + BLOCK]), np.asarray(actions[start : start + BLOCK])
             for i, (policy, name) in enumerate(zip(self.policies, self.names)):
-                seen = self._seen(i, part)
                 entropy = sequence(self.seed, "probabilities", start, i)
                 if self.spec.discrete:
-                    chosen = self._probabilities(i, seen, entropy)[np.arange(len(taken)), taken]
+                    chosen = self._probabilities(i, part, entropy)[np.arange(len(taken)), taken]
                     with np.errstate(divide="ignore"):
                         found = np.log(chosen)
-                elif self.noise is None and self.degenerate[i]:
+                elif self.noise is None and degenerate[i]:
                     found = -np.inf
                 elif self.greedy or draws_nothing(policy):
                     unit = self._actions(i, part, entropy, 1)[:, 0]
@@ -167,7 +166,7 @@ class Actor:
                     z = (view.to_unit(taken) - unit) / self.noise
                     found = -0.5 * np.square(z).sum(1) - z.shape[1] * np.log(self.noise * np.sqrt(2 * np.pi)) - view.log_scale
                 elif policy.has_log_prob:
-                    own = isinstance(policy, EnvPolicy)
+                    own, seen = isinstance(policy, EnvPolicy), self._seen(i, part)
                     found = _padded(_log_prob, policy, seen, taken) if own else policy.log_prob(seen, taken)
                     if (shape := np.shape(found)) != (len(taken),):
                         raise UserError(f"{name}: log_prob must give one number per row, ({len(taken)},), got {shape}")
@@ -198,6 +197,7 @@ class Actor:
     def _probabilities(self, which: int, observations: np.ndarray, entropy: np.random.SeedSequence) -> np.ndarray:
         """(rows, n) probabilities of a discrete policy, by its method or by frequencies of draws, which are unbiased; legal
         actions only."""
+        observations = self._seen(which, observations)
         tells = getattr(self.policies[which], "action_probs", None)
         shape = len(observations), self.spec.action_size
         if tells is None and not getattr(self.policies[which], "has_log_prob", False):

@@ -13,8 +13,8 @@ from deadreckon.errors import UserError
 from deadreckon.stats.interval import ALPHA
 
 
-def bias_bound(scores: np.ndarray, full: np.ndarray, alpha: float = ALPHA) -> np.ndarray:
-    """(grid,) upper bound of each estimate's bias, from its distance to one without bias.
+def bias_bound(scores: np.ndarray, full: np.ndarray) -> np.ndarray:
+    """(grid,) upper bound of each estimate's bias, from its distance to one without bias; it fails with probability `ALPHA`.
 
         |mean(full - scores)| + sqrt(2 s^2 log(2 / alpha) / n) + 2 max|full - scores| log(2 / alpha) / (3 n)
 
@@ -25,10 +25,9 @@ def bias_bound(scores: np.ndarray, full: np.ndarray, alpha: float = ALPHA) -> np
     Args:
         scores: (grid, episodes).
         full: (episodes,) scores of an estimate without bias.
-        alpha: probability that one bound fails.
     """
     n = scores.shape[1]
-    gap, term = full - scores, np.log(2 / alpha)
+    gap, term = full - scores, np.log(2 / ALPHA)
     return np.abs(gap.mean(1)) + np.sqrt(2 * gap.var(1) * term / n) + 2 * np.abs(gap).max(1) * term / (3 * n)
 
 

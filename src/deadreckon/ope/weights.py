@@ -73,6 +73,12 @@ def effective(weights: np.ndarray) -> np.ndarray:
     return np.square(weights.sum(-1)) / np.maximum(np.square(weights).sum(-1), 1e-300)
 
 
+def effective_of_logs(log_weights: np.ndarray) -> np.ndarray:
+    """`effective` of weights that are given as logarithms, whose exponentials may overflow."""
+    top = log_weights.max(-1, keepdims=True)
+    return effective(np.exp(log_weights - np.where(np.isfinite(top), top, 0.0)))
+
+
 def few(names: tuple[str, ...], ess: np.ndarray, episodes: int) -> list[str]:
     """A warning if the effective sample size of a policy's weights, of so many episodes, is below `FEW`; else nothing."""
     below = np.flatnonzero(ess < FEW)
@@ -113,15 +119,15 @@ class Episodes:
         if data.successors is not None:
             raise UserError(f"{data.name}: its rows do not follow each other, so ratios cannot be multiplied along them")
         self.lengths, self.count, self.discount = data.lengths, data.episodes, discount
-        self.first = data.starts
+        self.ends = data.ends
         self.of = data.episode_of
         self.time = times(data.lengths)
-        self.ended = np.asarray(data.terminals)[data.ends]  # else cut off
+        self.ended = np.asarray(data.terminals)[self.ends]  # else cut off
         self.steps = int(self.lengths.max())
         # Whether nothing is cut off before the last step: then plain sums are means over episodes.
         self.even = bool((self.ended | (self.lengths == self.steps)).all())
-        self.kept = self._kept()
-        self.log_kept = np.log(self.kept[:-1])[self.time]  # (rows,)
+        self.uncensored = self._uncensored()
+        self.log_uncensored = np.log(self.uncensored[:-1])[self.time]  # (rows,)
         self.seed = seed
         self.group = units  # (episodes,)
         self.groups = int(units.max()) + 1
@@ -138,7 +144,7 @@ class Episodes:
         mean = float(x.mean())
         return mean, self.groups * (total - mean * size) / self.count, (self.counts @ total) / (self.counts @ size)
 
-    def _kept(self) -> np.ndarray:
+    def _uncensored(self) -> np.ndarray:
         """(steps + 1,) probability that an episode that does not end is not cut off within so many steps (Kaplan-Meier)."""
         cut = np.bincount(self.lengths[~self.ended], minlength=self.steps + 1)
         over = np.bincount(self.lengths, minlength=self.steps + 1)
@@ -154,16 +160,16 @@ class Episodes:
     def sums(self, log_rho: np.ndarray, x: np.ndarray, *, normalised: bool, alive_only: bool = False) -> Sums:
         """The sums of one policy, from `log_rho` and `x` (rows,). `alive_only` drops ended episodes, as in the public code."""
         if not alive_only:
-            log_rho = log_rho - self.log_kept
-        last = log_rho[self.first + self.lengths - 1]
+            log_rho = log_rho - self.log_uncensored
+        last = log_rho[self.ends]
         stays = self.ended & (not alive_only)
         # Sums of the ended episodes' last ratios, in logarithms: (groups, steps) and (steps,).
         where = self.group[stays], self.lengths[stays]
-        kept = _accumulated((self.groups, self.steps), where, last[stays])
-        kept_plain = _accumulated((self.steps,), where[1:], last[stays])
-        kept_squares = _accumulated((self.steps,), where[1:], 2 * last[stays])
+        over = _accumulated((self.groups, self.steps), where, last[stays])
+        over_plain = _accumulated((self.steps,), where[1:], last[stays])
+        over_squares = _accumulated((self.steps,), where[1:], 2 * last[stays])
         # Weights are taken relative to the largest of their step, so that none overflows.
-        top = kept_plain.copy()
+        top = over_plain.copy()
         np.maximum.at(top, self.time, log_rho)
         top = np.where(np.isfinite(top), top, 0.0)
         cell = self.group[self.of] * self.steps + self.time
@@ -171,7 +177,7 @@ class Episodes:
         relative = np.exp(log_rho - top[self.time])
         if normalised:
             rho = relative
-            denominators = np.bincount(cell, relative, size).reshape(shape) + np.exp(kept - top)
+            denominators = np.bincount(cell, relative, size).reshape(shape) + np.exp(over - top)
         else:
             with np.errstate(over="ignore"):
                 rho = np.exp(log_rho)
@@ -180,8 +186,8 @@ class Episodes:
             else:
                 denominators = np.broadcast_to(np.bincount(self.group, minlength=self.groups)[:, None].astype(float), shape)
         numerators = np.bincount(cell, rho * x * self.discount**self.time, size).reshape(shape)
-        plain = np.bincount(self.time, relative, self.steps) + np.exp(kept_plain - top)
-        squares = np.bincount(self.time, np.square(relative), self.steps) + np.exp(kept_squares - 2 * top)
+        plain = np.bincount(self.time, relative, self.steps) + np.exp(over_plain - top)
+        squares = np.bincount(self.time, np.square(relative), self.steps) + np.exp(over_squares - 2 * top)
         return Sums(numerators, denominators, self.quartile(_ratios(np.square(plain), squares)))
 
     def quartile(self, ess: np.ndarray) -> float:
@@ -195,12 +201,12 @@ class Episodes:
         """(episodes,) logarithm of each episode's weight: its last one if `whole`, else the discounted sum of its weights over
         all steps. After its end an episode keeps its last weight; after a cut-off others have more weight, as in `sums`."""
         if whole:
-            return log_rho[self.first + self.lengths - 1]
-        log_rho = log_rho - self.log_kept
+            return log_rho[self.ends]
+        log_rho = log_rho - self.log_uncensored
         with np.errstate(divide="ignore"):
             fade = np.log(self.discount ** np.arange(self.steps))
             rest = np.log(np.append(np.cumsum(np.exp(fade[::-1]))[::-1], 0.0))[self.lengths]
-        out = np.where(self.ended, log_rho[self.first + self.lengths - 1] + rest, -np.inf)
+        out = np.where(self.ended, log_rho[self.ends] + rest, -np.inf)
         np.logaddexp.at(out, self.of, log_rho + fade[self.time])
         return out
 
@@ -215,15 +221,15 @@ class Episodes:
         with np.errstate(over="ignore"):
             total = np.bincount(self.of, np.exp(log_rho) * fade[self.time], self.count)
             rest = np.append(np.cumsum(fade[::-1])[::-1], 0.0)[self.lengths]
-            return (total + rest * np.exp(log_rho[self.first + self.lengths - 1])) / fade.sum()
+            return (total + rest * np.exp(log_rho[self.ends])) / fade.sum()
 
     def going_on(self, log_rho: np.ndarray) -> np.ndarray:
         """(steps,) weighted share of the policy's episodes that no terminal has ended after each step; one where all weights
         are zero. An episode that is cut off counts as continuing."""
-        log_rho, ends = log_rho - self.log_kept, self.first + self.lengths - 1
-        over = _accumulated((self.steps + 1,), (self.lengths[self.ended],), log_rho[ends[self.ended]])[1:]
+        log_rho, last = log_rho - self.log_uncensored, self.ends[self.ended]
+        over = _accumulated((self.steps + 1,), (self.lengths[self.ended],), log_rho[last])[1:]
         goes, on = np.ones(len(log_rho), bool), np.full(self.steps, -np.inf)
-        goes[ends[self.ended]] = False
+        goes[last] = False
         np.logaddexp.at(on, self.time[goes], log_rho[goes])
         some = np.isfinite(np.maximum(on, over))
         return expit(np.subtract(on, over, out=np.full(self.steps, np.inf), where=some))
@@ -231,24 +237,21 @@ class Episodes:
     def contributions(self, log_rho: np.ndarray, x: np.ndarray, *, whole: bool = False) -> np.ndarray:
         """(episodes,) terms of the estimate without normalisation; their mean is the estimate of `sums` or, if cut-offs are
         `even`, with one weight per episode that of `whole`."""
-        log_rho = log_rho if whole else log_rho - self.log_kept
+        log_rho = log_rho if whole else log_rho - self.log_uncensored
         with np.errstate(over="ignore"):
-            rho = np.exp(np.repeat(log_rho[self.first + self.lengths - 1], self.lengths) if whole else log_rho)
+            rho = np.exp(np.repeat(log_rho[self.ends], self.lengths) if whole else log_rho)
         return np.bincount(self.of, rho * x * self.discount**self.time, self.count)
 
     def whole(self, log_rho: np.ndarray, x: np.ndarray, *, normalised: bool) -> Sums:
         """As `sums`, with one weight per episode, its last, for its discounted sum of `x`."""
         total = np.bincount(self.of, x * self.discount**self.time, self.count)
-        last = log_rho[self.first + self.lengths - 1]
+        last = log_rho[self.ends]
         top = last.max()
-        shift = top if np.isfinite(top) else 0.0
         with np.errstate(over="ignore"):
-            rho = np.exp(last - (shift if normalised else 0.0))
-        relative = np.exp(last - shift)
+            rho = np.exp(last - (top if normalised and np.isfinite(top) else 0.0))
         numerators = np.bincount(self.group, rho * total, self.groups)[:, None]
         denominators = np.bincount(self.group, rho if normalised else np.ones(self.count), self.groups)[:, None]
-        ess = _ratios(np.square(relative.sum()), np.square(relative).sum())
-        return Sums(numerators, denominators, float(ess))
+        return Sums(numerators, denominators, float(effective_of_logs(last)))
 
     def warnings(
         self, names: tuple[str, ...], ess: np.ndarray, *, whole: bool = False, ahead: float = 0.0

@@ -6,6 +6,7 @@ tanh(mean + exp(log_std) noise), others with mean + exp(log_std) noise. Those wi
 """
 
 import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,9 +44,7 @@ def load_dope(path: Path | str) -> EnvPolicy:
         spread = [np.zeros_like(head[0]), bias]
     weights.append(np.concatenate([head[0], spread[0]]))
     biases.append(np.concatenate([head[1], spread[1]]))
-    for name, w, b, inputs in zip([*names, "last_fc"], weights, biases, [None, *(len(b) for b in biases)]):
-        if w.ndim != 2 or b.shape != w.shape[:1] or (inputs is not None and w.shape[1] != inputs):
-            raise UserError(f"{path}: {name}/weight has shape {w.shape}, which does not fit its bias and the layer before it")
+    check_layers(path, [f"{name}/weight" for name in (*names, "last_fc")], weights, biases)
     activation = _text(found.get("nonlinearity", "relu"))
     net = MLP(
         tuple(jnp.asarray(w.T) for w in weights), tuple(map(jnp.asarray, biases)), "tanh" if activation == "tanh" else "relu"
@@ -62,10 +61,33 @@ def load_dope(path: Path | str) -> EnvPolicy:
     return EnvPolicy(Gaussian(net), None, None, None, None)
 
 
-def _array(path: Path | str, found: dict[Any, Any], key: str) -> np.ndarray:
+def check_layers(path: Path | str, names: Sequence[str], weights: Sequence[np.ndarray], biases: Sequence[np.ndarray]) -> None:
+    """Refuses layers that do not fit together.
+
+    Args:
+        path: of their file, for the error.
+        names: of the weights.
+        weights: (outputs, inputs) of each layer.
+        biases: (outputs,).
+    """
+    for name, w, b, inputs in zip(names, weights, biases, [None, *(len(b) for b in biases)]):
+        if w.ndim != 2 or b.shape != w.shape[:1] or (inputs is not None and w.shape[1] != inputs):
+            raise UserError(f"{path}: {name} has shape {w.shape}, which does not fit its bias and the layer before it")
+
+
+def array_of(path: Path | str, found: Mapping[Any, Any], key: str) -> np.ndarray:
+    """An array among the values of a file.
+
+    Raises:
+        UserError: there is none under that key.
+    """
     if not isinstance(found.get(key), np.ndarray):
         raise UserError(f"{path}: no array {key}")
-    return np.asarray(found[key], np.float32)
+    return found[key]
+
+
+def _array(path: Path | str, found: Mapping[Any, Any], key: str) -> np.ndarray:
+    return np.asarray(array_of(path, found, key), np.float32)
 
 
 def _text(value: Any) -> str:

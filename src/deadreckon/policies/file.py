@@ -120,11 +120,11 @@ def numpy_player(path: Path | str, tree: dict[str, Any], arrays: dict[str, np.nd
     for size in sizes:
         try:
             with np.errstate(all="ignore"):
-                _try(lambda x: portable.NumpyPolicy(tree, arrays)(x, first=True), (size,), np.float32)
+                _try(player, (size,), np.float32)
         except Exception as found:  # noqa: BLE001 - whatever wrong parts make numpy raise
             error = error or found
         else:
-            return portable.NumpyPolicy(tree, arrays)
+            return player
     raise UserError(f"{path}: the parts of its policy do not fit together ({as_one_line(error or ValueError('no networks'))})")
 
 

@@ -97,4 +97,5 @@ def load_policy(path: Path | str) -> TablePolicy:
     """
     if Path(path).is_dir():
         raise UserError(f"{path} is a folder; load_run({str(path)!r}).predict takes the policy of a run")
-    return fitting(path, TablePolicy(store.load(path), store.meta(path).get("log") or {}))
+    saved = store.load_all(path)
+    return fitting(path, TablePolicy(saved.policy, saved.meta.get("log") or {}))

@@ -31,9 +31,11 @@ _LATENT_CLIP = 0.5
 _ILLEGAL = np.float32(-1e9)
 # Kinds of policy and their fields as older files name them: kind -> (kind, {field: field}).
 RENAMED = {
+    "Asking": ("DecisionTransformerPolicy", {"wanted": "target_return"}),
     "Deployed": ("EnvPolicy", {}),
     "Moved": ("PerturbedPolicy", {"mover": "perturbation", "reach": "max_perturbation"}),
     "Planner": ("Planner", {"chosen": "cem_elites", "ends": "termination", "iterations": "cem_iterations"}),
+    "Sequence": ("DecisionTransformerNet", {}),
     "Supported": ("ThresholdedPolicy", {"share": "threshold"}),
 }
 _EDGE = 1.0 - 1e-6

@@ -14,13 +14,13 @@ from deadreckon.policies.candidates import GreedyActions
 from deadreckon.policies.deployed import EnvPolicy, History, Mixture, Seeing
 from deadreckon.policies.kinds import Categorical
 from deadreckon.policies.planner import Planner
-from deadreckon.policies.sequence import Asking
+from deadreckon.policies.sequence import DecisionTransformerPolicy
 
 MEMBER = "member"
 # Kinds that no format but the package's own can hold, and why.
 REFUSED = {
     Planner: "plan by random draws in a learned model at every step",
-    Asking: "keep returns, observations and actions of earlier steps",
+    DecisionTransformerPolicy: "keep returns, observations and actions of earlier steps",
 }
 
 

@@ -14,8 +14,8 @@ from deadreckon.policies.policy import NormalizedPolicy
 from deadreckon.randomness import key_for, keys
 
 
-class Sequence(eqx.Module):
-    """To actions of steps from what went before them.
+class DecisionTransformerNet(eqx.Module):
+    """A transformer from the returns-to-go, observations and actions of the last steps to actions.
 
     Attributes:
         of_return, of_observation, of_action: each to a token.
@@ -32,7 +32,7 @@ class Sequence(eqx.Module):
     head: MLP
 
     @classmethod
-    def create(cls, spec: Spec, layers: int, width: int, heads: int, key: PRNGKeyArray) -> "Sequence":
+    def create(cls, spec: Spec, layers: int, width: int, heads: int, key: PRNGKeyArray) -> "DecisionTransformerNet":
         """Fresh networks, for episodes as long as the log's."""
         kr, ko, ka, kt, kn, kh = keys(key, "returns", "observations", "actions", "times", "transformer", "head")
         times = 0.02 * jax.random.normal(kt, (max(spec.longest, 1), width))
@@ -41,41 +41,44 @@ class Sequence(eqx.Module):
         return cls(*tokens, times, Transformer.create(layers, width, heads, kn), MLP.create(width, (), spec.action_size, kh))
 
     def __call__(
-        self, wanted: Float[Array, "b k"], observation: Float[Array, "b k o"], action: Float[Array, "b k a"],
-        time: Real[Array, "b k"], there: Float[Array, "b k"], rate: Array | float = 0.0, key: PRNGKeyArray | None = None,
+        self, return_to_go: Float[Array, "b k"], observation: Float[Array, "b k o"], action: Float[Array, "b k a"],
+        time: Real[Array, "b k"], mask: Float[Array, "b k"], rate: Array | float = 0.0, key: PRNGKeyArray | None = None,
     ) -> Float[Array, "b k a"]:  # fmt: skip
-        """Actions of all steps; that of a step sees its return-to-go, its observation, and all before them."""
+        """Actions of all steps; that of a step sees its return-to-go, its observation, and all before them.
+
+        Steps whose `mask` is 0 are not seen.
+        """
         when = self.of_time[jnp.minimum(time, len(self.of_time) - 1).astype(jnp.int32)]
-        tokens = self.of_return(wanted[..., None]), self.of_observation(observation), self.of_action(action)
-        rows, steps = wanted.shape
+        tokens = self.of_return(return_to_go[..., None]), self.of_observation(observation), self.of_action(action)
+        rows, steps = return_to_go.shape
         x = jnp.stack([token + when for token in tokens], 2).reshape(rows, 3 * steps, -1)
         x = dropped(standardised(x), rate, None if key is None else key_for(key, "tokens"))
-        x = self.transformer(x, jnp.repeat(there > 0, 3, 1), rate, None if key is None else key_for(key, "transformer"))
+        x = self.transformer(x, jnp.repeat(mask > 0, 3, 1), rate, None if key is None else key_for(key, "transformer"))
         return jnp.tanh(self.head(x[:, 1::3]))
 
 
 class Memory(NamedTuple):
     """The last steps of each environment, the present one at the end of the window."""
 
-    wanted: Float[Array, "n k"]
+    return_to_go: Float[Array, "n k"]
     observation: Float[Array, "n k o"]
     action: Float[Array, "n k a"]
     time: Float[Array, "n k"]
-    there: Float[Array, "n k"]
+    mask: Float[Array, "n k"]
 
 
-class Asking(NormalizedPolicy):
+class DecisionTransformerPolicy(NormalizedPolicy):
     """Imitates the log's actions that led to the target return.
 
     Attributes:
         net: says actions.
-        wanted: target return of an episode.
+        target_return: of an episode.
         scale: what returns are divided by.
         window: steps that are remembered.
     """
 
-    net: Sequence
-    wanted: Array
+    net: DecisionTransformerNet
+    target_return: Array
     scale: Array
     window: int = eqx.field(static=True)
 
@@ -89,10 +92,10 @@ class Asking(NormalizedPolicy):
         """The action of the present step; nothing is drawn."""
         first = jnp.asarray(step.first, bool)
         carry = jax.tree.map(lambda part: jnp.where(first.reshape(-1, *[1] * (part.ndim - 1)), 0.0, part), carry)
-        wanted = jnp.where(first, self.wanted / self.scale, carry.wanted[:, -1] - step.reward / self.scale)
+        return_to_go = jnp.where(first, self.target_return / self.scale, carry.return_to_go[:, -1] - step.reward / self.scale)
         time = jnp.where(first, 0.0, carry.time[:, -1] + 1.0)
         # What is done now is not known yet; nobody looks at its token.
-        now = Memory(wanted, step.observation, jnp.zeros_like(carry.action[:, 0]), time, jnp.ones_like(time))
+        now = Memory(return_to_go, step.observation, jnp.zeros_like(carry.action[:, 0]), time, jnp.ones_like(time))
         carry = Memory(*(jnp.concatenate([past[:, 1:], new[:, None]], 1) for past, new in zip(carry, now)))
         action = self.net(*carry)[:, -1]
         return action, carry._replace(action=carry.action.at[:, -1].set(action))

@@ -19,14 +19,14 @@ from deadreckon.policies import candidates, planner, portable  # noqa: F401 - ki
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.file import read_policy
 from deadreckon.policies.policy import KINDS
-from deadreckon.policies.sequence import Sequence
+from deadreckon.policies.sequence import DecisionTransformerNet
 from deadreckon.policies.whole import check_whole
 
 _TAUGHT, _HELD = "taught", "held"  # arrays beside those of the policy, which all start with `policy.`
 _EXACT = ("mean", "std", "low", "high")  # the coordinates of a `EnvPolicy`
 # Beside the policies that register themselves (`policy.KINDS`) the only classes that a file can name: reading one runs no code
 # of the file's choosing.
-_CLASSES = EnvPolicy, MLP, LayerNormMLP, VAE, Encoder, Transformer, Block, Sequence
+_CLASSES = EnvPolicy, MLP, LayerNormMLP, VAE, Encoder, Transformer, Block, DecisionTransformerNet
 _PARTS: dict[str, Any] = {part.__name__: part for part in _CLASSES}
 
 
@@ -135,21 +135,3 @@ def load_all(path: Path | str) -> Saved:
 def meta(path: Path | str) -> dict[str, Any]:
     """The JSON values kept beside a saved policy."""
     return read_policy(path)[0]["meta"]
-
-
-def taught(path: Path | str) -> np.ndarray | None:
-    """(episodes,) uint64 `episode_ids` of the training episodes of a saved policy; None if the file does not have them.
-
-    Raises:
-        UserError: the file is missing, broken or not a policy file.
-    """
-    return read_policy(path)[1].get(_TAUGHT)
-
-
-def held(path: Path | str) -> np.ndarray | None:
-    """(episodes,) uint64 `episode_ids` of the episodes of its log that a saved policy was not trained on, or None.
-
-    Raises:
-        UserError: see `taught`.
-    """
-    return read_policy(path)[1].get(_HELD)

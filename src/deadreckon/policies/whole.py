@@ -12,12 +12,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from deadreckon.data.step import Step
 from deadreckon.errors import UserError, as_one_line
 from deadreckon.foreign.shapes import words
 from deadreckon.nets.layer_norm_mlp import LayerNormMLP
 from deadreckon.nets.mlp import MLP
-from deadreckon.policies.deployed import History, Mixture, Seeing
+from deadreckon.policies.deployed import History, Mixture, Seeing, first_actions
 from deadreckon.policies.file import ROWS, observation_sizes
 from deadreckon.policies.portable import KINDS
 
@@ -35,12 +34,17 @@ def check_whole(path: Path | str, policy: Any) -> None:
         UserError: names the field that is of another kind; or says that the parts do not fit together.
     """
     _check(path, policy, "policy")
+    _check_together(path, policy)
+
+
+def _check_together(path: Path | str, policy: Any) -> None:
+    """Refuses a policy whose parts do not fit together."""
     if isinstance(policy.inner, Mixture | History):
         for member in policy.inner.members if isinstance(policy.inner, Mixture) else (policy.inner.member,):
-            check_whole(path, member)
+            _check_together(path, member)
         return
     if isinstance(policy.inner, Seeing):
-        check_whole(path, policy.inner.member)
+        _check_together(path, policy.inner.member)
         _check_encoder(path, policy)
         return
     ends = ((net.weights[0].shape[-2], net.weights[-1].shape[-1]) for net in _networks(policy) if net.weights)
@@ -68,15 +72,10 @@ def _check_encoder(path: Path | str, policy: Any) -> None:
 def _try(policy: Any, shape: tuple[int, ...], kind: Any) -> None:
     """Traces actions on different numbers of observations, since a layer may fit one number of them alone."""
     for rows in ROWS:
-        action = jax.eval_shape(functools.partial(_act, policy), jax.ShapeDtypeStruct((rows, *shape), kind))
+        seen = jax.ShapeDtypeStruct((rows, *shape), kind)
+        action = jax.eval_shape(lambda one: first_actions(policy, one, jax.random.key(0), True), seen)
         if action.shape[0] != rows:
             raise ValueError(f"{rows} observations give {action.shape[0]} actions")
-
-
-def _act(policy: Any, observation: Any) -> Any:
-    rows = len(observation)
-    step = Step(observation, jnp.zeros(rows), jnp.ones(rows, bool))
-    return policy.act(step, policy.start(rows), jax.random.key(0), greedy=True)[0]
 
 
 def _networks(part: Any) -> Iterator[MLP | LayerNormMLP]:

@@ -1,6 +1,7 @@
 """Scales, ticks and paths of a chart: what its marks are drawn with."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -72,9 +73,9 @@ def short(value: float, digits: int = 3) -> str:
     return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}").replace("e+", "e")
 
 
-def cut(name: str) -> str:
-    """A name that is short enough to stand beside a line."""
-    return name if len(name) <= LETTERS else f"{name[: LETTERS - 1]}\N{HORIZONTAL ELLIPSIS}"
+def cut(name: str, letters: int = LETTERS) -> str:
+    """A name of at most so many letters, which fit beside a line."""
+    return name if len(name) <= letters else f"{name[: letters - 1]}\N{HORIZONTAL ELLIPSIS}"
 
 
 def path(x: np.ndarray, y: np.ndarray, closed: bool = False) -> str:
@@ -95,3 +96,18 @@ def columns(x: Axis, top: float, height: float) -> list[Markup]:
         parts.append(tag("line", x1=f"{x(t):.1f}", x2=f"{x(t):.1f}", y1=top - 4, y2=height - 24, class_="grid"))
         parts.append(tag("text", x.label(t), x=f"{x(t):.1f}", y=height - 8, class_="tick mid"))
     return parts
+
+
+def levels(y: Axis, left: float, right: float, apart: int = 7) -> list[Markup]:
+    """Grid lines across a chart, with their ticks at the left, so many pixels `apart`."""
+    parts = []
+    for t in y.ticks:
+        parts.append(tag("line", x1=left, x2=right, y1=f"{y(t):.1f}", y2=f"{y(t):.1f}", class_="grid"))
+        parts.append(tag("text", y.label(t), x=left - apart, y=f"{y(t) + 4:.1f}", class_="tick end"))
+    return parts
+
+
+def svg(parts: Any, width: int, height: int, title: str, style: str = "chart", **attributes: Any) -> Markup:
+    """A drawing of this size; `title` is shown where the pointer rests, and read by screen readers."""
+    size = f"0 0 {width} {height}"
+    return tag("svg", tag("title", title), parts, viewBox=size, role="img", aria_label=title, class_=style, **attributes)

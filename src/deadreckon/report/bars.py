@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deadreckon.report.axes import Axis
+from deadreckon.report.axes import Axis, cut, levels, svg
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.text import number
 
@@ -29,9 +29,7 @@ def histogram(values: np.ndarray, title: str, unit: str = "rows") -> Markup:
     counts, edges = np.histogram(values, _BINS)
     width, height, left, right, top, bottom = 300, 170, 38, 292, 22, 140
     x, y = Axis(float(edges[0]), float(edges[-1]), left, right), Axis(0.0, float(counts.max()), bottom, top, most=3)
-    parts = [tag("title", title), tag("text", unit, x=2, y=12, class_="axis")]
-    parts += [tag("line", x1=left, x2=right, y1=f"{y(t):.1f}", y2=f"{y(t):.1f}", class_="grid") for t in y.ticks]
-    parts += [tag("text", y.label(t), x=left - 5, y=f"{y(t) + 4:.1f}", class_="tick end") for t in y.ticks]
+    parts = [tag("text", unit, x=2, y=12, class_="axis"), *levels(y, left, right, 5)]
     for count, low, high in zip(counts.tolist(), edges, edges[1:]):
         said = tag("title", f"{number(float(low))} to {number(float(high))}: {count:,} {unit}")
         a, b, up = float(x(low)), float(x(high)), float(y(count))
@@ -50,13 +48,12 @@ def shares(names: Sequence[str], counts: np.ndarray, title: str, unit: str = "ro
         rows.append((f"{rest:,} others", int(counts.sum()) - sum(count for _, count in rows)))
     width, row, left, right = 300, 22, 118, 240
     total, most = max(int(counts.sum()), 1), max(count for _, count in rows) or 1
-    parts = [tag("title", title)]
+    parts = []
     for i, (name, count) in enumerate(rows):
         y, long = i * row + 4, (right - left) * count / most
-        short_name = name if len(name) <= _NAME else f"{name[: _NAME - 1]}\N{HORIZONTAL ELLIPSIS}"
         parts.append(
             tag("g", tag("title", f"{name}: {count:,} {unit}"),
-                tag("text", short_name, x=left - 8, y=y + 13, class_="tick end"),
+                tag("text", cut(name, _NAME), x=left - 8, y=y + 13, class_="tick end"),
                 tag("rect", x=left, y=y, width=f"{long:.1f}", height=row - 6, rx=2, class_="bar"),
                 tag("text", f"{count / total:.1%}", x=f"{left + long + 6:.1f}", y=y + 13, class_="tick"))
         )  # fmt: skip
@@ -68,11 +65,7 @@ def density(x: np.ndarray, y: np.ndarray, across: str, up: str) -> Markup:
     counts, xs, ys = np.histogram2d(x, y, _CELLS)
     width, height, left, right, top, bottom = 480, 320, 52, 466, 30, 282
     at, over = Axis(float(xs[0]), float(xs[-1]), left, right), Axis(float(ys[0]), float(ys[-1]), bottom, top)
-    title = f"{up} against {across}"
-    parts = [tag("title", title)]
-    for t in over.ticks:
-        parts.append(tag("line", x1=left, x2=right, y1=f"{over(t):.1f}", y2=f"{over(t):.1f}", class_="grid"))
-        parts.append(tag("text", over.label(t), x=left - 7, y=f"{over(t) + 4:.1f}", class_="tick end"))
+    parts = levels(over, left, right)
     parts += [tag("text", at.label(t), x=f"{at(t):.1f}", y=bottom + 19, class_="tick mid") for t in at.ticks]
     parts += [tag("text", across, x=right, y=bottom + 36, class_="axis end"), tag("text", up, x=4, y=14, class_="axis")]
     for i, j in np.argwhere(counts > 0).tolist():
@@ -82,9 +75,8 @@ def density(x: np.ndarray, y: np.ndarray, across: str, up: str) -> Markup:
             tag("rect", tag("title", f"{int(counts[i, j]):,} rows"), x=f"{a:.1f}", y=f"{high:.1f}", width=f"{b - a:.1f}",
                 height=f"{low - high:.1f}", class_="visited", opacity=f"{strength:.2f}")
         )  # fmt: skip
-    return _drawing(parts, width, height, title)
+    return _drawing(parts, width, height, f"{up} against {across}")
 
 
 def _drawing(parts: list[Markup], width: int, height: int, title: str) -> Markup:
-    box = f"0 0 {width} {height}"
-    return tag("svg", tag("g", parts, class_="s0"), viewBox=box, role="img", aria_label=title, class_="chart")
+    return svg(tag("g", parts, class_="s0"), width, height, title)

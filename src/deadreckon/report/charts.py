@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadreckon.report.axes import LABEL, POINTS, Axis, cut, path
+from deadreckon.report.axes import LABEL, POINTS, Axis, cut, levels, path, svg
 from deadreckon.report.forest import marker, robust, whisker
-from deadreckon.report.markup import Markup, join, tag
+from deadreckon.report.markup import Markup, tag
 from deadreckon.report.text import number
 from deadreckon.stats.interval import Interval
 
@@ -88,14 +88,7 @@ def lines(
     floor = min(float(values.min()), 0.0) if values.min() >= 0 or symlog else float(values.min())
     y = Axis(floor, float(values.max()), bottom, top, symlog)
     x = Axis(min(0.0, float(steps.min())), float(steps.max()), left, right, most=ticks or (7 if width > 600 else 4))
-    parts = [tag("title", title)]
-    parts += [
-        join(
-            tag("line", x1=left, x2=right, y1=f"{y(t):.1f}", y2=f"{y(t):.1f}", class_="grid"),
-            tag("text", y.label(t), x=left - 7, y=f"{y(t) + 4:.1f}", class_="tick end"),
-        )
-        for t in y.ticks
-    ]
+    parts = levels(y, left, right)
     parts += [tag("text", x.label(t), x=f"{x(t):.1f}", y=bottom + 19, class_="tick mid") for t in x.ticks]
     parts.append(tag("text", across, x=right, y=bottom + 34, class_="axis end"))
     parts.append(
@@ -127,10 +120,8 @@ def lines(
         tips = [[round(float(px[i]), 1), round(float(py[i]), 1), f"{s.x[i]:,.0f}", number(float(s.y[i]))] for i in good]
         hover.append({"n": s.name, "c": s.slot, "p": tips})
     parts.append(tag("line", y1=top, y2=bottom, class_="cursor", visibility="hidden"))
-    return tag(
-        "svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=title, class_=f"chart v{width}",
-        data_hover=json.dumps(hover, separators=(",", ":")), data_across=across,
-    )  # fmt: skip
+    told = {"data_hover": json.dumps(hover, separators=(",", ":")), "data_across": across}
+    return svg(parts, width, height, title, f"chart v{width}", **told)
 
 
 def _end(x: Axis, y: Axis, s: Series) -> tuple[float, float]:
@@ -194,10 +185,7 @@ def scatter(
     wide += [Interval(value, value, value) for _, value in references]
     x = Axis(*robust([*(p[2] for p in finite), *(value for _, value in references)], wide), left, right)
     y = Axis(*robust([p[4] for p in finite], [Interval(*p[4:]) for p in finite]), bottom, top)
-    parts = [tag("title", f"{unit} against {across}")]
-    for t in y.ticks:
-        parts.append(tag("line", x1=left, x2=right, y1=f"{y(t):.1f}", y2=f"{y(t):.1f}", class_="grid"))
-        parts.append(tag("text", y.label(t), x=left - 7, y=f"{y(t) + 4:.1f}", class_="tick end"))
+    parts = levels(y, left, right)
     parts += [tag("text", x.label(t), x=f"{x(t):.1f}", y=bottom + 19, class_="tick mid") for t in x.ticks]
     parts.append(tag("text", across, x=right, y=bottom + 34, class_="axis end"))
     parts.append(tag("text", unit, x=4, y=14, class_="axis"))
@@ -218,5 +206,4 @@ def scatter(
         inner += whisker(y, lower, upper, px, upright=True)
         inner.append(marker(slot, px, py))
         parts.append(tag("g", inner, class_=f"s{slot}"))
-    said = f"{unit} against {across}"
-    return tag("svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=said, class_=f"chart v{width}")
+    return svg(parts, width, height, f"{unit} against {across}", f"chart v{width}")

@@ -1,12 +1,15 @@
 """The sections that are pictures."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from deadreckon.report import charts, maze, spacetime
 from deadreckon.report.entries import Entry, Page
+from deadreckon.report.forest import SLOTS
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import figure, legend, note, unit_of
-from deadreckon.report.rows import behavior, row, to_score
+from deadreckon.report.rows import Row, behavior, to_score
 from deadreckon.stats.interval import PERCENT, Interval
 from deadreckon.tasks.flow import Flow
 from deadreckon.tasks.mazes import Maze
@@ -98,9 +101,11 @@ def values(page: Page) -> Markup | None:
     )
 
 
-def distance(page: Page) -> Markup | None:
+def distance(page: Page, rows: Sequence[Row]) -> Markup | None:
     """How far policies moved away from the log."""
     figures, inside = [], ""
+    # What the MMD of a copy of each log's policy stays below; means of equal numbers differ in their last bits.
+    copies = sorted({round(r.copy, 4) for r in rows if r.copy is not None})
     for name, unit, factor in DISTANCES:
         series = []
         for e in page.entries:
@@ -110,11 +115,11 @@ def distance(page: Page) -> Markup | None:
             inside = "No agent took an action outside the log's range at any evaluation. "
         elif series:
             title = f"{unit} against {page.across}"
-            lines = [(f"{PERCENT} limit of a copy", value) for value in _of_copies(page)] if name == "mmd_to_data" else []
+            lines = [(f"{PERCENT} limit of a copy", value) for value in copies] if name == "mmd_to_data" else []
             figures.append(figure(charts.lines(series, title=title, unit=unit, across=page.across, references=lines)))
     if not figures:
         return None
-    told = f" Horizontal line: a copy of the log's policy stays below it in {PERCENT} of samples." if _of_copies(page) else ""
+    told = f" Horizontal line: a copy of the log's policy stays below it in {PERCENT} of samples." if copies else ""
     return join(
         legend(page),
         tag("div", figures, class_="charts two"),
@@ -124,12 +129,6 @@ def distance(page: Page) -> Markup | None:
             f"values.{told}"
         ),
     )
-
-
-def _of_copies(page: Page) -> list[float]:
-    """What the MMD of a copy of each log's policy stays below."""
-    copies = [row(e).copy for e in page.entries]
-    return sorted({round(copy, 4) for copy in copies if copy is not None})  # means of equal numbers differ in their last bits
 
 
 def training(page: Page) -> Markup | None:
@@ -167,7 +166,7 @@ def trajectories(page: Page) -> Markup | None:
     figures = []
     stretches = next((e.segments for e in page.entries if e.segments is not None), None)
     if stretches is not None:
-        slots = [i % 8 for i in range(len(stretches))]
+        slots = [i % SLOTS for i in range(len(stretches))]
         drawn = maze.picture(task, list(stretches), slots, "stretches of the log", False)
         figures.append(figure(drawn, "the log"))
     for e in page.entries:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from deadreckon.errors import UserError
 from deadreckon.ope.estimates import LOGGED
 from deadreckon.report import forest
 from deadreckon.report.entries import Page
@@ -37,18 +38,26 @@ def places(page: Page) -> list[Path]:
     return [place for e in page.entries for folder, _ in e.folders for place in (folder.path, folder.path.parent)]
 
 
-def as_it_is(told: dict[str, Any], estimates: Path, page: Page) -> tuple[dict[str, Any] | None, str | None]:
+def as_it_is(page: Page, told: dict[str, Any], estimates: Path | str) -> tuple[dict[str, Any] | None, str | None]:
     """What of estimates still holds for the policies on a page, and where that is nothing, why, in one sentence.
 
     A decision on a policy that was trained further is no decision on what is there now. Another policy that has changed is
     warned of: the decision stands, but its estimates are not of what the page shows.
 
     Args:
-        told: the estimates.
-        estimates: the folder or file that they are from.
         page: with the runs.
+        told: the estimates, as `runs.offline.read_estimates` gives them.
+        estimates: the folder or file that they are from.
+
+    Raises:
+        UserError: they decide on a policy of other runs.
     """
-    record = estimates if estimates.is_dir() else estimates.parent
+    path = Path(estimates)
+    of = {each["name"]: each for each in told["policies"]}[told["choice"]["name"]]
+    if not any(is_from(of, place) for place in places(page)):
+        file = f" ({of['file']})" if of.get("file") else ""
+        raise UserError(f"{estimates} decides on {of['run']}{file}, which is not among these runs; name its folder too")
+    record = path if path.is_dir() else path.parent
     changed = [
         each["name"] for each in told["policies"]
         if any(is_from(each, folder) and has_changed(each, record, folder) for folder in places(page))
@@ -119,12 +128,8 @@ def _tiles(told: dict[str, Any], chosen: int) -> list[Markup]:
     covered = tag(
         "div", tag("small", "its actions without support"), tag("b", percent(missing)), tag("span", "in the log"), class_="tile"
     )
-    gain = Interval(*map(_number, choice["gain"]))
+    gain = Interval(*choice["gain"])
     return [tile("estimated gain over the behaviour policy", gain, True, level, number), held, covered]
-
-
-def _number(value: float | None) -> float:
-    return math.nan if value is None else float(value)
 
 
 def _support(told: dict[str, Any], chosen: int) -> str:
@@ -137,7 +142,7 @@ def _costs(told: dict[str, Any], chosen: int) -> list[tuple[str, str]]:
     """The totals of the log's costs."""
     lines = []
     for each in told["choice"].get("costs", ()):
-        (value, low, high), logged = (tuple(map(_number, ends)) for ends in (each["ends"][chosen], each["ends"][-1]))
+        (value, low, high), logged = each["ends"][chosen], each["ends"][-1]
         limit = "" if each["limit"] is None else f", limit {number(each['limit'])}"
         between = f"{number(value)} [{number(low)}, {number(high)}]{limit}"
         lines.append((each["column"], f"{between}; behaviour policy {number(logged[0])}"))
@@ -168,7 +173,7 @@ def _check(told: dict[str, Any], chosen: int) -> str:
     if told["truth"] is None:
         return said
     first = told["results"][0]
-    value, low, high = (number(_number(first[end][chosen])) for end in ("value", "low", "high"))
+    value, low, high = (number(first[end][chosen]) for end in ("value", "low", "high"))
     return f"{said} From the log it was estimated at {value} [{low}, {high}]."
 
 
@@ -178,7 +183,7 @@ def _gains(page: Page, told: dict[str, Any]) -> Markup | None:
     marks = []
     each_of = zip(told["policies"], coloured(page, told), first["gain"], told["choice"]["objections"])
     for each, (_, slot), gain, own in each_of:
-        spread = Interval(*map(_number, gain))
+        spread = Interval(*gain)
         if math.isfinite(spread.value):
             marks.append(forest.Mark(each["name"], slot, spread, hollow=bool(own)))
     if not marks:

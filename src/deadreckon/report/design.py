@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 
-from deadreckon.files import replacing
 from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.effects import averages, best_permitted, most_expected
@@ -17,7 +16,7 @@ from deadreckon.report.design_doubts import doubts
 from deadreckon.report.design_effects import around, on_average
 from deadreckon.report.design_table import proposals_table
 from deadreckon.report.markup import Markup, join, tag
-from deadreckon.report.page import document
+from deadreckon.report.page import document, save_page
 from deadreckon.report.parts import figure, heads_of, note, scroll
 from deadreckon.report.text import number
 from deadreckon.stats.interval import NORMAL, PERCENT
@@ -36,7 +35,8 @@ def write_design(data: Designs, made: Proposals, far: np.ndarray, out: Path | st
         out: the page; an old one is replaced.
         scores: their true scores, where there is an oracle.
     """
-    title = "Predicted and true scores" if scores else "Predictions and distances to the data"
+    what = "Requested" if made.requested else "Predicted"
+    title = f"{what} and true scores" if scores else f"{what} scores and distances to the data"
     effects = averages(data, made.fitted) if made.fitted is not None and len(data.variables) <= MANY else []
     chosen = first_choice(made, far)
     sections: list[tuple[str, str, Markup | None]] = [
@@ -52,9 +52,7 @@ def write_design(data: Designs, made: Proposals, far: np.ndarray, out: Path | st
     counts = ("training data", learned_from(data))
     facts = [("method", made.method), ("data", data.name), counts, ("seed", str(made.seed))]
     text = document(f"{len(made):,} designs for {data.target}", _lead(data, made, far, scores), facts, sections)
-    with replacing(out) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return Path(out)
+    return save_page(text, out)
 
 
 def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None) -> str:
@@ -68,7 +66,7 @@ def _lead(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | None
         if made.fitted is not None:  # the best measurement may be a lucky one, and is no measure of a prediction
             expected = number(float(data.shown(most_expected(data, made.fitted)[1])))
             measured = f"; the best prediction for a measured design is {expected}"
-        what = "measured score of the proposals" if made.measured else "predicted score"
+        what = "measured score of the proposals" if made.measured else f"{made.how} score"
         parts.append(f"The best {what} is {number(float(data.shown(made.predicted.max())))}{measured}.")
     if scores is not None:
         best_true, middle = (number(data.shown(scores.percentile(q))) for q in (100, 50))
@@ -90,14 +88,19 @@ def _chart(data: Designs, made: Proposals, far: np.ndarray, scores: Scores | Non
         for i in range(len(made))
     ]
     unit = "typical distances to the data" if scores is None else f"{data.target}, true"
-    text = (
-        f"Whiskers: {PERCENT} interval of {made.of_what}{'' if made.quality else ', by the model, not calibrated'}, "
-        "where the method gives a standard deviation. A typical distance is the "
-        "median distance of a scored design to its nearest neighbour, in standardised coordinates."
+    if made.requested:
+        what, above = "requested", "the true score is lower than the requested one"
+        text = "The method makes its designs for the requested score; no model predicts which score they have."
+    else:
+        what, above = "predicted", "the score is overestimated"
+        calibrated = "" if made.quality else ", by the model, not calibrated"
+        text = f"Whiskers: {PERCENT} interval of {made.of_what}{calibrated}, where the method gives a standard deviation."
+    text += (
+        " A typical distance is the median distance of a scored design to its nearest neighbour, in standardised coordinates."
     )
     if scores is not None:
-        text += " Above the dashed line the score is overestimated."
-    drawn = charts.scatter(points, unit, f"{data.target}, predicted", diagonal=scores is not None)
+        text += f" Above the dashed line {above}."
+    drawn = charts.scatter(points, unit, f"{data.target}, {what}", diagonal=scores is not None)
     return join(tag("div", figure(drawn), class_="charts two"), note(text))
 
 

@@ -62,6 +62,8 @@ def _of_batch(data: Designs, made: Proposals, far: np.ndarray, idle: set[int], r
 
 def _of_quality(data: Designs, made: Proposals) -> list[str]:
     quality = made.quality
+    if made.requested:
+        return [f"{made.method} has no model that predicts scores: whether its designs reach the requested score is not known."]
     if quality is None:
         return ["How well the method predicts unseen rows was not measured, so its predictions may be worthless."]
     rows = f"{len(quality.observed):,} rows"

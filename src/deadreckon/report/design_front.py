@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 
-from deadreckon.files import replacing
 from deadreckon.mbo.effects import permitted
 from deadreckon.mbo.front import Front
 from deadreckon.mbo.nn_distance import nn_distance
@@ -14,7 +13,7 @@ from deadreckon.report.design_doubts import doubts_of_several
 from deadreckon.report.design_edges import shown_value
 from deadreckon.report.design_table import proposals_table
 from deadreckon.report.markup import Markup, join, tag
-from deadreckon.report.page import document
+from deadreckon.report.page import document, save_page
 from deadreckon.report.parts import figure, heads_of, note, scroll
 from deadreckon.report.text import number, words
 from deadreckon.stats.interval import NORMAL, PERCENT
@@ -41,9 +40,7 @@ def write_front(front: Front, out: Path | str) -> Path:
         ("quality", "Quality of the models, out of fold", _quality(front)),
     ]
     text = document(f"{n:,} designs for {words([each.target for each in data])}", _lead(front), facts, sections)
-    with replacing(out) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return Path(out)
+    return save_page(text, out)
 
 
 def _lead(front: Front) -> str:

@@ -36,7 +36,7 @@ def proposals_table(
     order = np.argsort(-made[0].predicted, kind="stable")[:shown]
     table = first.decode(made[0].x[order])
     names = list(table)[:COLUMNS]
-    how = "measured" if len(data) == 1 and made[0].measured else "predicted"
+    how = made[0].how if len(data) == 1 else "predicted"
     predicted = [f"{each.target}, predicted" for each in data] if len(data) > 1 else [how]
     heads = ["proposal", *predicted, *(["true"] if scores else []), "distance", "nearest rows", *names]
     _, near = neighbours(first, made[0].x[order], NEAREST)

@@ -6,17 +6,15 @@ from pathlib import Path
 
 import numpy as np
 
-from deadreckon.files import replacing
 from deadreckon.ope.dope import TRIED, Cell, Result, Shown, cells, shown_metrics
 from deadreckon.report import charts, forest
 from deadreckon.report.markup import Markup, join, tag
-from deadreckon.report.page import document
+from deadreckon.report.page import document, save_page
 from deadreckon.report.parts import figure, heads_of, note, scroll
 from deadreckon.report.text import number, words
 from deadreckon.stats.interval import NORMAL, Interval
 
 Tables = dict[Shown, dict[str, dict[str, Cell]]]  # metric -> log -> method
-SLOTS = 8  # colours there are
 REDRAWN = (
     "Each number is of the policies as they are, ± its standard deviation over redrawn ones (a bootstrap). The thesis (E.2) "
     "prints means over redrawn policies: ours (redrawn) stand above them."
@@ -36,7 +34,7 @@ def write_bench(results: Sequence[Result], out: Path | str, *, clip: float | Non
     """
     logs = list(dict.fromkeys(r.log for r in results))
     methods = list(dict.fromkeys(r.method for r in results))
-    slots = {method: i % SLOTS for i, method in enumerate(methods)}
+    slots = {method: i % forest.SLOTS for i, method in enumerate(methods)}
     tables = {each: cells(results, each.metric, clip=clip, k=each.k) for each in shown_metrics(results)}
     sections: list[tuple[str, str, Markup | None]] = [
         ("metrics", "Quality of the estimates", _metrics(tables, slots)),
@@ -50,9 +48,7 @@ def write_bench(results: Sequence[Result], out: Path | str, *, clip: float | Non
     facts = [("logs", str(len(logs))), ("policies per task", many), ("estimators", ", ".join(methods))]
     facts += [] if clip is None else [("normalised estimates", f"cut at {clip:g}")]
     text = document("Off-policy evaluation, the DOPE protocol", _lead(tables), facts, sections)
-    with replacing(out) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return Path(out)
+    return save_page(text, out)
 
 
 def _means(found: dict[str, dict[str, Cell]], method: str) -> Interval:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadreckon.report.axes import Axis, path, short
+from deadreckon.report.axes import Axis, columns, cut, levels, path, short, svg
 from deadreckon.report.forest import marker, whisker
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.text import number
@@ -60,10 +60,7 @@ def _curve(of: Panel) -> Markup:
     at = np.log10 if of.log else np.asarray
     values = at(of.values.astype(float))
     x, y = Axis(float(values[0]), float(values[-1]), LEFT + 4, RIGHT - 6, most=5), Axis(*of.ends, BOTTOM, TOP, most=4)
-    parts = [tag("title", f"{of.unit} by {of.name}")]
-    for t in y.ticks:
-        parts.append(tag("line", x1=LEFT, x2=RIGHT, y1=f"{y(t):.1f}", y2=f"{y(t):.1f}", class_="grid"))
-        parts.append(tag("text", y.label(t), x=LEFT - 5, y=f"{y(t) + 4:.1f}", class_="tick end"))
+    parts = levels(y, LEFT, RIGHT, 5)
     for t in _ticks_of_log(of.values) if of.log else x.ticks:
         parts.append(tag("text", short(t) if of.log else x.label(t), x=f"{x(at(t)):.1f}", y=BOTTOM + 22, class_="tick mid"))
     if of.rows is not None:
@@ -94,35 +91,29 @@ def _curve(of: Panel) -> Markup:
     tips = [[round(float(a), 1), round(float(b), 1), number(float(v)), _with_ends(of, i)]
             for i, (a, b, v) in enumerate(zip(px, py, of.values))]  # fmt: skip
     parts.append(tag("line", y1=TOP, y2=BOTTOM, class_="cursor", visibility="hidden"))
-    return tag(
-        "svg", parts, viewBox=f"0 0 {WIDTH} {HEIGHT}", role="img", aria_label=f"{of.unit} by {of.name}", class_="chart",
-        data_hover=json.dumps([{"n": of.unit, "c": 0, "p": tips}], separators=(",", ":")), data_across=of.name,
-    )  # fmt: skip
+    hover = json.dumps([{"n": of.unit, "c": 0, "p": tips}], separators=(",", ":"))
+    return svg(parts, WIDTH, HEIGHT, f"{of.unit} by {of.name}", data_hover=hover, data_across=of.name)
 
 
 def _points(of: Panel) -> Markup:
     row, left = 24, 112
     height = TOP + row * len(of.values) + 26
     x = Axis(*of.ends, left + 4, RIGHT - 6, most=4)
-    parts = [tag("title", f"{of.unit} by {of.name}")]
-    for t in x.ticks:
-        parts.append(tag("line", x1=f"{x(t):.1f}", x2=f"{x(t):.1f}", y1=TOP - 4, y2=height - 22, class_="grid"))
-        parts.append(tag("text", x.label(t), x=f"{x(t):.1f}", y=height - 6, class_="tick mid"))
+    parts = columns(x, TOP, height)
     if of.reference is not None and x.low <= of.reference <= x.high:
         at = f"{x(of.reference):.1f}"
-        parts.append(tag("line", x1=at, x2=at, y1=TOP - 4, y2=height - 22, class_="reference"))
+        parts.append(tag("line", x1=at, x2=at, y1=TOP - 4, y2=height - 24, class_="reference"))
     for k, value in enumerate(of.values.astype(int).tolist()):
         y, name = TOP + row * (k + 0.5), of.levels[value]
         chosen = of.here is not None and value == int(of.here)
         off = of.faint is not None and bool(of.faint[k])
-        cut = name if len(name) <= _NAME else f"{name[: _NAME - 1]}\N{HORIZONTAL ELLIPSIS}"
-        inner = [tag("title", f"{name}: {_with_ends(of, k)}"),
-                 tag("text", cut, x=left - 8, y=y + 4.5, class_="label end" if chosen else "tick end")]  # fmt: skip
+        look = "label end" if chosen else "tick end"
+        inner = [tag("title", f"{name}: {_with_ends(of, k)}")]
+        inner.append(tag("text", cut(name, _NAME), x=left - 8, y=y + 4.5, class_=look))
         inner += whisker(x, float(of.low[k]), float(of.high[k]), y)
         inner.append(marker(0, float(x(of.mean[k])), y))
         parts.append(tag("g", inner, class_="s0 hollow" if off else "s0"))
-    label = f"{of.unit} by {of.name}"
-    return tag("svg", parts, viewBox=f"0 0 {WIDTH} {height}", role="img", aria_label=label, class_="chart")
+    return svg(parts, WIDTH, height, f"{of.unit} by {of.name}")
 
 
 def _with_ends(of: Panel, i: int) -> str:

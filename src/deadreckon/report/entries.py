@@ -14,10 +14,10 @@ from deadreckon.agents import AGENTS
 from deadreckon.errors import UserError
 from deadreckon.foreign.archive import read_arrays
 from deadreckon.online import Online
-from deadreckon.runs.crossfit import NAME as CROSS_FIT
+from deadreckon.report.forest import SLOTS
 from deadreckon.runs.folder import Folder
-from deadreckon.runs.records import checked_array, checked_rows, read_status
-from deadreckon.runs.train import Run
+from deadreckon.runs.records import CROSS_FIT, checked_array, checked_rows, read_status
+from deadreckon.runs.run import Run
 from deadreckon.tasks import registry
 from deadreckon.tasks.flow import Flow
 from deadreckon.tasks.task import Task
@@ -179,7 +179,7 @@ class Page:
 
     def slot(self, entry: Entry) -> int:
         """Which colour an entry has."""
-        return self.entries.index(entry) % 8
+        return self.entries.index(entry) % SLOTS
 
 
 def read(runs: Sequence[Path | str | Run]) -> Page:
@@ -253,7 +253,7 @@ def _of_different_seeds(group: list[tuple[Path, dict[str, Any]]]) -> list[list[t
 def _entry(group: list[tuple[Path, dict[str, Any]]], label: str) -> Entry:
     folders = tuple((Folder(path), config["seeds"]) for path, config in group)
     config = group[0][1] | {"seeds": [seed for _, config in group for seed in config["seeds"]]}
-    paths = [path / "status.json" for path, _ in group]
+    paths = [folder.status for folder, _ in folders]
     found = [
         read_status(path, len(config["seeds"])) if path.exists() else {"step": 0, "finished": False}
         for path, (_, config) in zip(paths, group)

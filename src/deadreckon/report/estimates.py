@@ -41,7 +41,7 @@ def _scatter(told: dict[str, Any], result: dict[str, Any], slots: list[int]) -> 
     truth = told["truth"]
     points: list[Any] = []  # of as many numbers as `scatter` takes, which the type of `*ends` does not say
     for i, each in enumerate(told["policies"]):
-        ends = (math.nan if result[end][i] is None else result[end][i] for end in ("value", "low", "high"))
+        ends = (result[end][i] for end in ("value", "low", "high"))
         points.append((each["name"], slots[i], truth["mean"][i], NORMAL * truth["error"][i], *ends))
     return figure(charts.scatter(points, "true value", "estimate"), f"{result['method']}: estimate against true value")
 

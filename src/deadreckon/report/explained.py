@@ -9,7 +9,7 @@ from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import breakable, figure, note
 from deadreckon.runs.explain import NAME, Explained
 from deadreckon.runs.explained_tree import Node
-from deadreckon.runs.player import CROSS_FIT
+from deadreckon.runs.records import CROSS_FIT
 from deadreckon.stats.interval import PERCENT, Interval
 
 SHOWN = 12  # columns

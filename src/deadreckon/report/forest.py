@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deadreckon.report.axes import LETTERS, Axis, columns, cut
+from deadreckon.report.axes import LETTERS, Axis, columns, cut, svg
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.text import number
 from deadreckon.stats.interval import Interval
@@ -16,6 +16,7 @@ _SHAPES = (
     "M0 4.6L4.4-3.4H-4.4Z", "M-4.5-1.5H-1.5V-4.5H1.5V-1.5H4.5V1.5H1.5V4.5H-1.5V1.5H-4.5Z", "M-4.5-2.5H4.5V2.5H-4.5Z",
     "M-2.5-4.5H2.5V4.5H-2.5Z",
 )  # fmt: skip
+SLOTS = len(_SHAPES)  # colours with their shapes, beyond which they are used again
 
 
 def marker(slot: int, x: float, y: float) -> Markup:
@@ -47,8 +48,7 @@ def forest(marks: Sequence[Mark], unit: str, references: Sequence[tuple[str, flo
     height = top + row * len(marks) + 26
     points = [v for m in marks for v in (m.spread.value, *m.dots)] + [v for _, v in references]
     x = Axis(*robust(points, [m.spread for m in marks]), left, right)
-    parts = [tag("title", unit)]
-    parts += columns(x, top, height)
+    parts = columns(x, top, height)
     for name, value in references:
         at = float(x(value))
         parts.append(tag("line", x1=f"{at:.1f}", x2=f"{at:.1f}", y1=top - 4, y2=height - 24, class_="reference"))
@@ -65,7 +65,7 @@ def forest(marks: Sequence[Mark], unit: str, references: Sequence[tuple[str, flo
         inner.append(marker(mark.slot or 0, float(x(spread.value)), y))
         colour = "log" if mark.slot is None else f"s{mark.slot}"
         parts.append(tag("g", inner, class_=f"{colour} hollow" if mark.hollow else colour))
-    return tag("svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=unit, class_=f"chart v{width}")
+    return svg(parts, width, height, unit, f"chart v{width}")
 
 
 def robust(points: Sequence[float], spreads: Sequence[Interval]) -> tuple[float, float]:
@@ -114,8 +114,7 @@ def bars(rows: Sequence[tuple[str, int, Interval, float | None]], unit: str) -> 
     width, row, top, left, right = 480, 26, 10, 128, 466
     height = top + row * len(rows) + 26
     x = Axis(*_ends(rows), left, right)
-    parts = [tag("title", unit)]
-    parts += columns(x, top, height)
+    parts = columns(x, top, height)
     for k, (name, slot, spread, other) in enumerate(rows):
         y = top + row * (k + 0.5)
         inner = [tag("title", f"{name}: {number(spread.value)}")]
@@ -127,7 +126,7 @@ def bars(rows: Sequence[tuple[str, int, Interval, float | None]], unit: str) -> 
         if other is not None:
             inner.append(tag("line", x1=f"{x(other):.1f}", x2=f"{x(other):.1f}", y1=y - 11, y2=y + 11, class_="other"))
         parts.append(tag("g", inner, class_=f"s{slot}"))
-    return tag("svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=unit, class_=f"chart v{width}")
+    return svg(parts, width, height, unit, f"chart v{width}")
 
 
 def _ends(rows: Sequence[tuple[str, int, Interval, float | None]]) -> tuple[float, float]:

@@ -9,18 +9,17 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.info import Info
 from deadreckon.data.spec import Box
 from deadreckon.data.told import LEVELS, Told, action_names, columns_of, observation_names
-from deadreckon.files import replacing
-from deadreckon.report import bars, charts, film
+from deadreckon.report import bars, charts, film, forest
 from deadreckon.report.charts import Series
 from deadreckon.report.markup import Markup, join, tag
-from deadreckon.report.page import document
+from deadreckon.report.page import document, save_page
 from deadreckon.report.parts import figure, heads_of, note, scroll
 from deadreckon.report.text import number
 
 ROWS = 20_000  # that are drawn
 _FIGURES = 60  # columns that have a picture
 _LISTED = 400  # columns in the table
-_LINES = 8  # actions, or dimensions of them, in one chart: there are as many colours
+_LINES = forest.SLOTS  # actions, or dimensions of them, in one chart
 _PIECES = 40  # points along a time axis
 
 
@@ -51,9 +50,7 @@ def write_log(log: Dataset, out: Path | str, info: Info, warnings: Sequence[str]
     told = f"{len(warnings)} warning{'' if len(warnings) == 1 else 's'}." if warnings else "No warnings."
     lead = f"{info.rows:,} rows in {info.episodes:,} episodes. {told}"
     text = document(f"The log {log.name}", lead, _facts(info), sections, note(sampled) if sampled else None)
-    with replacing(out) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return Path(out)
+    return save_page(text, out)
 
 
 def _facts(info: Info) -> list[tuple[str, str]]:

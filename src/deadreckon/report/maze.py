@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from deadreckon.report.axes import svg
 from deadreckon.report.markup import Markup, tag
 from deadreckon.tasks.mazes import Maze
 
@@ -75,18 +76,18 @@ def _place(points: np.ndarray) -> np.ndarray:
 
 
 def _maze(task: Maze, title: str, parts: Sequence[Markup]) -> Markup:
-    height, width = (np.array(task.grid.shape) - 1.5 + RIM - LOW) * CELL
+    height, width = (round((cells - 1.5 + RIM - LOW) * CELL) for cells in task.grid.shape)
     blocks = "".join(f"M{x:.1f} {y:.1f}h{CELL}v{CELL}h{-CELL}Z" for x, y in _place(np.argwhere(~task.grid) - 0.5))
     gx, gy = _place(task.grid_places(task.goal_place()))
     reach, side = (CELL * length / task.width for length in (task.reach, 2 * (task.reach + task.goal_spread)))
     # Where a step can be rewarded: within reach of the goal, or of a square of goals, whose corners are then round.
     zone = {"x": f"{gx - side / 2:.1f}", "y": f"{gy - side / 2:.1f}", "width": f"{side:.1f}", "height": f"{side:.1f}"}
     below = [
-        tag("title", title), tag("rect", width=f"{width:.0f}", height=f"{height:.0f}", class_="floor"),
+        tag("rect", width=width, height=height, class_="floor"),
         tag("rect", **zone, rx=f"{reach:.1f}", class_="reach"),
         tag("path", d=blocks, class_="wall"),
     ]  # fmt: skip
-    return tag("svg", below, parts, viewBox=f"0 0 {width:.0f} {height:.0f}", role="img", aria_label=title, class_="maze")
+    return svg([*below, *parts], width, height, title, "maze")
 
 
 def _goal(task: Maze) -> Markup:

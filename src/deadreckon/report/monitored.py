@@ -4,11 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from deadreckon.files import replacing
 from deadreckon.report import charts
 from deadreckon.report.charts import Series
 from deadreckon.report.markup import Markup, join, tag
-from deadreckon.report.page import check_page, document
+from deadreckon.report.page import document, save_page
 from deadreckon.report.parts import breakable, figure, heads_of, note, scroll
 from deadreckon.report.text import number, percent
 from deadreckon.runs.monitor import Monitored, others_of, since
@@ -26,11 +25,8 @@ def write_monitored(found: Monitored, out: Path | str) -> Path:
     Raises:
         UserError: the page cannot be written.
     """
-    check_page(out)
     text = document(f"Monitoring {found.name}", lead(found), facts(found), sections(found), note(_sentence(found.compared)))
-    with replacing(out) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return Path(out)
+    return save_page(text, out)
 
 
 def lead(found: Monitored) -> str:

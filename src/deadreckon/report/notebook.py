@@ -19,7 +19,7 @@ from deadreckon.report.log import columns_table
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import asset
 from deadreckon.report.parts import coded, figure, heads_of, note, scroll, tile
-from deadreckon.report.rows import rows
+from deadreckon.report.rows import row
 from deadreckon.report.text import number
 from deadreckon.runs.explain import Explained
 from deadreckon.runs.monitor import Monitored
@@ -87,10 +87,10 @@ def _run(run: Run) -> Markup:
     [entry] = page.entries
     facts = [("log", entry.config["data"]["name"]), ("evaluated in", page.task_name or "nothing: no simulator")]
     facts += [("updates", f"{entry.status.get('step', 0):,}"), ("seeds", ", ".join(map(str, entry.seeds)))]
-    row = next(each for each in rows(page) if each.entry is entry)
+    numbers = row(entry)
     tiles = [
         tile(name, value, False, f"{PERCENT} interval")
-        for name, value in (("score", row.score), ("return", row.returns)) if value is not None
+        for name, value in (("score", numbers.score), ("return", numbers.returns)) if value is not None
     ]  # fmt: skip
     failed = [f"seed {seed} diverged: {metric} was not finite at update {step:,}" for seed, metric, step in entry.failed]
     wanted = [name for name in ("score", "return", "mmd_to_data") if name in entry.evaluations][:2]
@@ -109,7 +109,7 @@ def _run(run: Run) -> Markup:
 @_shown.register
 def _estimates(found: Estimates) -> Markup:
     marks = [
-        forest.Mark(name, i % 8, Interval(float(value), float(low), float(high)))
+        forest.Mark(name, i % forest.SLOTS, Interval(float(value), float(low), float(high)))
         for i, (name, value, low, high) in enumerate(zip(found.names, found.value, found.low, found.high))
         if np.isfinite(value)
     ]  # fmt: skip
@@ -186,7 +186,7 @@ def _proposals(made: Proposals) -> Markup:
         cells = [tag("td", tag("b", number(float(predicted[i])))), tag("td", number(float(made.predicted_std[i])))]
         cells += [tag("td", number(float(value))) for value in made.x[i, :variables]]
         body.append(tag("tr", tag("th", str(i), scope="row"), cells))
-    how, what = ("measured", "measured scores") if made.measured else ("predicted", "predictions")
+    how, what = made.how, "predictions" if made.how == "predicted" else f"{made.how} scores"
     head = heads_of(["design", how, "standard deviation", *(f"variable {k}" for k in range(variables))])
     best = "lowest" if made.minimise else "highest"
     which = f"those with the {best} {what} first" if made.predicts else "in the order in which they were proposed"

@@ -10,16 +10,16 @@ from typing import Any
 
 from deadreckon.data.entries import has_original
 from deadreckon.errors import UserError
-from deadreckon.files import replacing
+from deadreckon.files import write_text
 from deadreckon.report import curves, decision, explained, provenance, simulated
 from deadreckon.report import estimates as estimated
 from deadreckon.report.entries import Page, read
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import coded, note
+from deadreckon.report.rows import rows
 from deadreckon.report.scores import scores
-from deadreckon.runs.decision_record import is_from
 from deadreckon.runs.offline import read_estimates
-from deadreckon.runs.train import Run
+from deadreckon.runs.run import Run
 
 OWN = ": collected by this package; there is no original."
 AGAIN = ": collected again by this package, after the original's recipe, on today's simulator; not the original file."
@@ -37,6 +37,16 @@ def check_page(out: Path | str, option: str = "") -> None:
     """
     if Path(out).suffix.lower() not in (".html", ".htm"):
         raise UserError(f"{option} {out}: the page is HTML, and its name must end in .html".lstrip())
+
+
+def save_page(text: str, out: Path | str) -> Path:
+    """Writes a page; an old one is replaced.
+
+    Raises:
+        UserError: its name is that of something else (`check_page`), or it cannot be written.
+    """
+    check_page(out)
+    return write_text(out, text)
 
 
 def write(
@@ -57,20 +67,14 @@ def write(
     told = None if estimates is None else read_estimates(estimates)
     page, lead = read(runs), None
     if told is not None and estimates is not None:
-        of = {each["name"]: each for each in told["policies"]}[told["choice"]["name"]]
-        if not any(is_from(of, place) for place in decision.places(page)):
-            file = f" ({of['file']})" if of.get("file") else ""
-            raise UserError(f"{estimates} decides on {of['run']}{file}, which is not among these runs; name its folder too")
-        told, lead = decision.as_it_is(told, Path(estimates), page)
-    text = render(dataclasses.replace(page, estimates=told), title, lead)
-    with replacing(out) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return Path(out)
+        told, lead = decision.as_it_is(page, told, estimates)
+    return save_page(render(dataclasses.replace(page, estimates=told), title, lead), out)
 
 
 def render(page: Page, title: str | None = None, lead: str | None = None) -> str:
     """The page as text; it begins with `lead`, or what there is to say in one sentence."""
-    found, told = simulated.compare(page), page.estimates
+    shown, told = rows(page), page.estimates
+    found = simulated.compare(page, shown)
     if lead is None and told is not None:
         lead = decision.headline(told)
     elif lead is None:
@@ -78,15 +82,16 @@ def render(page: Page, title: str | None = None, lead: str | None = None) -> str
     logs = list(dict.fromkeys(e.config["data"]["name"] for e in page.entries if not e.online))
     kind = "Policies trained online in" if page.online else "Offline policies for"
     title = title or f"{kind} {page.task_name or ', '.join(logs)}"
+    checked = "Checked in" if told and told["truth"] else "In"
     sections = [
         ("decision", "Decision", decision.card(page)),
         ("estimates", "From the log alone", estimated.section(page)),
-        ("simulator", f"{'Checked in' if told and told['truth'] else 'In'} the simulator", simulated.section(page, found)),
-        ("scores", "Scores" if found else "Runs", scores(page)),
+        ("simulator", f"{checked} the simulator", simulated.section(page, shown, found)),
+        ("scores", "Scores" if found else "Runs", scores(page, shown)),
         ("learning", "Learning curves", curves.learning(page)),
         ("values", "Estimated and realised return", curves.values(page)),
         ("explained", "What the policy does", explained.section(page)),
-        ("distance", "Distance to the log", curves.distance(page)),
+        ("distance", "Distance to the log", curves.distance(page, shown)),
         ("training", "Training", curves.training(page)),
         ("mazes", "Trajectories", curves.trajectories(page)),
         ("provenance", "Provenance", provenance.section(page)),

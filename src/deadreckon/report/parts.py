@@ -5,6 +5,7 @@ from typing import Any
 
 from deadreckon.report import charts
 from deadreckon.report.entries import Page
+from deadreckon.report.forest import SLOTS
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.text import NONE, brackets, score
 from deadreckon.runs.decision_record import is_from
@@ -68,7 +69,7 @@ def coloured(page: Page, told: dict[str, Any]) -> list[tuple[str, int]]:
         for each in told["policies"]
     ]
     others = dict.fromkeys(each["run"] for each, e in zip(told["policies"], of) if e is None)
-    left = {run: (len(page.entries) + i) % 8 for i, run in enumerate(others)}
+    left = {run: (len(page.entries) + i) % SLOTS for i, run in enumerate(others)}
     return [(each["run"], left[each["run"]]) if e is None else (e.label, page.slot(e)) for each, e in zip(told["policies"], of)]
 
 

@@ -3,18 +3,17 @@
 import math
 import re
 from collections.abc import Mapping, Sequence
-from importlib import resources
 from pathlib import Path
 
 from deadreckon.errors import UserError
-from deadreckon.files import replacing
+from deadreckon.files import write_text
 from deadreckon.report import charts, forest
 from deadreckon.report.entries import Entry, read
 from deadreckon.report.markup import Markup, join, tag
+from deadreckon.report.page import asset
 
 PANEL = 460, 300  # width and height of one chart
 HEAD = 26  # above it, for its title
-COLOURS = 8
 
 
 def picture(
@@ -79,14 +78,12 @@ def sheet(path: Path | str, panels: Mapping[str, Markup], names: Sequence[str], 
         xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {full[0]} {full[1]}", width=full[0], height=full[1],
     )  # fmt: skip
     text = re.sub(r' data-hover="[^"]*"', "", whole)
-    with replacing(path) as temporary:
-        temporary.write_text(text)
-    return Path(path)
+    return write_text(path, text)
 
 
 def _series(entry: Entry, slot: int, quantity: str, environment: bool) -> charts.Series:
     curve = entry.curve(quantity, environment)
-    return charts.Series.over_seeds(entry.label, slot % COLOURS, *curve, dashed=slot >= COLOURS)
+    return charts.Series.over_seeds(entry.label, slot % forest.SLOTS, *curve, dashed=slot >= forest.SLOTS)
 
 
 def _legend(names: Sequence[str], width: int) -> tuple[Markup, int]:
@@ -96,8 +93,9 @@ def _legend(names: Sequence[str], width: int) -> tuple[Markup, int]:
         needed = 48 + 9 * len(name)  # capitals are wide
         if x + needed > width and x > 12:
             x, y = 12, y + 22
-        line = tag("path", d=f"M{x} {y - 4}h26", class_="line dashed" if slot >= COLOURS else "line")
-        parts.append(tag("g", line, forest.marker(slot % COLOURS, x + 13, y - 4), class_=f"s{slot % COLOURS}"))
+        line = tag("path", d=f"M{x} {y - 4}h26", class_="line dashed" if slot >= forest.SLOTS else "line")
+        colour = slot % forest.SLOTS
+        parts.append(tag("g", line, forest.marker(colour, x + 13, y - 4), class_=f"s{colour}"))
         parts.append(tag("text", name, x=x + 33, y=y, class_="key"))
         x += needed
     return tag("g", parts), y + 12
@@ -105,7 +103,7 @@ def _legend(names: Sequence[str], width: int) -> tuple[Markup, int]:
 
 def style() -> Markup:
     """The page's colours and the rules for charts, in light: a document's paper is white."""
-    css = resources.files("deadreckon.report").joinpath("assets", "page.css").read_text()
+    css = asset("page.css")
     root = css[css.index("--back") : css.index("}")]
     drawn = re.compile(r"\.(s\d|car|speed\d|own|chart|grid|cursor|reference|line|band|marker|end|floor|way|reach|visited)\b")
     rules = [line for line in css.splitlines() if drawn.match(line)]

@@ -40,7 +40,7 @@ def command(entry: Entry) -> str:
     """The command line that makes this run again, or one per folder; a comment where none does."""
     if "task_fields" in entry.config:
         return NO_COMMAND
-    options = [word for name, value in settings(entry).items() for word in _option(name.replace("_", "-"), value)]
+    options = [word for name, value in settings(entry).items() for word in option(name, value)]
     lines = []
     for folder, seeds in entry.folders:
         words = ["deadreckon", "train", *([] if "start" in entry.config else ["--agent", entry.agent])]
@@ -116,7 +116,9 @@ def _seeds(seeds: list[int]) -> list[Any]:
     return ["--seeds", len(seeds)] + (["--seed", seeds[0]] if seeds[:1] != [0] else [])
 
 
-def _option(name: str, value: Any) -> list[Any]:
+def option(name: str, value: Any) -> list[Any]:
+    """The words by which `deadreckon train` sets a field of an agent."""
+    name = name.replace("_", "-")
     if isinstance(value, bool):
         return [f"--agent.{name}" if value else f"--agent.no-{name}"]
     if value is None:

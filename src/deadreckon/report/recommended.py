@@ -4,14 +4,12 @@ import functools
 from pathlib import Path
 
 from deadreckon.errors import UserError
-from deadreckon.files import replacing
 from deadreckon.report import decision, page
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.parts import note
 from deadreckon.runs import recommend as recommending
-from deadreckon.runs.decision_record import read_results
+from deadreckon.runs.decision_record import ESTIMATES, read_results
 from deadreckon.runs.durations import in_words
-from deadreckon.runs.offline import NAME
 
 PAGE = "report.html"
 
@@ -27,9 +25,9 @@ def write(out: Path | str, quick: bool = False) -> Path:
         UserError: it holds no recommendation, or cannot be written.
     """
     out = Path(out)
-    told = read_results(out / NAME)
+    told = read_results(out / ESTIMATES)
     if "recommend" not in told:
-        raise UserError(f"{out / NAME} is not from `recommend`")
+        raise UserError(f"{out / ESTIMATES} is not from `recommend`")
     learned = [out / each["name"] for each in told["recommend"]["candidates"] if each["state"] == "learned"]
     if learned and told["results"] and not quick:
         return page.write(learned, out / PAGE, estimates=out)
@@ -40,9 +38,7 @@ def write(out: Path | str, quick: bool = False) -> Path:
         facts.append(("rows", f"{tried['rows']:,}"))
     sections = [("decision", "Decision", decision.brief(told["choice"])), ("tried", "What was tried", _tried(told))]
     text = page.document(f"Offline policies for {told['log']}", f"{words}: {choice['reason']}.", facts, sections)
-    with replacing(out / PAGE) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return out / PAGE
+    return page.save_page(text, out / PAGE)
 
 
 def _tried(told: dict) -> Markup | None:

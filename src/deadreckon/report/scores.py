@@ -1,14 +1,14 @@
 """The score table, and the published numbers beside it."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from deadreckon.bench.published import load, plain
 from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.parts import note, scroll
-from deadreckon.report.rows import Row, rows
+from deadreckon.report.rows import Row
 from deadreckon.report.text import brackets, count, number, percent, score
 from deadreckon.stats.interval import Interval
 
@@ -55,14 +55,13 @@ COLUMNS: tuple[tuple[str, str, Cell], ...] = (
 )
 
 
-def scores(page: Page) -> Markup:
+def scores(page: Page, rows: Sequence[Row]) -> Markup:
     """Sortable rows, and below, apart, what was published."""
-    found = rows(page)
-    columns = [column for column in COLUMNS if any(column[2](r)[1] is not None for r in found)]
+    columns = [column for column in COLUMNS if any(column[2](r)[1] is not None for r in rows)]
     head = [tag("th", tag("button", "agent", type="button"), scope="col")]
     head += [tag("th", tag("button", name, type="button"), tag("small", sub), scope="col") for name, sub, _ in columns]
     lines = []
-    for r in found:
+    for r in rows:
         badge = "baseline" if r.baseline else None if r.entry else "behaviour policy"
         badge = "trained in the simulator" if r.online and not page.online else badge
         swatch = tag("i", class_=f"dot s{page.slot(r.entry)}" if r.entry else "dot log")
@@ -74,12 +73,12 @@ def scores(page: Page) -> Markup:
         lines.append(tag("tr", cells, class_=None if r.entry else "log"))
     table = tag("table", tag("thead", tag("tr", head)), tag("tbody", lines), class_="sortable", id="score-table")
     text = "Click a heading to sort."
-    if any(r.value is not None for r in found):
+    if any(r.value is not None for r in rows):
         text += (
             " Estimated: the critic's value of the policy's own actions at the starts of the evaluated episodes; realised: the "
             "discounted return that followed."
         )
-    if any(r.mmd is not None for r in found):
+    if any(r.mmd is not None for r in rows):
         text += (
             " MMD: Gaussian-kernel two-sample distance between (state, logged action) and (state, policy's action) on up to "
             "1,024 logged rows; a perfect copy has about 0."

@@ -4,13 +4,14 @@ Whether to deploy a policy is decided from the log alone, by `ope.select`. Where
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from deadreckon.report import forest
 from deadreckon.report.entries import Page
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.parts import coded, figure, note, tile, unit_of
-from deadreckon.report.rows import Difference, Row, log_row, rows, versus
+from deadreckon.report.rows import Difference, Row, log_row, versus
 from deadreckon.report.text import brackets, number, percent, score, words
 from deadreckon.stats.interval import ALPHA, PERCENT, Interval
 from deadreckon.tasks.mazes import Maze
@@ -21,6 +22,7 @@ class Comparison:
     """What a simulator says.
 
     Attributes:
+        standing: whether it is the best of several, in words.
         headline: one sentence.
         best: the row with the highest mean at the last evaluation.
         log: the behaviour policy of its log.
@@ -32,6 +34,7 @@ class Comparison:
         caveats: what this does not show.
     """
 
+    standing: str
     headline: str
     best: Row
     log: Row | None = None
@@ -43,12 +46,12 @@ class Comparison:
     caveats: list[str] = field(default_factory=list)
 
 
-def compare(page: Page) -> Comparison | None:
-    """Compares the runs of a page; None where no evaluation is finished.
+def compare(page: Page, rows: Sequence[Row]) -> Comparison | None:
+    """Compares the runs of a page, which has these rows; None where no evaluation is finished.
 
     What learned in the simulator is no candidate beside what learned from a log.
     """
-    judged = [r for r in rows(page) if r.entry is not None and r.worth is not None and math.isfinite(r.worth.value)]
+    judged = [r for r in rows if r.entry is not None and r.worth is not None and math.isfinite(r.worth.value)]
     beside = [r for r in judged if r.online]
     judged = [r for r in judged if not r.online] or beside
     if not judged:
@@ -63,8 +66,8 @@ def compare(page: Page) -> Comparison | None:
     over_log = versus(best, log, miss) if log else None
     over_cloning = versus(best, cloning, miss) if cloning and cloning is not best else None
     level = f"{'score' if best.score else 'return'} {score(best.worth)}"
-    standing = "Best in the simulator:" if len(judged) > 1 else "In the simulator:"
-    headline = f"{standing} {best.label}, {level}"
+    standing = "Best in the simulator" if len(judged) > 1 else "In the simulator"
+    headline = f"{standing}: {best.label}, {level}"
     if over_log:
         gain = over_log.worth
         side = "above" if gain.value >= 0 else "below"
@@ -72,23 +75,22 @@ def compare(page: Page) -> Comparison | None:
         headline += f", {score(size)} {brackets(size)} {side} the behaviour policy"
         headline += "" if gain.low > 0 or gain.high < 0 else ", which may be chance"
     return Comparison(
-        f"{headline}.", best, log, cloning, over_log, over_cloning, compared,
+        standing, f"{headline}.", best, log, cloning, over_log, over_cloning, compared,
         [] if best.online else _beaten(page, judged, cloning, log, miss), _caveats(judged, best, [] if best.online else beside),
     )  # fmt: skip
 
 
-def section(page: Page, found: Comparison | None) -> Markup | None:
+def section(page: Page, rows: Sequence[Row], found: Comparison | None) -> Markup | None:
     """Which run is best, by how much, why, and what that does not show."""
     if found is None:
         return None
     best = found.best
-    standing = "Best in the simulator" if len([r for r in rows(page) if r.entry is not None]) > 1 else "In the simulator"
     tiles = [tile(f"{unit_of(page)}, {best.label}", best.worth, False)]
     if found.versus_log:
         tiles.append(_gap("above the behaviour policy", found.versus_log))
     if found.versus_cloning and found.cloning:
         tiles.append(_gap(f"above {found.cloning.label}, paired", found.versus_cloning))
-    head = tag("p", tag("strong", standing, class_="stamp"), tag("span", best.label, class_="which"))
+    head = tag("p", tag("strong", found.standing, class_="stamp"), tag("span", best.label, class_="which"))
     said = tag("p", found.headline, class_="because") if page.estimates else None  # else it stands at the top of the page
     text = [head, said, tag("div", tiles, class_="tiles")]
     lines = [tag("p", line) for line in found.beaten]
@@ -103,7 +105,7 @@ def section(page: Page, found: Comparison | None) -> Markup | None:
     )
     items = tag("ul", [tag("li", coded(line)) for line in found.caveats], class_="caveats")
     lower = tag("div", why, tag("div", tag("h3", "What this does not show"), items), class_="split lower" if why else "lower")
-    return tag("div", tag("div", tag("div", text), _forest(page), class_="split"), lower, how, class_="card")
+    return tag("div", tag("div", tag("div", text), _forest(page, rows), class_="split"), lower, how, class_="card")
 
 
 def _how(page: Page) -> str:
@@ -117,10 +119,10 @@ def _gap(name: str, gap: Difference) -> Markup:
     return tile(name, gap.worth, True, beside)
 
 
-def _forest(page: Page) -> Markup | None:
+def _forest(page: Page, rows: Sequence[Row]) -> Markup | None:
     unit = unit_of(page)
     marks = []
-    for r in rows(page):
+    for r in rows:
         spread = r.score if unit == "score" else r.returns
         if spread and math.isfinite(spread.value):
             marks.append(forest.Mark(r.label, page.slot(r.entry) if r.entry else None, spread, r.per_seed))

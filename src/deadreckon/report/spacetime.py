@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deadreckon.report.axes import POINTS, Axis, columns, path
+from deadreckon.report.axes import POINTS, Axis, columns, path, svg
 from deadreckon.report.markup import Markup, tag
 
 SPEEDS = 0.5, 2.0, 5.0, 10.0  # m/s, between one colour of `spacetime` and the next
@@ -40,7 +40,7 @@ def spacetime(
         colours = np.digitize((speeds[1:, car] + speeds[:-1, car]) / 2, SPEEDS)
         for colour in range(len(drawn)):
             drawn[colour] += [path(*part) for part in _runs(px, py[:, car], ahead, colours == colour)]
-    parts = [tag("title", title), *columns(x, top, bottom + 24)]
+    parts = columns(x, top, bottom + 24)
     parts += [tag("text", y.label(t), x=left - 7, y=f"{y(t) + 4:.1f}", class_="tick end") for t in y.ticks]
     parts.append(tag("text", "m", x=4, y=14, class_="axis"))
     parts.append(tag("text", "s", x=right, y=bottom + 34, class_="axis end"))
@@ -52,7 +52,7 @@ def spacetime(
         at += 34 + 7 * len(name)
     parts += [tag("path", d="".join(d), class_=f"car speed{colour}") for colour, d in enumerate(drawn) if d]
     parts.append(tag("path", d="".join(own), class_="car own"))
-    return tag("svg", parts, viewBox=f"0 0 {width} {height}", role="img", aria_label=title, class_=f"chart v{width}")
+    return svg(parts, width, height, title, f"chart v{width}")
 
 
 def _runs(x: np.ndarray, y: np.ndarray, ahead: np.ndarray, wanted: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:

@@ -6,18 +6,15 @@ from pathlib import Path
 import numpy as np
 
 from deadreckon.bench.tables import Cell, Table
-from deadreckon.files import replacing
 from deadreckon.report import forest
 from deadreckon.report.markup import Markup, join, tag
-from deadreckon.report.page import document
+from deadreckon.report.page import document, save_page
 from deadreckon.report.parts import figure, heads_of, note, scroll
 from deadreckon.report.text import words
 from deadreckon.stats.interval import PERCENT, Interval
 from deadreckon.stats.scores import interval, mean
 from deadreckon.tasks.registry import names as tasks
 from deadreckon.tasks.registry import of_log, task
-
-SLOTS = 8  # colours there are
 
 
 def write_suite(tables: Sequence[Table], out: Path | str, pages: Sequence[Path] = ()) -> Path:
@@ -40,9 +37,7 @@ def write_suite(tables: Sequence[Table], out: Path | str, pages: Sequence[Path] 
     ]
     facts = [("methods", str(len(suite.methods))), (f"{suite.kind} on", str(len(suite.on))), ("seeds", str(suite.seeds))]
     text = document(f"Suite {suite.name}", _lead(tables[0]), facts, sections)
-    with replacing(out) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return Path(out)
+    return save_page(text, out)
 
 
 def _list(lines: Sequence[str]) -> Markup:
@@ -87,7 +82,7 @@ def _bars(table: Table) -> Markup | None:
             other = float(np.mean(printed)) if len(printed) == len(members) else None
             ticks = ticks or other is not None
             spread = _spread(cells)
-            rows.append((method, i % SLOTS, spread, other))
+            rows.append((method, i % forest.SLOTS, spread, other))
         if any(np.isfinite(spread.value) for _, _, spread, _ in rows):
             heading = members[0] if len(members) == 1 else f"{name}: mean of {len(members)}"
             drawn.append(figure(forest.bars(rows, table.metric.words), heading))

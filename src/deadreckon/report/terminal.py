@@ -3,14 +3,14 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from deadreckon.report.decision import as_it_is, unjudged
-from deadreckon.report.decision import headline as decided
+from deadreckon import text_table
+from deadreckon.report import decision
 from deadreckon.report.entries import read
 from deadreckon.report.rows import Row, rows
 from deadreckon.report.simulated import compare
 from deadreckon.report.text import NONE, brackets, count, number, percent, score
 from deadreckon.runs.offline import read_estimates
-from deadreckon.runs.train import Run
+from deadreckon.runs.run import Run
 from deadreckon.stats.interval import PERCENT, Interval
 
 
@@ -46,11 +46,8 @@ def table(runs: Sequence[Path | str | Run]) -> str:
     columns = [column for column in COLUMNS if any(column[1](r) != NONE for r in found)]
     lines = [("agent", *(name for name, _ in columns))]
     lines += [(r.label, *(cell(r) for _, cell in columns)) for r in found]
-    widths = [max(map(len, column)) for column in zip(*lines)]
-    text = ["  ".join([line[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(line[1:], widths[1:]))]) for line in lines]
-    text.insert(1, "  ".join("-" * w for w in widths))
     plain = str.maketrans({"\N{MINUS SIGN}": "-", "\N{EM DASH}": "-", "\N{NO-BREAK SPACE}": " "})
-    return "\n".join(line.rstrip() for line in text).translate(plain)
+    return text_table.table(lines, right=range(1, len(lines[0]))).translate(plain)
 
 
 def headline(runs: Sequence[Path | str | Run], estimates: Path | str | None = None) -> str:
@@ -59,10 +56,13 @@ def headline(runs: Sequence[Path | str | Run], estimates: Path | str | None = No
     Args:
         runs: run folders.
         estimates: folder that `runs.offline.judge` wrote to.
+
+    Raises:
+        UserError: nothing to show, a path that is not a run, runs of different tasks, or estimates of other runs.
     """
     page = read(runs)
     if estimates is not None:
-        told, changed = as_it_is(read_estimates(estimates), Path(estimates), page)
-        return str(changed) if told is None else decided(told)
-    found = compare(page)
-    return (unjudged(page) if found is None else found.headline).replace("\N{MINUS SIGN}", "-")
+        told, changed = decision.as_it_is(page, read_estimates(estimates), estimates)
+        return str(changed) if told is None else decision.headline(told)
+    found = compare(page, rows(page))
+    return (decision.unjudged(page) if found is None else found.headline).replace("\N{MINUS SIGN}", "-")

@@ -29,24 +29,25 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.history import stacked
 from deadreckon.data.info import warnings_for
 from deadreckon.data.leaks import leaks
-from deadreckon.data.split import RANDOM, TIME, Holdout, clusters
+from deadreckon.data.split import Holdout, clusters, units_in_words
 from deadreckon.errors import UserError
 from deadreckon.ope.basis import UNITS
 from deadreckon.ope.behavior_model import PROPENSITIES
 from deadreckon.ope.costs import limits_of
-from deadreckon.ope.features import Features
+from deadreckon.ope.features import Features, Table
 from deadreckon.ope.fqe import FQE
 from deadreckon.ope.linear import TAUGHT, LinearFQE
 from deadreckon.ope.settings import EvidenceSettings
 from deadreckon.runs import offline
 from deadreckon.runs.callback import StopTraining
 from deadreckon.runs.candidates import CONTINUOUS, DISCRETE, Candidate, agent_of, units
-from deadreckon.runs.decision_record import write_results
+from deadreckon.runs.decision_record import ESTIMATES, write_results
 from deadreckon.runs.durations import in_words
 from deadreckon.runs.holdout import divided, of_share, too_few, usual
+from deadreckon.runs.run import Run
 from deadreckon.runs.settings import JudgeSettings, RecommendSettings
 from deadreckon.runs.together import judge_of
-from deadreckon.runs.train import Run, train
+from deadreckon.runs.train import train
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Chunk, Fit
 
@@ -182,8 +183,7 @@ class Attempt:
         share = f"{len(parts.held):,} of them ({100 * len(parts.held) / log.episodes:.0f} %)"
         self.send("line", f"{log.name}: {manner}; {share} are held out for the card, {by}")
         if (count := len(np.unique(clusters(log, holdout.by)[parts.held]))) < UNITS:
-            what = "episodes" if holdout.by in (RANDOM, TIME) else f"values of {holdout.by}"
-            told = f"only {count} {what} are held out, and no policy is recommended on fewer than {UNITS}"
+            told = f"only {count} {units_in_words(holdout.by)} are held out, and no policy is recommended on fewer than {UNITS}"
             self.send("line", f"{told}: hold out a larger share (--holdout), or record more")
         self._warn(log)
         return log, judge_in, holdout
@@ -267,7 +267,8 @@ class Attempt:
         wide = (hidden[0] / PROPENSITIES.hidden[0]) ** 1.5  # propensities have small networks, one per fold
         networks = PROPENSITIES.steps * 5 / (rate * wide)
         whole = stacked(log, self.settings.history)
-        features = Features(whole if log.spec.discrete else learning, LinearFQE().fourier_features, self.settings.seed)
+        known = whole if log.spec.discrete else learning
+        features = Features(known, LinearFQE().fourier_features, self.settings.seed, Table.of(known))
         rows = np.arange(min(BLOCK, len(learning)))
         seen, size = np.asarray(learning.observations[rows]), learning.spec.action_size
         shape = (len(rows), 1, size) if learning.spec.discrete else (len(rows), 1, LinearFQE().samples, size)
@@ -408,7 +409,7 @@ class Attempt:
                 each = (time.perf_counter() - again) / 2
                 episodes = min(int(0.7 * self.left() / max(each, 1e-9)), EPISODES)
                 if episodes >= FEW:
-                    write_results(self.out / offline.NAME, judged.results | {"truth": seen(episodes)})
+                    write_results(self.out / ESTIMATES, judged.results | {"truth": seen(episodes)})
                     self.send("state", {"checked": True})
                     return
         took = in_words(time.perf_counter() - begun)

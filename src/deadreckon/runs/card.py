@@ -6,8 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from deadreckon._version import __version__
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.told import action_names, columns_of
@@ -77,15 +75,11 @@ def _estimates(estimates: tuple[dict[str, Any], int] | None) -> list[str]:
     level = f"{level_in_words(told['choice']['level'])} for all policies at once"
     lines += [f"| estimator | value [{PERCENT}] | gain over the behaviour policy [{level}] |", "|---|---|---|"]
     for each in told["results"]:
-        value = Interval(*(_number(each[key][place]) for key in ("value", "low", "high")))
-        gain = Interval(*map(_number, each["gain"][place]))
+        value = Interval(*(each[key][place] for key in ("value", "low", "high")))
+        gain = Interval(*each["gain"][place])
         d = decimals(value.value, gain.value)
         lines.append(f"| {each['title']} | {value:.{d}f} | {gain:+.{d}f} |")
     return lines
-
-
-def _number(value: Any) -> float:
-    return np.nan if value is None else float(value)
 
 
 def _log(one: Subject, log: Dataset) -> list[str]:

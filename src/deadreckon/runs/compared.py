@@ -12,7 +12,7 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.encode import OTHERS
-from deadreckon.data.split import clusters, group_of
+from deadreckon.data.split import units_of
 from deadreckon.data.told import action_names, columns_of, observation_names, schema_of
 from deadreckon.errors import UserError
 from deadreckon.randomness import generator
@@ -281,12 +281,6 @@ def _extremes(log: Dataset, which: Sequence[What]) -> np.ndarray:
             column = flat[:, what.dimensions[:1]]
             sides += [column, -column, missing]
     return np.concatenate(sides, 1)
-
-
-def units_of(log: Dataset) -> np.ndarray:
-    """(episodes,) the unit that each belongs to."""
-    by = group_of(log)
-    return np.arange(log.episodes) if by is None else clusters(log, by)
 
 
 def _largest(values: np.ndarray, unit: np.ndarray) -> np.ndarray:

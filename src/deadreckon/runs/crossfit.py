@@ -28,14 +28,15 @@ from deadreckon.policies.deployed import EnvPolicy, Mixture
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.lanes import lanes_of
 from deadreckon.runs.reading import noted
-from deadreckon.runs.records import read_cross_fit
+from deadreckon.runs.records import CROSS_FIT, read_cross_fit
+from deadreckon.runs.run import Run, load
 from deadreckon.runs.seen import seen
 from deadreckon.runs.settings import TrainOptions, TrainSettings
-from deadreckon.runs.train import Run, load, train
+from deadreckon.runs.train import train
 from deadreckon.versions import differences
 
 Deliver = Literal["mixture", "refit"]
-NAME, MIXTURE, REFIT = "crossfit.json", "mixture.npz", "refit"
+MIXTURE, REFIT = "mixture.npz", "refit"
 MIXTURE_OF = "mixture-seed{}.npz"  # of one seed, where there are several
 
 
@@ -145,7 +146,7 @@ def cross_fit(
         "data": {"name": log.name, "fingerprint": log.fingerprint}, "deliver": deliver,
     }  # fmt: skip
     shared: dict[str, Any] = {**settings, "seed": seed, "steps": steps, "seeds": seeds, "task": task}
-    with Folder(path).alone(), resumable(path / NAME):
+    with Folder(path).alone(), resumable(path / CROSS_FIT):
         new = not path.exists()
         _begin(path, config, asked.resume)
         try:
@@ -165,7 +166,7 @@ def _cross_fit(agent: Any, log: Dataset, path: Path, config: dict[str, Any], sha
         if not each:  # the settings are accepted; the folds may be trained for longer, so mixtures are made again
             for mixture in path.glob("mixture*.npz"):
                 mixture.unlink()
-            write_json(path / NAME, config)
+            write_json(path / CROSS_FIT, config)
     healthy = [[i for i, failure in enumerate(run.failures) if failure is None] for run in runs]
     each = min(map(len, healthy))  # as many of each fold, so that the mixture's value is the mean of the folds'
     if not each:
@@ -185,7 +186,7 @@ def _cross_fit(agent: Any, log: Dataset, path: Path, config: dict[str, Any], sha
             store.save(path / MIXTURE_OF.format(runs[0].seeds[i]), one, of, **known)
     else:
         train(agent, log, out=path / REFIT, holdout=0, **shared)
-    write_json(path / NAME, config)
+    write_json(path / CROSS_FIT, config)
     return CrossFit(path, config, runs)
 
 
@@ -196,10 +197,10 @@ def load_cross_fit(path: Path | str) -> CrossFit:
         UserError: the folder holds none, or one that is not finished.
     """
     path = Path(path)
-    if not (path / NAME).exists():
-        raise UserError(f"{path} holds no cross-fit (no {NAME})")
-    config = read_cross_fit(path / NAME)
-    missing = [each for each in range(config["folds"]) if not (path / f"fold{each}" / "run.json").exists()]
+    if not (path / CROSS_FIT).exists():
+        raise UserError(f"{path} holds no cross-fit (no {CROSS_FIT})")
+    config = read_cross_fit(path / CROSS_FIT)
+    missing = [each for each in range(config["folds"]) if not Folder(path / f"fold{each}").config.exists()]
     found = CrossFit(path, config, [] if missing else [load(path / f"fold{each}") for each in range(config["folds"])])
     if missing or not found.policy_path.exists():
         again = f"deadreckon train ... --cross-fit {config['folds']} --out {path} --resume"
@@ -213,13 +214,13 @@ def _begin(path: Path, config: dict[str, Any], resume: bool) -> None:
     Raises:
         UserError: the folder holds something else, or `resume` is needed.
     """
-    if (path / NAME).exists():
+    if (path / CROSS_FIT).exists():
         if not resume:
             raise UserError(f"{path} holds a cross-fit already; --resume continues it, or choose another --out")
-        before = read_cross_fit(path / NAME)
+        before = read_cross_fit(path / CROSS_FIT)
         if different := differences(before, config, ("folds", "by", "seed", "agent", "data")):
             raise UserError(f"{path} holds another cross-fit: {different[0]}; choose another --out")
-    elif path.exists() and not (path.is_dir() and all(p.suffix == ".tmp" for p in path.iterdir())):
+    elif not Folder(path).is_free():
         raise UserError(f"{path} exists and is not a cross-fit; choose another --out")
     else:
-        write_json(path / NAME, config)
+        write_json(path / CROSS_FIT, config)

@@ -12,6 +12,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import content_digest, is_there, read_json, write_json
 from deadreckon.foreign.shapes import checked, same_length, wrong
 
+ESTIMATES = "estimates.json"
 Number = float | None | Literal["Infinity", "-Infinity"]
 
 

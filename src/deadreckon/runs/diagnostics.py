@@ -19,6 +19,7 @@ from deadreckon.tasks.task import Task
 from deadreckon.training.pictures import Seen, of_pictures
 
 SAMPLE = 1024  # logged rows that policies are compared on
+SEGMENTS, LENGTH = 16, 300  # segments of a log for figures, and most rows of each
 SPLITS = 400  # random splits of them, for the MMD of a copy of the behaviour policy
 
 
@@ -65,8 +66,8 @@ class LogProbe:
     `outside_range`: share of the policy's actions beyond the range of the log in some dimension.
     """
 
-    def __init__(self, log: Dataset, seed: int = 0):
-        rng = np.random.default_rng(seed)
+    def __init__(self, log: Dataset):
+        rng = np.random.default_rng(0)
         rows = np.sort(rng.choice(len(log), min(SAMPLE, len(log)), replace=False))
         rng.shuffle(rows)
         self.observations = np.asarray(log.observations[rows])
@@ -84,9 +85,9 @@ class LogProbe:
         # Two rows per side are the fewest that the estimate is defined for.
         self.copy = mmd_of_copy(logged, self.variance, rng) if half >= 2 else math.nan
 
-    def __call__(self, policy: EnvPolicy, seed: int = 0) -> dict[str, float]:
+    def __call__(self, policy: EnvPolicy) -> dict[str, float]:
         """The measures of one policy, with sampled instead of greedy actions."""
-        actions = np.asarray(first_actions(policy, jax.device_put(self.observations), jax.random.key(seed), False))
+        actions = np.asarray(first_actions(policy, jax.device_put(self.observations), jax.random.key(0), False))
         outside = ((actions < self.range[0]) | (actions > self.range[1])).reshape(len(actions), -1).any(1).mean()
         drawn = np.concatenate([self.states, self._scaled(actions)], -1)[self.half :]
         distance = two_sample_mmd(self.logged, drawn, self.variance) if self.half >= 2 else math.nan
@@ -100,7 +101,7 @@ class LogProbe:
         return ((actions - low) / np.maximum(high - low, 1e-6) * 2.0 - 1.0).astype(np.float32)
 
 
-def logged_value(log: Dataset, task: Task, seed: int = 0) -> dict[str, Any]:
+def logged_value(log: Dataset, task: Task) -> dict[str, Any]:
     """The value of the behaviour policy of the log over one horizon of the task, from the log alone.
 
     Complete episodes, from a start to their end, are used unchanged. If recordings were cut earlier and nothing ended (goals
@@ -111,7 +112,7 @@ def logged_value(log: Dataset, task: Task, seed: int = 0) -> dict[str, Any]:
     """
     returns, lengths = task.logged_returns(log), log.lengths
     whole = bool(log.terminals.any()) or lengths.mean() >= 0.9 * task.horizon
-    rng, means = np.random.default_rng(seed), np.empty(1000)
+    rng, means = np.random.default_rng(0), np.empty(1000)
     for i in range(len(means)):  # one at a time: a log may have very many short episodes
         picks = rng.integers(0, len(returns), len(returns))
         means[i] = returns[picks].mean() if whole else returns[picks].sum() / lengths[picks].sum() * task.horizon
@@ -124,10 +125,10 @@ def logged_value(log: Dataset, task: Task, seed: int = 0) -> dict[str, Any]:
     return {"mean": float(mean), "low": float(low), "high": float(high), "how": how}
 
 
-def log_segments(log: Dataset, count: int = 16, length: int = 300) -> np.ndarray:
-    """(count, length, *shape) segments of consecutive rows, evenly spaced over the log; for figures."""
-    length = min(length, len(log))
-    starts = np.linspace(0, len(log) - length, count).astype(int)
+def log_segments(log: Dataset) -> np.ndarray:
+    """(SEGMENTS, length, *shape) segments of consecutive rows, evenly spaced over the log; for figures."""
+    length = min(LENGTH, len(log))
+    starts = np.linspace(0, len(log) - length, SEGMENTS).astype(int)
     return np.stack([np.asarray(log.observations[s : s + length]) for s in starts])
 
 

@@ -14,7 +14,8 @@ from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.policies.deployed import EnvPolicy, first_actions, picture_shape
 from deadreckon.policies.resolve import policies_of
-from deadreckon.runs.settings import ReturnOptions, ReturnSettings, check_seed
+from deadreckon.randomness import check_seed
+from deadreckon.runs.settings import ReturnOptions, ReturnSettings
 from deadreckon.stats.crossed import mean_interval
 from deadreckon.stats.interval import PERCENT, Interval
 from deadreckon.tasks.registry import task as find_task

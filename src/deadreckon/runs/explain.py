@@ -17,7 +17,7 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.history import stacked
-from deadreckon.data.split import clusters, group_of
+from deadreckon.data.split import units_of
 from deadreckon.data.told import action_names, columns_of, observation_names, schema_of
 from deadreckon.errors import UserError, extra
 from deadreckon.files import content_digest, write_json
@@ -126,7 +126,9 @@ class Explained(Shown):
 
 
 def explain(run: Any, log: Any = None, *, seed: int | None = None) -> Explained:
-    """Fits a small tree to a policy's actions and measures its fidelity; the result is written to the run's folder.
+    """Fits a small tree to a policy's actions and measures its fidelity.
+
+    Without `log`, the result is written to the folder of the run or cross-fit, if there is one.
 
     Args:
         run: the run, its folder, a cross-fit's folder or a policy file.
@@ -175,7 +177,7 @@ def _explained(name: str, function: Pure, data: Dataset, steps: int) -> Explaine
     said = action_names(data)
     tree = None
     if explains:
-        tree = node_of(trees[depth], names, _marks(data, steps), _units_of(data, names), said, _units_of(data, said), discrete)
+        tree = node_of(trees[depth], names, _marks(data, steps), _measures(data, names), said, _measures(data, said), discrete)
     again = lambda other: ask(other, fresh)  # noqa: E731
     matters = _matters(again, x[fresh], done[fresh], unit[fresh], _groups(data, steps), scale, discrete, rng)
     ends = fidelity.value, fidelity.low, fidelity.high
@@ -211,8 +213,7 @@ def _asker(function: Pure) -> Any:
 
 def _units(data: Dataset, rows: np.ndarray) -> np.ndarray:
     """(rows,) number of the unit that each belongs to: an episode, a cluster, or a block of a log of few episodes."""
-    by = group_of(data)
-    unit = data.episode_at(rows) if by is None else clusters(data, by)[data.episode_at(rows)]
+    unit = units_of(data)[data.episode_at(rows)]
     return unit if len(np.unique(unit)) >= FEWEST else np.arange(len(rows)) * FEWEST // len(rows)
 
 
@@ -297,8 +298,8 @@ def _marks(data: Dataset, steps: int) -> dict[int, str]:
     return past | {now * width + i: text for i, text in said.items()}
 
 
-def _units_of(data: Dataset, names: Sequence[str]) -> list[str]:
-    """The unit of each number or action, empty where the log's schema has none."""
+def _measures(data: Dataset, names: Sequence[str]) -> list[str]:
+    """The unit of measurement of each number or action, empty where the log's schema has none."""
     schema = schema_of(data)
     known = {column.name: column.unit for column in schema.columns} if schema else {}
     return [known.get(name, known.get(name.rpartition(", ")[0], "")) for name in names]  # of a history "age, 1 back"

@@ -62,6 +62,11 @@ class Folder:
         return self.path / "run.json"
 
     @property
+    def status(self) -> Path:
+        """Path of the progress."""
+        return self.path / "status.json"
+
+    @property
     def checkpoints(self) -> Path:
         """Folder of the checkpoints."""
         return self.path / "checkpoints"
@@ -154,6 +159,10 @@ class Folder:
             return config
         return config | {"agent": {**config["agent"], "fields": with_field_names(kind, config["agent"]["fields"])}}
 
+    def is_free(self) -> bool:
+        """Whether there is nothing here, or only what a process that was killed while it wrote its first file leaves."""
+        return not self.path.exists() or (self.path.is_dir() and all(p.suffix == ".tmp" for p in self.path.iterdir()))
+
     def period(self, resume: bool) -> int | None:
         """Updates between the evaluations of the run that is resumed, its default; None for a new run."""
         before = self.read_config() if resume and self.config.exists() else {}
@@ -169,8 +178,7 @@ class Folder:
             UserError: the folder holds a run already, another run, or something else.
         """
         if not self.config.exists():
-            # A run killed while it wrote its first file leaves that file's temporary twin and nothing else.
-            if self.path.exists() and not (self.path.is_dir() and all(p.suffix == ".tmp" for p in self.path.iterdir())):
+            if not self.is_free():
                 raise UserError(f"{self.path} exists and is not a run; choose another --out")
             return []
         if not resume:
@@ -205,7 +213,7 @@ class Folder:
         """Records that more updates are requested than the run has had; called once it is certain that it can be resumed."""
         before = read_run(self.config)
         if before["steps"] < config["steps"]:
-            write_json(self.path / "status.json", {"step": before["steps"], "steps": config["steps"], "finished": False})
+            write_json(self.status, {"step": before["steps"], "steps": config["steps"], "finished": False})
             for number in config["seeds"]:
                 self.policy(number).unlink(missing_ok=True)  # with it, the run is no longer finished
             if "online" in config:  # it will have more episodes of its own

@@ -15,12 +15,12 @@ from deadreckon.policies.dope import load_dope
 from deadreckon.policies.policy import Policy
 from deadreckon.policies.resolve import PICKLES
 from deadreckon.randomness import generator
-from deadreckon.runs.crossfit import NAME as CROSS_FIT
 from deadreckon.runs.crossfit import CrossFit, load_cross_fit
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.reading import Read, check_encoding, check_episodes
+from deadreckon.runs.records import CROSS_FIT
+from deadreckon.runs.run import Run, load
 from deadreckon.runs.seen import unseen_by
-from deadreckon.runs.train import Run, load
 
 NOBODY = "it is not known whether it was trained on these episodes (--unseen asserts that it was not)"
 LEARNED = "it was trained on these episodes"
@@ -31,15 +31,16 @@ class Gathered(NamedTuple):
     """A policy to evaluate, and what is known of it.
 
     Attributes:
-        policy: the policy, or a cross-fit.
+        policy: the policy; None for a cross-fit, whose policies differ from episode to episode.
         run: name of the run or file that it comes from.
-        seed: of the run's seeds; None where there is none.
+        seed: of the run's or cross-fit's seeds; None where there is none.
         taught: (n,) uint64 ids of the episodes that it was trained on; None if that is not known.
         by: column whose values its run kept together when it held out episodes; None: none.
         file: the file of exactly this policy; None: not known.
         read: how the log was read that it was trained on.
         task: in which its run was evaluated, or whose snapshot it is; None: not known, or `unnamed`.
         unnamed: whether its run was trained in a task that its name does not find.
+        cross: the cross-fit, of which `seed` is evaluated; None for a policy.
     """
 
     policy: Any
@@ -51,6 +52,7 @@ class Gathered(NamedTuple):
     read: Read = Read()
     task: str | None = None
     unnamed: bool = False
+    cross: CrossFit | None = None
 
     @property
     def name(self) -> str:
@@ -60,7 +62,10 @@ class Gathered(NamedTuple):
     @property
     def acting(self) -> Any:
         """The policy that acts in a simulator: for a cross-fit, the one that would be deployed."""
-        return self.policy[0].policy_of(self.seed) if isinstance(self.policy, tuple) else self.policy
+        if self.cross is None:
+            return self.policy
+        assert self.seed is not None
+        return self.cross.policy_of(self.seed)
 
 
 def gather(given: Any) -> list[Gathered]:
@@ -86,7 +91,10 @@ def gather(given: Any) -> list[Gathered]:
         if isinstance(each, CrossFit) or (path is not None and (path / CROSS_FIT).exists()):
             cross = each if isinstance(each, CrossFit) else load_cross_fit(path)  # pyrefly: ignore[bad-argument-type] - a path
             name, by, read, task = cross.path.name, cross.config["by"], _read(cross.runs[0]), cross.runs[0].config["task"]
-            found += [Gathered((cross, s), name, s, None, by, cross.file_of(s), read, task) for s in cross.runs[0].seeds]
+            found += [
+                Gathered(None, name, seed, None, by, cross.file_of(seed), read, task, cross=cross)
+                for seed in cross.runs[0].seeds
+            ]
         elif path is None or path.is_dir():
             run = each if isinstance(each, Run) else load(each)
             held = run.config["data"].get("holdout") or (run.config.get("log") or {}).get("holdout")
@@ -163,18 +171,18 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
         for each in {id(g.read): g for g in found}.values():  # the seeds of a run share theirs
             check_episodes(each.run, each.read, data)
     left = np.ones(data.episodes, bool)
-    for each in {id(g.policy[0]): g for g in found if isinstance(g.policy, tuple)}.values():
+    for each in {id(g.cross): g for g in found if g.cross is not None}.values():
         if (fold := _folds(each, data, unseen)) is not None:
             left &= fold >= 0
-    known = unseen_by([g.taught for g in found if not isinstance(g.policy, tuple)], data)
-    unknown = [not isinstance(g.policy, tuple) and g.taught is None for g in found]
+    known = unseen_by([g.taught for g in found if g.cross is None], data)
+    unknown = [g.cross is None and g.taught is None for g in found]
     taught = int((~known).sum())
     against: list[str | None] = [None] * len(found)
     if unseen:
         if not left.any():
             raise UserError("no episode is left that all of these cross-fits have held out; evaluate each by itself")
         # If a policy's file lists all of these episodes, the log is its training log, and its training episodes are known.
-        own = [g for g in found if g.taught is not None and not isinstance(g.policy, tuple) and _covers(g.read.episodes, data)]
+        own = [g for g in found if g.taught is not None and g.cross is None and _covers(g.read.episodes, data)]
         fresh_too = left & unseen_by([g.taught for g in own], data)
         if not fresh_too.any():
             against = [LEARNED if any(g is each for each in own) else None for g in found]
@@ -224,7 +232,8 @@ def _covers(episodes: np.ndarray | None, data: Dataset) -> bool:
 def _folds(g: Gathered, data: Dataset, unseen: bool) -> np.ndarray | None:
     """(episodes,) the fold of a cross-fit in which each episode was held out, -1 for none; None for another log, whose episodes
     may still equal some of its own by chance."""
-    fold = g.policy[0].fold_of(data)
+    assert g.cross is not None
+    fold = g.cross.fold_of(data)
     own = _covers(g.read.episodes, data) if unseen else fold.max() >= 0
     return fold if own else None
 
@@ -240,10 +249,10 @@ def for_case(g: Gathered, data: Dataset, unseen: bool = False) -> Any:
         data: the log.
         unseen: see `fresh`.
     """
-    if not isinstance(g.policy, tuple):
+    if (cross := g.cross) is None:
         return g.policy
-    cross, seed = g.policy
-    members = tuple(run.policies[run.seeds.index(seed)] for run in cross.runs)
+    assert g.seed is not None
+    members = tuple(run.policies[run.seeds.index(g.seed)] for run in cross.runs)
     if (fold := _folds(g, data, unseen)) is None:
         if cross.config["deliver"] != "mixture":
             return g.acting

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.split import RANDOM, TIME, Fold, Holdout, clusters, group_of
+from deadreckon.data.split import RANDOM, TIME, Fold, Holdout, clusters, group_of, units_in_words
 from deadreckon.tasks.task import Task
 
 FEWEST = 10  # fewest episodes or clusters of which some are held out
@@ -49,7 +49,7 @@ def divided(log: Dataset, given: Holdout | Fold | float | None, judge: Task | No
     else:
         asked = of_share(log, given) if given else None
     if isinstance(asked, Holdout) and (few := too_few(log, asked)):
-        warnings.warn(f"{few}: all are used for training, and none is left for the evaluation", stacklevel=4)
+        warnings.warn(f"{few}: all are used for training, and none is left for the evaluation", stacklevel=5)
         asked = None
     if asked is None:
         return Divided(log, log.episode_ids, np.zeros(0, np.uint64), None)
@@ -62,8 +62,7 @@ def too_few(log: Dataset, asked: Holdout) -> str | None:
     """A message that there are too few episodes or clusters to hold some out; None if there are enough."""
     if (count := int(clusters(log, asked.by).max()) + 1) >= FEWEST:
         return None
-    what = "episodes" if asked.by in (RANDOM, TIME) else f"values of {asked.by}"
-    return f"{log.name}: {count} {what} are too few to hold some out ({FEWEST} are needed)"
+    return f"{log.name}: {count} {units_in_words(asked.by)} are too few to hold some out ({FEWEST} are needed)"
 
 
 def trial_parts(log: Dataset) -> tuple[Dataset, Dataset]:

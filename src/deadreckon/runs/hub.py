@@ -4,7 +4,6 @@ A repository holds only data: JSON, npz, npy and Parquet, with `deadreckon.json`
 every file with its SHA-256. Nothing else is downloaded, and nothing is unpickled.
 """
 
-import hashlib
 import re
 import shutil
 import tempfile
@@ -16,7 +15,7 @@ from typing import Any, TypedDict
 from deadreckon._version import __version__
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.folder import HEADER, read_folder, write_folder
-from deadreckon.data.transfer import file_hashes
+from deadreckon.data.transfer import sha256_of
 from deadreckon.errors import UserError, extra
 from deadreckon.files import home, read_json, write_json
 from deadreckon.foreign.door import refuse_links
@@ -74,7 +73,7 @@ def push_to_hub(thing: Dataset | Run | EnvPolicy, repo: str, *, private: bool = 
         else:
             store.save(folder / POLICY, thing)
         files = {path.relative_to(folder).as_posix(): path for path in sorted(folder.rglob("*")) if path.is_file()}
-        listed = {name: {"sha256": _sum(path), "bytes": path.stat().st_size} for name, path in files.items()}
+        listed = {name: {"sha256": sha256_of(path), "bytes": path.stat().st_size} for name, path in files.items()}
         write_json(folder / MANIFEST, {"format": _FORMAT, "kind": kind, "version": __version__, "files": listed})
         (folder / "README.md").write_text(shown(_card(thing, kind, repo), keep="\n"), encoding="utf-8")
         call = _Hub(repo, kind == "log")
@@ -124,7 +123,7 @@ def _download(call: "_Hub", sizes: Mapping[str, int | None], commit: str, root: 
                 raise UserError(f"{repo}: {name} has {sizes.get(name)} bytes there, {MANIFEST} says {about['bytes']}")
         for name, about in listed.items():
             call("hf_hub_download", filename=name, revision=commit, local_dir=str(aside))
-            if (found := _sum(aside / name)) != about["sha256"]:
+            if (found := sha256_of(aside / name)) != about["sha256"]:
                 raise UserError(f"{repo}: {name} is damaged or was exchanged: its sha256 is {found}, not {about['sha256']}")
         shutil.rmtree(aside / ".cache", ignore_errors=True)  # files of the client
         aside.replace(root / commit)
@@ -161,10 +160,6 @@ def _loaded(folder: Path, repo: str, commit: str) -> Dataset | Run | EnvPolicy:
     log = read_folder(folder)
     extra = {**log.provenance.extra, "hub": repo, "commit": commit}
     return replace(log, provenance=replace(log.provenance, extra=extra))
-
-
-def _sum(path: Path) -> str:
-    return file_hashes(path, {"sha256": hashlib.sha256()})["sha256"]
 
 
 def _card(thing: Any, kind: str, repo: str) -> str:

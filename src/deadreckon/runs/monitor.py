@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.split import units_of
 from deadreckon.errors import UserError
 from deadreckon.policies.deployed import first_actions
 from deadreckon.provided import Shown
@@ -181,7 +182,7 @@ def _acts(one: Subject, old: Dataset, first: bool, greedy: bool) -> tuple[compar
     in training episodes its actions may be memorised."""
     every = np.arange(old.episodes)
     unseen = every if one.taught is None else every[~np.isin(old.episode_ids, one.taught)]
-    fresh = one.taught is not None and len(np.unique(compared.units_of(old)[unseen])) >= compared.FEWEST
+    fresh = one.taught is not None and len(np.unique(units_of(old)[unseen])) >= compared.FEWEST
     acts = compared.sample(old, compared.some(unseen if fresh else every, "reference"), first)
     return replace(acts, actions=compared.acted(old, _done(one, acts.observations, old, greedy))), fresh
 
@@ -197,7 +198,7 @@ def _untested(units: int, new: Dataset) -> str:
         return f"not tested: {drift.FIRST} finished episodes are needed"
     if units < compared.FEWEST:
         return f"not tested: the reference has {units} episodes or clusters, {compared.FEWEST} are needed"
-    own = len(np.unique(compared.units_of(new)))
+    own = len(np.unique(units_of(new)))
     return f"not tested: the new log has {own} episodes or clusters, {compared.FEWEST} are needed"
 
 
@@ -239,7 +240,7 @@ def _of_value(value: Realised | str, alpha: float) -> list[Finding]:
     return out
 
 
-def _of_columns(columns: Sequence[Compared], tested: str) -> list[Finding]:
+def _of_columns(columns: Sequence[Compared], untested: str) -> list[Finding]:
     out = []
     for each in columns:
         what = each.what
@@ -254,7 +255,7 @@ def _of_columns(columns: Sequence[Compared], tested: str) -> list[Finding]:
         if each.others:
             effect += f"; new levels: {others_of(each)}"
         if each.found is None:
-            out.append(Finding(what.about, what.name, False, f"{tested or 'no drift'}; {effect}"))
+            out.append(Finding(what.about, what.name, False, f"{untested or 'no drift'}; {effect}"))
         else:
             out.append(Finding(what.about, what.name, True, f"drift, {since(each.found)}; {effect}"))
     return out

@@ -25,7 +25,7 @@ from deadreckon.ope.registry import Function, as_estimators, fits_name, titled
 from deadreckon.ope.select import Choice, doubted, gains
 from deadreckon.ope.settings import DecisionSettings, EstimateSettings
 from deadreckon.provided import provided
-from deadreckon.runs.decision_record import read_results, saved_at, write_results
+from deadreckon.runs.decision_record import ESTIMATES, read_results, saved_at, write_results
 from deadreckon.runs.evaluate import evaluate
 from deadreckon.runs.gather import Gathered, check_encodings, for_case, fresh, gather
 from deadreckon.runs.looks import Look, look
@@ -34,8 +34,6 @@ from deadreckon.stats.interval import ALPHA, decimals, fixed, level_in_words
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.hyperparameters import described
-
-NAME = "estimates.json"
 
 
 class Judged(NamedTuple):
@@ -122,7 +120,7 @@ def judge_alone(
     current = Look(1, ALPHA, len(candidates))
     if settings.counted:
         # What the intervals of gains depend on: with another estimator, or other clusters, it is another look.
-        digested = digest([case.manner, case.estimand.as_json(), _told_apart(estimators[0]), cluster], 16)
+        digested = digest([case.policies_digest, case.estimand.as_json(), _told_apart(estimators[0]), cluster], 16)
         current = look(data, episodes.held, digested, len(candidates))
     decision = decide(
         case, estimators, seen=episodes.against, alpha=current.alpha, groups=groups, **settings.only(DecisionSettings)
@@ -151,7 +149,7 @@ def judge_alone(
 
 def _write(settings: JudgeSettings, results: dict[str, Any]) -> None:
     if settings.out is not None:
-        write_results(Path(settings.out) / NAME, results)
+        write_results(Path(settings.out) / ESTIMATES, results)
 
 
 def _told_apart(estimator: Estimator) -> str:
@@ -312,7 +310,7 @@ def read_estimates(path: Path | str) -> dict[str, Any]:
         UserError: there are none, or the file is damaged.
     """
     path = Path(path)
-    path = path / NAME if path.is_dir() else path
+    path = path / ESTIMATES if path.is_dir() else path
     if not path.exists():
         raise UserError(f"no estimates in {path}; `deadreckon ope --out FOLDER` writes them")
     results = read_results(path)

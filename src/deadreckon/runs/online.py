@@ -1,6 +1,7 @@
 """Online training: from a simulator to policies in a run folder."""
 
 import dataclasses
+import functools
 import json
 import warnings
 from collections.abc import Sequence
@@ -21,17 +22,17 @@ from deadreckon.errors import UserError
 from deadreckon.names import file_part
 from deadreckon.online import Online, replay_log
 from deadreckon.online.experience import experience_of
-from deadreckon.online.mixed import check_agent
+from deadreckon.online.mixed import check_agent, check_sizes
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.lanes import agents_of, fields_of, lanes_of
 from deadreckon.runs.reading import Read
-from deadreckon.runs.recorder import Recorder, follow
+from deadreckon.runs.recorder import Recorder, follow, opened
+from deadreckon.runs.run import Run, load
 from deadreckon.runs.settings import OnlineOptions, OnlineSettings
 from deadreckon.runs.sizes import about_sizes
 from deadreckon.runs.started import Beside, Start, beside, start_of
 from deadreckon.runs.trackers.feed import tracked
 from deadreckon.runs.trackers.tracker import trackers_of
-from deadreckon.runs.train import Run, load
 from deadreckon.tasks.registry import of_run, own_fields, registered_fields
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
@@ -109,7 +110,6 @@ def _train_online(
     turns = asked.settings or turns_of(type(lanes[0]), task.name, start is not None)
     trackers = trackers_of(asked.track, 1)
     updates = turns.updates(steps)
-    name = agent_name(lanes[0])
     every = max(1, round((asked.evaluate_every or max(steps // 50, 1)) * turns.updates_per_step))
     if asked.evaluate_every is None:
         every = folder.period(asked.resume) or every
@@ -124,51 +124,15 @@ def _train_online(
     lanes = job.learners
     for text in () if log is None else about_sizes(log.log, lanes[0]):
         warnings.warn(text, stacklevel=3)
-    config = {
-        "agent": {"name": name, "fields": fields_of(lanes)},
-        "online": dataclasses.asdict(turns),
-        "data": {"name": f"{task.name}, online", "fingerprint": f"online:{task.name}"},
-        **_noted(task),
-        "seeds": numbers,
-        "steps": updates,
-        "evaluation": {"every": job.stops, "episodes": asked.episodes},
-        "versions": versions() | {"lanes": len(numbers), **task.versions},
-        "revisions": of_learning() | {"method": revisions(lanes[0])},
-    }
-    if shown is not None:
-        known = {"fingerprint": shown.fingerprint, "rows": len(shown), "episodes": shown.episodes}
-        config["demonstrations"] = {"name": shown.name, **known, "return": float(shown.returns().mean())}
-    if log is not None:
-        config["log"], config["log_read"] = log.told, log.read
+    config = _config(job, task, turns, updates, asked.episodes, shown, log, start)
     if start is not None:
-        config["start"] = start.told
         job.states = jax.device_put(start.states(job.states))
-    config = json.loads(json.dumps(config, default=str))
-    for text in folder.check(config, resume=asked.resume):
-        warnings.warn(text, stacklevel=3)
-    if folder.config.exists() and _untold(config):
+    unsure = folder.config.exists() and _untold(config)
+    opened(job, [folder], [config], asked.resume)
+    if unsure:
         warnings.warn(f"{task.name} has no spec: whether {folder.path} was begun in the same one is not checked", stacklevel=3)
-    folder.begin(config)
     given = log.taught if log is not None else np.zeros(0, np.uint64) if shown is None else shown.episode_ids
-
-    def taught() -> np.ndarray | None:
-        """Ids of the episodes of the log in the replay, or of the demonstrations, and of those of the run's own steps; None
-        where these are no log, because a lane that diverged acted with numbers that are not finite."""
-        done, provenance = job.source.environment_steps, Provenance("replay")
-        assert done is not None
-        own = []
-        try:
-            for seed in numbers:
-                steps_log = replay_log(folder.replay(seed), task, turns.copies, done, name=task.name, provenance=provenance)
-                own.append(steps_log.episode_ids)
-        except UserError:
-            return None
-        return np.unique(np.concatenate([given, *own]))
-
-    job.resume()
-    folder.lengthen(config)
-    folder.drop_after(job.step)
-
+    taught = functools.partial(_taught, job, folder, task, turns.copies, given)
     learned = None if log is None else log.log
     held = np.zeros(0, np.uint64) if log is None else log.held
     recorder = Recorder([folder], job, task, learned, job.stops, asked.episodes, taught, held)
@@ -183,6 +147,54 @@ def _train_online(
     finally:
         recorder.close()
     return load(folder.path)
+
+
+def _config(
+    job: Fit,
+    task: Task,
+    turns: Online,
+    updates: int,
+    episodes: int,
+    shown: Dataset | None,
+    log: Beside | None,
+    start: Start | None,
+) -> dict[str, Any]:
+    """`run.json` of a run: `updates` were requested, which the fit completes to whole blocks; `episodes` are per evaluation."""
+    lanes = job.learners
+    config = {
+        "agent": {"name": agent_name(lanes[0]), "fields": fields_of(lanes)},
+        "online": dataclasses.asdict(turns),
+        "data": {"name": f"{task.name}, online", "fingerprint": f"online:{task.name}"},
+        **_noted(task),
+        "seeds": job.seeds,
+        "steps": updates,
+        "evaluation": {"every": job.stops, "episodes": episodes},
+        "versions": versions() | {"lanes": len(lanes), **task.versions},
+        "revisions": of_learning() | {"method": revisions(lanes[0])},
+    }
+    if shown is not None:
+        known = {"fingerprint": shown.fingerprint, "rows": len(shown), "episodes": shown.episodes}
+        config["demonstrations"] = {"name": shown.name, **known, "return": float(shown.returns().mean())}
+    if log is not None:
+        config["log"], config["log_read"] = log.told, log.read
+    if start is not None:
+        config["start"] = start.told
+    return json.loads(json.dumps(config, default=str))
+
+
+def _taught(job: Fit, folder: Folder, task: Task, copies: int, given: np.ndarray) -> np.ndarray | None:
+    """Ids of the given episodes, of the log in the replay or of the demonstrations, and of those of the run's own steps; None
+    where these are no log, because a lane that diverged acted with numbers that are not finite."""
+    done, provenance = job.source.environment_steps, Provenance("replay")
+    assert done is not None
+    own = []
+    try:
+        for seed in job.seeds:
+            steps_log = replay_log(folder.replay(seed), task, copies, done, name=task.name, provenance=provenance)
+            own.append(steps_log.episode_ids)
+    except UserError:
+        return None
+    return np.unique(np.concatenate([given, *own]))
 
 
 def turns_of(kind: type[Agent], task: str, started: bool, **given: Any) -> Online:
@@ -213,11 +225,7 @@ def _demonstrated(given: Dataset | str | Path, task: Task) -> Dataset:
         UserError: no log, or one whose sizes differ from the task's.
     """
     log = given if isinstance(given, Dataset) else catalogue.load(given)
-    asked = task.observation_shape, task.action_space.size
-    found = log.spec.observation_shape, log.spec.action_size
-    if log.spec.discrete or asked != found:
-        sizes = f"{found[0]} and {found[1]} actions, {task.name} has {asked[0]} and {asked[1]}"
-        raise UserError(f"{log.name} has observations {sizes}")
+    check_sizes(log, task)
     return log.with_action_space(task.action_space)
 
 

@@ -8,12 +8,10 @@ from deadreckon.files import read_json
 from deadreckon.policies import portable
 from deadreckon.policies.file import fitting, numpy_player, read_policy
 from deadreckon.policies.table_predict import Predictor
-from deadreckon.runs.decision_record import file_of, is_same, read_results, records_beside
+from deadreckon.runs.decision_record import ESTIMATES, file_of, is_same, read_results, records_beside
 from deadreckon.runs.folder import Folder, policy_seed
-from deadreckon.runs.records import read_status
+from deadreckon.runs.records import CROSS_FIT, read_status
 
-ESTIMATES = "estimates.json"  # of `ope` and `recommend`, whose chosen policy is used
-CROSS_FIT = "crossfit.json"
 _CERTAIN = ("Deterministic", "UnboundedDeterministic", "GreedyActions", "ThresholdedPolicy")  # kinds that draw nothing
 
 
@@ -72,12 +70,12 @@ def chosen(path: Path | str, seed: int | None = None) -> Chosen:
     path = Path(path)
     against = ""
     if seed is None and (path / ESTIMATES).exists():
-        if not ((path / "run.json").exists() or (path / CROSS_FIT).exists()):
+        if not (Folder(path).config.exists() or (path / CROSS_FIT).exists()):
             return _of_decision(path)
         decided, against = _own_decision(path)
         if decided is not None:
             return decided
-    if (path / "run.json").exists():
+    if Folder(path).config.exists():
         found = _of_run(Folder(path), seed)
         return found._replace(words=f"{found.words}{against}")
     if seed is not None:
@@ -102,8 +100,8 @@ def _is_archive(path: Path) -> bool:
 
 
 def _of_run(folder: Folder, seed: int | None) -> Chosen:
-    config, status = folder.read_config(), folder.path / "status.json"
-    told = read_status(status, len(config["seeds"])) if status.exists() else {}
+    config = folder.read_config()
+    told = read_status(folder.status, len(config["seeds"])) if folder.status.exists() else {}
     which = policy_seed(str(folder.path), config["seeds"], told.get("failures") or [None] * len(config["seeds"]), seed)
     if not (file := folder.policy(which)).exists():
         raise UserError(f"{folder.path} is not finished; `deadreckon train ... --out {folder.path} --resume` resumes it")
@@ -162,7 +160,9 @@ def _draws(policy: dict[str, Any]) -> bool:
 def _owner(file: Path) -> Path | None:
     """The folder of the run or cross-fit in which a policy's file lies."""
     above = file.absolute().parents[:3]  # the run on all episodes of a cross-fit is a folder within it
-    return next((folder for name in (CROSS_FIT, "run.json") for folder in above if (folder / name).exists()), None)
+    crossed = (folder for folder in above if (folder / CROSS_FIT).exists())
+    runs = (folder for folder in above if Folder(folder).config.exists())
+    return next(crossed, next(runs, None))
 
 
 def predictor(file: Path, name: str = "rows") -> Predictor:

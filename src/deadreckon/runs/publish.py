@@ -1,6 +1,6 @@
 """Makes the package's policies from runs, and measures their values.
 
-`python -m deadreckon.runs.publish RUN --medium STEP --expert STEP` writes `policies/library/TASK.json` and `TASK/*.npz`.
+`python -m deadreckon.runs.publish --run RUN --medium STEP --expert STEP` writes `policies/library/TASK.json` and `TASK/*.npz`.
 Without these two options it ships only the eleven snapshots, for tasks whose logs have other behaviour policies. Measurements
 are saved as they are made: after an interruption, the same command continues.
 """
@@ -149,7 +149,7 @@ def publish_runs(
 
 
 def _taught(file: Path) -> list[int]:
-    ids = store.taught(file)
+    ids = store.load_all(file).taught
     return [] if ids is None else ids.tolist()
 
 
@@ -178,9 +178,9 @@ def _ship(
     for name, each in kept.items():
         # The policy is measured as it is shipped: as it is read back from float16.
         meta = {"task": task, "name": name, "updates": each.updates, "agent": each.agent}
-        own = store.taught(each.file)
-        ids = {"taught": taught if own is None else own, "held": store.held(each.file)}
-        store.save(work / f"{name}.npz", store.load(each.file), meta, half=True, **ids)
+        saved = store.load_all(each.file)
+        ids = {"taught": taught if saved.taught is None else saved.taught, "held": saved.held}
+        store.save(work / f"{name}.npz", saved.policy, meta, half=True, **ids)
         wanted |= {(each.key, mode): work / f"{name}.npz" for mode in modes}
 
     def keep(key: str, mode: str, returns: Returns) -> None:

@@ -14,10 +14,9 @@ import numpy as np
 from scipy.special import stdtrit
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.split import group_of
+from deadreckon.data.split import group_of, units_of
 from deadreckon.errors import UserError
 from deadreckon.ope.estimand import TAIL, Estimand, discounted_steps
-from deadreckon.runs.compared import units_of
 from deadreckon.stats.confidence_sequence import ConfidenceSequence, confidence_sequence, refuted_at
 from deadreckon.stats.interval import ALPHA, Interval
 
@@ -132,7 +131,7 @@ def realised(
     estimated, least, among = None, -np.inf, 1
     if told is not None:
         first, i, among = told[0]["results"][0], told[1], len(told[0]["policies"])
-        value, low, high = (_number(first[key][i]) for key in ("value", "low", "high"))
+        value, low, high = (first[key][i] for key in ("value", "low", "high"))
         # Intervals hold for each policy separately, and the estimate of a policy that was chosen among several is biased
         # upwards. With few clusters, the factor of Student's quantiles is larger than that of a normal distribution's.
         freedom = max(told[0].get("judged", {}).get("units", np.inf) - 1, 1)
@@ -156,7 +155,3 @@ def realised(
     below = refuted_at(x, given, least, alpha) if np.isfinite(least) else None
     outside = int(((x < given[0]) | (x > given[1])).sum())
     return Realised(estimand, sequence, estimated, given, source, outside, below, among)
-
-
-def _number(value: Any) -> float:
-    return np.nan if value is None else float(value)

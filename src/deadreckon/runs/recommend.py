@@ -26,19 +26,22 @@ from deadreckon.progress import Watcher, unwatched
 from deadreckon.provided import Shown
 from deadreckon.runs.attempt import Job
 from deadreckon.runs.clock import Clock
-from deadreckon.runs.decision_record import read_results, write_results
+from deadreckon.runs.decision_record import ESTIMATES, read_results, write_results
 from deadreckon.runs.durations import in_words
 from deadreckon.runs.follow import Found, followed
-from deadreckon.runs.offline import NAME, checked, supports
+from deadreckon.runs.offline import checked, supports
+from deadreckon.runs.run import Run, load
 from deadreckon.runs.settings import RecommendOptions, RecommendSettings
-from deadreckon.runs.train import Run, load
 from deadreckon.stats.interval import PERCENT, decimals
 
 EVER = 4.0  # multiple of the budget that is proposed if the necessary time is not known
 LOG = ".log"  # folder of a log that was given in memory
 MANY_DIGITS = 10  # width of a printed number
 # States of candidates, as they are shown.
-STATES = {"learning": "was training", "learned": "trained", "diverged": "diverged (NaN or Inf)", "not begun": "not started"}
+STATES = {
+    "learning": "was training", "learned": "trained", "diverged": "diverged (NaN or Inf)", "not begun": "not started",
+    "too few updates": "stopped after too few updates for an evaluation",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -176,7 +179,7 @@ def options_of(settings: RecommendSettings) -> list[str]:
 
 def _written(out: Path, log: str, again: Sequence[str], found: Found, clock: Clock) -> dict[str, Any]:
     """Writes `estimates.json`: the estimates, or the reason why there are none, and the candidates that were tried."""
-    path = out / NAME
+    path = out / ESTIMATES
     state = found.state
     candidates = state.get("candidates", [])
     told = read_results(path) if path.exists() else None
@@ -218,7 +221,7 @@ def _unjudged(out: Path, log: str, again: Sequence[str], found: Found, clock: Cl
         words = ["deadreckon", "ope", *again, "--policies", *(str(out / each["name"]) for each in learned), "--select"]
         evidence.append(f"this evaluates the trained candidates: {shlex.join(words)}")
     choice = {
-        "name": None, "deploy": False, "gain": [None, None, None], "level": None, "reason": reason, "evidence": evidence,
+        "name": None, "deploy": False, "gain": [math.nan] * 3, "level": None, "reason": reason, "evidence": evidence,
         "warnings": [], "objections": [],
     }  # fmt: skip
     return {"log": log, "estimand": None, "truth": None, "policies": [], "judged": None, "results": [], "choice": choice}
@@ -241,7 +244,7 @@ def _enough(state: dict[str, Any], clock: Clock) -> str:
 
 def _choice(told: dict[str, Any]) -> Choice:
     choice = told["choice"]
-    difference, low, high = (math.nan if each is None else each for each in choice["gain"])
+    difference, low, high = choice["gain"]
     return Choice(
         choice["name"] or "nothing", choice["deploy"], difference, low, high, choice["reason"], tuple(choice["evidence"]),
         tuple(choice["warnings"]), objections=tuple(map(tuple, choice["objections"])),
@@ -257,8 +260,8 @@ def card(told: dict[str, Any]) -> str:
     first = told["results"][0]
     names = [*(each["name"] for each in told["policies"]), "behaviour policy"]
     width = max(map(len, names))
-    d = decimals(*(x for ends in ("value", "low", "high") for x in first[ends] if x is not None))
-    number = lambda x: "-" if x is None else f"{x:.{d}f}"  # noqa: E731
+    d = decimals(*first["value"], *first["low"], *first["high"])
+    number = lambda x: "-" if math.isnan(x) else f"{x:.{d}f}"  # noqa: E731
     lines = [f"evaluated on {told['judged']['words']}", ""]
     lines.append(f"{first['title']}: {told['estimand']['words']}; {PERCENT} intervals")
     for name, value, low, high in zip(names, first["value"], first["low"], first["high"]):

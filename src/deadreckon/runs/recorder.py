@@ -1,5 +1,6 @@
 """The files that a run writes during training: metrics, policies, evaluations and progress."""
 
+import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -218,7 +219,7 @@ class Recorder:
         failures = [None if f is None else list(f) for f in self.job.failures]
         for run, folder in enumerate(self.folders):
             own = {"step": step, "steps": self.job.steps, "finished": finished, "failures": failures[self._share(run)]}
-            write_json(folder.path / "status.json", own)
+            write_json(folder.status, own)
 
     def finish(self) -> None:
         """Waits for the evaluations, then writes the last policies; with them the run is finished."""
@@ -246,6 +247,31 @@ class Recorder:
     def close(self) -> None:
         """Waits for evaluations that have begun, and cancels the others, which `catch_up` does later."""
         self.pool.shutdown(wait=True, cancel_futures=True)
+
+
+def opened(job: Fit, folders: Sequence[Folder], configs: Sequence[dict[str, Any]], resume: bool) -> None:
+    """Begins the runs of a fit, or resumes them from its newest checkpoint.
+
+    Nothing is written if a folder refuses its run. After a crash at any moment, the runs can be resumed.
+
+    Args:
+        job: the fit, which is brought to its newest checkpoint.
+        folders: of the runs.
+        configs: `run.json` of each.
+        resume: whether a folder may hold the run already.
+
+    Raises:
+        UserError: a folder holds another run or something else, or the checkpoints are damaged.
+    """
+    told = [text for folder, config in zip(folders, configs) for text in folder.check(config, resume=resume)]
+    for text in dict.fromkeys(told):
+        warnings.warn(text, stacklevel=4)
+    for folder, config in zip(folders, configs):
+        folder.begin(config)
+    job.resume()
+    for folder, config in zip(folders, configs):  # not before it is certain that they can be resumed
+        folder.lengthen(config)
+        folder.drop_after(job.step)
 
 
 def follow(job: Fit, recorders: Sequence[Recorder], settings: RunSettings, tracking: Sequence[Tracking] = ()) -> None:

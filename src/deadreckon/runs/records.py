@@ -15,6 +15,8 @@ from deadreckon.files import read_json
 from deadreckon.foreign.shapes import same_length, wrong
 from deadreckon.online import Online
 
+CROSS_FIT = "crossfit.json"
+
 # Columns of whole numbers in the tables of a run: those that every row must have, and those that it may have.
 _NEEDED = {"metrics": ("step", "seed"), "evaluations": ("step", "seed", "episode")}
 _WHOLE = ("step", "seed", "episode", "length")

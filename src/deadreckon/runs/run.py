@@ -121,7 +121,7 @@ def load(path: Path | str) -> Run:
     if missing:
         again = "train_together" if "together" in config else f"deadreckon train ... --out {path} --resume"
         raise UserError(f"{path} is not finished; `{again}` resumes it")
-    status = read_status(folder.path / "status.json", len(config["seeds"]))
+    status = read_status(folder.status, len(config["seeds"]))
     policies = [store.load(folder.policy(seed)) for seed in config["seeds"]]
     failures = [None if f is None else Failure(*f) for f in status.get("failures") or [None] * len(config["seeds"])]
     return Run(folder.path, config, config["seeds"], policies, failures)

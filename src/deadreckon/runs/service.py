@@ -20,8 +20,8 @@ from starlette.routing import Route
 from deadreckon._version import __version__
 from deadreckon.errors import UserError, unknown
 from deadreckon.policies.table_predict import Prediction, Predictor
+from deadreckon.randomness import check_seed
 from deadreckon.runs.service_page import described, openapi, page
-from deadreckon.runs.settings import check_seed
 
 SLOWEST = 10.0  # seconds in which the whole of a request's body must have arrived
 _WORDS = {"true": True, "1": True, "false": False, "0": False}

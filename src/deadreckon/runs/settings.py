@@ -19,6 +19,7 @@ from deadreckon.online import Online
 from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.settings import DecisionOptions, DecisionSettings, EstimateOptions, EstimateSettings, EvidenceSettings
 from deadreckon.progress import unwatched
+from deadreckon.randomness import check_seed
 from deadreckon.runs.callback import Callback
 from deadreckon.settings import Settings
 from deadreckon.training.hyperparameters import check_fields
@@ -26,16 +27,6 @@ from deadreckon.training.hyperparameters import check_fields
 ChunkWatcher = Callable[[Any, int], Any]  # gets each `training.fit.Chunk` and the number of updates in all
 
 MOST_HISTORY = 10_000  # most observations that a policy acts on
-
-
-def check_seed(seed: int) -> None:
-    """Refuses seeds out of range.
-
-    Raises:
-        UserError: it is negative or too large.
-    """
-    if not 0 <= seed < 2**32:
-        raise UserError(f"seed must be 0 .. 2^32 - 1, got {seed}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,7 @@ from deadreckon.runs.folder import Folder
 from deadreckon.runs.holdout import divided
 from deadreckon.runs.lanes import agents_of
 from deadreckon.runs.reading import ENCODED, HORIZON, Read, read_like
-from deadreckon.runs.train import Run, load
+from deadreckon.runs.run import Run, load
 from deadreckon.tasks.registry import of_run
 from deadreckon.tasks.task import Task
 from deadreckon.training.checkpoint import load_arrays, load_tree

@@ -21,11 +21,12 @@ from deadreckon.names import shown
 from deadreckon.policies import store
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.runs.crossfit import MIXTURE
-from deadreckon.runs.decision_record import is_from, is_same, read_results, records_beside
+from deadreckon.runs.decision_record import ESTIMATES, is_from, is_same, read_results, records_beside
+from deadreckon.runs.folder import Folder
 from deadreckon.runs.gather import gather
-from deadreckon.runs.offline import NAME
-from deadreckon.runs.player import CROSS_FIT, chosen
+from deadreckon.runs.player import chosen
 from deadreckon.runs.reading import HORIZON, Read, check_encoding, read_like, schema_for
+from deadreckon.runs.records import CROSS_FIT
 from deadreckon.runs.run import Run, load
 
 GAPS = "missing "  # prefix of the names of extra columns that say where values of a column are missing
@@ -205,13 +206,14 @@ def subject(given: Run | Path | str, seed: int | None = None) -> Subject:
         one = those[0] if those else gather(file)[0]
     if not isinstance(one.acting, EnvPolicy):
         raise UserError(f"{given} holds no policy of this package")
-    run = load(owner) if owner is not None and (owner / "run.json").exists() else None
+    run = load(owner) if owner is not None and Folder(owner).config.exists() else None
     if (file := one.file) is None:
         assert owner is not None
         file = owner / MIXTURE  # of all seeds, with the record of the same log
     told = store.meta(file).get("log", {})
     config = None if run is None else run.config
-    made = config or (load(owner / FIRST).config if owner is not None and (owner / FIRST / "run.json").exists() else {})
+    first = None if owner is None else owner / FIRST
+    made = config or (load(first).config if first is not None and Folder(first).config.exists() else {})
     return Subject(
         one.name, one.acting, one.run, one.seed, one.file, one.read, told, config, made, owner, decision,
         one.taught,
@@ -233,10 +235,10 @@ def estimates_of(one: Subject, given: Path | str | None = None) -> tuple[dict[st
         UserError: the given one does not exist, or does not include this policy.
     """
     own = [*([one.decision] if one.decision else []), *([one.folder, one.folder.parent] if one.folder else [])]
-    beside = [] if one.folder is None else [each for each in records_beside(one.folder, NAME) if each not in own]
+    beside = [] if one.folder is None else [each for each in records_beside(one.folder, ESTIMATES) if each not in own]
     places = [*own, *beside] if given is None else [Path(given)]
     for place in places:
-        file = place / NAME if place.is_dir() or given is None else place
+        file = place / ESTIMATES if place.is_dir() or given is None else place
         if not file.exists():
             continue
         if "estimand" not in read_json(file, dict):  # of another version; it may only lie beside, so it is ignored

@@ -20,7 +20,7 @@ from deadreckon.runs.diagnostics import logged_value
 from deadreckon.runs.folder import Folder
 from deadreckon.runs.holdout import Divided, divided
 from deadreckon.runs.lanes import fields_of
-from deadreckon.runs.recorder import Recorder, follow
+from deadreckon.runs.recorder import Recorder, follow, opened
 from deadreckon.runs.settings import TrainSettings
 from deadreckon.runs.sizes import about_sizes
 from deadreckon.runs.trackers.feed import tracked
@@ -67,7 +67,7 @@ def train_lanes(
     Raises:
         UserError: invalid input, in one line; nothing is written then.
     """
-    resume, logs, grouped = settings.resume, {}, {}
+    logs, grouped = {}, {}
     trackers = trackers_of(settings.track, len(asked))
     for path, (log, own) in asked.items():
         key = log.name, log.fingerprint
@@ -76,30 +76,19 @@ def train_lanes(
     first = Folder(next(iter(asked)))
     learned: list[_Learned] = []
     for key, runs in grouped.items():
-        log, agents = logs[key], list(runs.values())
-        levels = log.provenance.extra.get("action_levels") or ([0, 1] if not log.spec.discrete or log.actions.any() else [0])
-        if len(levels) < 2 and "schema" in log.provenance.extra:  # of a table, whose action space has at least two actions
-            raise UserError(f"{log.name}: its only action is {levels[0]}, so there is nothing to choose between")
-        judge = judge_of(log, task)
-        log = log.with_action_space(log.action_space if judge is None else judge.action_space, settings.strict)
         begun = Folder(next(iter(runs)))  # runs on one log hold out the same
-        before = begun.read_config() if resume and begun.config.exists() else None
-        part = divided(log, settings.holdout, judge, before)
-        seen = stacked(part.learning, settings.history)
-        for each in agents:
-            if settings.history > 1 and not each[0].supports_history:
-                raise UserError(f"{type(each[0]).__name__} takes no histories: {each[0].own_history}; leave history at 1")
-        lanes = [lane.resolve(seen.spec, steps) for each in agents for lane in each]
-        rows = TransitionSource(seen, lanes[0].needs(seen.spec))
-        learned.append(_Learned(log, judge, part, rows, [Folder(path) for path in runs], lanes))
-        for text in about_sizes(log, lanes[0]):
+        before = begun.read_config() if settings.resume and begun.config.exists() else None
+        one = _learned_of(logs[key], runs, before, steps, task, settings)
+        learned.append(one)
+        for text in about_sizes(one.log, one.lanes[0]):
             warnings.warn(text, stacklevel=3)
 
     lanes = [lane for one in learned for lane in one.lanes]
     folders = [folder for one in learned for folder in one.folders]
     seeds = len(lanes) // len(folders)
     numbers = list(range(seed, seed + seeds))
-    every = min(settings.evaluate_every or first.period(resume) or max(steps // 10, 1), steps)
+    every = min(settings.evaluate_every or first.period(settings.resume) or max(steps // 10, 1), steps)
+    sight = _sight(learned, settings)
     common: dict[str, Any] = {
         "seeds": numbers,
         "steps": steps,
@@ -108,12 +97,8 @@ def train_lanes(
     }
     if settings.history > 1:
         common["history"] = settings.history
-    sight = Sight()
-    if any(of_pictures(one.log.spec) for one in learned):
-        sight = Sight(settings.encoder, _shift(learned[0], settings.shift))
+    if sight is not None:
         common["encoder"], common["shift"] = sight
-    elif seeing := [name for name in ("encoder", "shift") if getattr(settings, name) != getattr(TrainSettings, name)]:
-        raise UserError(f"{learned[0].log.name} has no images: leave {' and '.join(seeing)} out")
     if out != folders[0].path:
         common["together"] = [folder.path.name for folder in folders]
     configs = [config | common for one in learned for config in _configs(one, seeds, len(lanes))]
@@ -125,19 +110,12 @@ def train_lanes(
         raise UserError(f"{kept} is of other runs; give {', '.join(folder.path.name for folder in folders)} another folder")
     # Built before anything is written, so that invalid input is refused while the disk is unchanged.
     own = learned[0].rows if len(learned) == 1 else [one.rows for one in learned for _ in one.lanes]
-    how: dict[str, Any] = {"stream": settings.stream, "stops": every, "sight": sight}
+    how: dict[str, Any] = {"stream": settings.stream, "stops": every, "sight": sight or Sight()}
     job = Fit(lanes, own, numbers * len(folders), steps, settings.chunk, kept, **how)
-    told = [text for folder, config in zip(folders, configs) for text in folder.check(config, resume=resume)]
-    for text in dict.fromkeys(told):
-        warnings.warn(text, stacklevel=3)
-    parts = [one.part for one in learned for _ in one.folders]
-    for folder, config, part in zip(folders, configs, parts):
-        folder.begin(config)
-        folder.note_episodes(part.taught, part.held)
-    job.resume()
-    for folder, config in zip(folders, configs):
-        folder.lengthen(config)
-        folder.drop_after(job.step)
+    opened(job, folders, configs, settings.resume)
+    for one in learned:
+        for folder in one.folders:
+            folder.note_episodes(one.part.taught, one.part.held)
 
     recorders, start = [], 0
     try:
@@ -158,6 +136,53 @@ def train_lanes(
     finally:
         for recorder in recorders:
             recorder.close()
+
+
+def _learned_of(
+    log: Dataset,
+    runs: Mapping[Path, Sequence[Agent]],
+    before: dict[str, Any] | None,
+    steps: int,
+    task: Any,
+    settings: TrainSettings,
+) -> _Learned:
+    """A log, divided for the runs on it, with their agents resolved for it.
+
+    Args:
+        log: the log.
+        runs: run folder -> its agents, one per seed.
+        before: `run.json` of one of these runs, if they are resumed.
+        steps, task, settings: as for `train_lanes`.
+
+    Raises:
+        UserError: the log, its simulator, an agent or a setting does not fit the others.
+    """
+    levels = log.provenance.extra.get("action_levels") or ([0, 1] if not log.spec.discrete or log.actions.any() else [0])
+    if len(levels) < 2 and "schema" in log.provenance.extra:  # of a table, whose action space has at least two actions
+        raise UserError(f"{log.name}: its only action is {levels[0]}, so there is nothing to choose between")
+    judge = judge_of(log, task)
+    log = log.with_action_space(log.action_space if judge is None else judge.action_space, settings.strict)
+    part = divided(log, settings.holdout, judge, before)
+    seen = stacked(part.learning, settings.history)
+    for each in runs.values():
+        if settings.history > 1 and not each[0].supports_history:
+            raise UserError(f"{type(each[0]).__name__} takes no histories: {each[0].own_history}; leave history at 1")
+    lanes = [lane.resolve(seen.spec, steps) for each in runs.values() for lane in each]
+    rows = TransitionSource(seen, lanes[0].needs(seen.spec))
+    return _Learned(log, judge, part, rows, [Folder(path) for path in runs], lanes)
+
+
+def _sight(learned: Sequence[_Learned], settings: TrainSettings) -> Sight | None:
+    """How images are seen; None for logs without images.
+
+    Raises:
+        UserError: settings for images, and there are none, or they are too small for them.
+    """
+    if any(of_pictures(one.log.spec) for one in learned):
+        return Sight(settings.encoder, _shift(learned[0], settings.shift))
+    if seeing := [name for name in ("encoder", "shift") if getattr(settings, name) != getattr(TrainSettings, name)]:
+        raise UserError(f"{learned[0].log.name} has no images: leave {' and '.join(seeing)} out")
+    return None
 
 
 def _configs(one: _Learned, seeds: int, lanes: int) -> list[dict[str, Any]]:

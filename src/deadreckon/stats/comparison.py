@@ -202,16 +202,16 @@ def _two_sided(t: float, dof: float) -> float:
     return float(2.0 * stdtr(dof, -abs(t)))
 
 
-def bold(columns: Mapping[str, Scores], level: float = ALPHA) -> dict[str, np.ndarray]:
+def bold(columns: Mapping[str, Scores], alpha: float = ALPHA) -> dict[str, np.ndarray]:
     """Which cells of a table are bold: in each row the best mean, and all that do not differ from it by Welch's t-test.
 
-    The test is two-sided (p > level is bold), and not corrected for the number of methods. Bold does not mean that methods are
+    The test is two-sided (p > alpha is bold), and not corrected for the number of methods. Bold does not mean that methods are
     equal: the fewer the seeds, the more cells are bold. Where a cell or the best has one run there is no test, so only the best
     is bold. Where neither varies, means decide. Cells of the same mean as the best are bold in any case.
 
     Args:
         columns: method -> its scores, higher being better; all methods must have the same tasks.
-        level: of significance.
+        alpha: level of significance.
 
     Returns:
         Method -> (tasks,) bool, tasks in the order of the first method.
@@ -219,7 +219,8 @@ def bold(columns: Mapping[str, Scores], level: float = ALPHA) -> dict[str, np.nd
     Raises:
         UserError: no method, tasks that are not the same, or numbers that are not finite.
     """
-    check_level(level)
+    if not 0.0 < alpha < 1.0:
+        raise UserError(f"alpha must lie between 0 and 1, got {alpha}")
     if not columns:
         raise UserError("columns have no method: give at least one")
     table = {method: by_task(scores, f"the scores of {method!r}") for method, scores in columns.items()}
@@ -227,7 +228,7 @@ def bold(columns: Mapping[str, Scores], level: float = ALPHA) -> dict[str, np.nd
     for method in table:
         same_tasks(table[first], table[method], repr(first), repr(method))
     rows = [[_Cell.of(column[task]) for column in table.values()] for task in table[first]]
-    chosen = np.array([_bold_row(row, level) for row in rows])
+    chosen = np.array([_bold_row(row, alpha) for row in rows])
     return dict(zip(table, chosen.T))
 
 
@@ -244,16 +245,16 @@ class _Cell:
         return cls(*_moments(runs), len(runs))
 
 
-def _bold_row(row: list[_Cell], level: float) -> list[bool]:
+def _bold_row(row: list[_Cell], alpha: float) -> list[bool]:
     top = max(cell.mean for cell in row)
     leaders = [cell for cell in row if cell.mean == top]  # more than one: whichever is nearest decides, not the first
-    return [any(_alike(cell, best, level) for best in leaders) for cell in row]
+    return [any(_alike(cell, best, alpha) for best in leaders) for cell in row]
 
 
-def _alike(cell: _Cell, best: _Cell, level: float) -> bool:
+def _alike(cell: _Cell, best: _Cell, alpha: float) -> bool:
     if cell.mean == best.mean:
         return True
     if min(cell.runs, best.runs) < 2:
         return False
     error, dof = _pool([(cell.variance, cell.runs - 1), (best.variance, best.runs - 1)])
-    return error > 0.0 and _two_sided((best.mean - cell.mean) / error, dof) > level
+    return error > 0.0 and _two_sided((best.mean - cell.mean) / error, dof) > alpha

@@ -15,7 +15,7 @@ def student(x: np.ndarray, alpha: float = ALPHA) -> tuple[float, float]:
     return float(x.mean() - half), float(x.mean() + half)
 
 
-def mean_interval(x: np.ndarray) -> Interval:
+def student_interval(x: np.ndarray) -> Interval:
     """The mean with Student's interval at `LEVEL`, whose ends are NaN for one number."""
     return Interval(float(x.mean()), *(student(x) if len(x) > 1 else (np.nan, np.nan)))
 

@@ -107,19 +107,6 @@ class AdroitSimulator(MujocoCopies[Adroit]):
         """(copies,) bool, whether each copy's goal is reached."""
         return self.task.achieved(self._scene(slice(None)))
 
-    def begin(self, positions: np.ndarray, velocities: np.ndarray, moved: np.ndarray) -> np.ndarray:
-        """Starts an episode of every copy in a state of one's own, such as where a demonstration began.
-
-        Args:
-            positions: (copies, joints).
-            velocities: (copies, joints).
-            moved: (copies, numbers) of what an episode puts elsewhere, in the order of `Adroit.moved`.
-
-        Returns:
-            (copies, size) observations.
-        """
-        return self._start(range(len(self._state)), np.hstack([moved, positions, velocities]))
-
     def state(self) -> dict[str, np.ndarray]:
         """See `Simulator.state`."""
         return {**super().state(), "layout": self._layout.copy(), "seen": self._seen.copy()}

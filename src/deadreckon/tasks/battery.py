@@ -70,11 +70,6 @@ def values(chances: np.ndarray | None = None) -> np.ndarray:
     return out
 
 
-def start_value(found: np.ndarray) -> float:
-    """The mean of `values` over the states that days begin in: an empty battery at any level."""
-    return float(found[0, 0].mean())
-
-
 @dataclass(frozen=True)
 class Battery(Task):
     """The task. Observations are block, charge and price; rewards are euros."""
@@ -97,11 +92,9 @@ class Copies:
 
     def reset(self, which: np.ndarray | None = None, seeds: Sequence[int] | None = None) -> np.ndarray:
         """See `Simulator.reset`."""
-        which = np.arange(len(self._block)) if which is None else np.asarray(which)
-        if seeds is not None:
-            self._starts.begin(which, seeds)
-        for copy in which:
-            self._levels[copy] = self._starts.next(copy)
+        which, days = self._starts.begun(which, seeds)
+        for copy, levels in zip(which, days):
+            self._levels[copy] = levels
         self._block[which], self._charge[which] = 0, 0
         return self._observe()[which]
 

@@ -41,6 +41,14 @@ def moved(cars: np.ndarray, actions: np.ndarray) -> np.ndarray:
     return np.stack([x, y, yaw, speed, angle], 1)
 
 
+def actions_for(bend: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """(n, 2) float32 actions by which cars follow a curvature (n,) in 1/m, and accelerate by (n,) m/s²; the inverse of `moved`
+    for wheels that are there already, tyres that hold, and no resistance."""
+    wheels = np.arctan(2 * np.tan(np.arcsin(np.clip(bend * AXLE, -1.0, 1.0))))
+    pedal = np.where(force >= 0.0, force / DRIVE, force / BRAKE)
+    return np.clip(np.stack([pedal, -wheels / STEER], 1), -1.0, 1.0).astype(np.float32)
+
+
 def curvature(wheels: np.ndarray, speed: np.ndarray) -> np.ndarray:
     """(n,) 1/m, the curvature of the ways of the middles of cars, by (n,) rad and m/s: no more than `GRIP` allows."""
     tightest = GRIP / np.maximum(speed, 1e-3) ** 2

@@ -137,10 +137,8 @@ class CarlaCopies:
 
     def reset(self, which: np.ndarray | None = None, seeds: Sequence[int] | None = None) -> np.ndarray:
         """Starts episodes; see `Simulator.reset`. Cars and sensors of the last ones are removed first."""
-        which = np.arange(len(self._age)) if which is None else np.asarray(which)
-        if seeds is not None:
-            self._starts.begin(which, seeds)
-        starts = {i: self._starts.next(i) for i in which.tolist()}
+        which, drawn = self._starts.begun(which, seeds)
+        starts = dict(zip(which.tolist(), drawn))
 
         def begin(i: int) -> np.ndarray:
             self._scenes[i].begin(self._servers[i], starts[i])

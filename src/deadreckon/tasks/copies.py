@@ -97,19 +97,15 @@ class MujocoCopies(Generic[Own]):
 
     def reset(self, which: np.ndarray | None = None, seeds: Sequence[int] | None = None) -> np.ndarray:
         """Starts episodes; see `Simulator.reset`."""
-        which = np.arange(len(self._state)) if which is None else np.asarray(which)
-        if seeds is not None:
-            self._starts.begin(which, seeds)
-        return self._start(which, [self._starts.next(i) for i in which])
+        return self._start(*self._starts.begun(which, seeds))
 
-    def picture(self, copy: int, size: tuple[int, int], renderer: Any = None, camera: Any = None) -> tuple[Any, np.ndarray]:
-        """What a camera sees of a copy.
+    def picture(self, copy: int, size: tuple[int, int], renderer: Any = None) -> tuple[Any, np.ndarray]:
+        """What the task's camera sees of a copy.
 
         Args:
             copy: which.
             size: height and width in pixels.
             renderer: one that an earlier call gave; None makes one.
-            camera: name or number in the model, or an `MjvCamera`; None: the task's own.
 
         Returns:
             The renderer, and (height, width, 3) uint8.
@@ -119,7 +115,7 @@ class MujocoCopies(Generic[Own]):
         self._settle(model, copy)
         self._mujoco.mj_forward(model, data)
         renderer = renderer or self.renderer(size)
-        renderer.update_scene(data, self._camera() if camera is None else camera)
+        renderer.update_scene(data, self._camera())
         return renderer, renderer.render()
 
     def renderer(self, size: tuple[int, int], plain: bool = False) -> Any:

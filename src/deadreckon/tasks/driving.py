@@ -86,10 +86,8 @@ class LaneSimulator:
 
     def reset(self, which: np.ndarray | None = None, seeds: Sequence[int] | None = None) -> np.ndarray:
         """See `Simulator.reset`. Cars stand still at first."""
-        which = np.arange(len(self.cars)) if which is None else np.asarray(which)
-        if seeds is not None:
-            self._starts.begin(which, seeds)
-        distance, offset, heading = np.array([self._starts.next(copy) for copy in which]).reshape(-1, 3).T
+        which, starts = self._starts.begun(which, seeds)
+        distance, offset, heading = np.array(starts).reshape(-1, 3).T
         pose = self.task.route.pose(distance)
         x, y = pose.x - offset * np.sin(pose.heading), pose.y + offset * np.cos(pose.heading)
         self.cars[which] = np.stack([x, y, pose.heading + heading, 0.0 * x, 0.0 * x], 1)

@@ -91,10 +91,8 @@ class FlowSimulator:
 
     def reset(self, which: np.ndarray | None = None, seeds: Sequence[int] | None = None) -> np.ndarray:
         """Starts episodes; see `Simulator.reset`."""
-        which = np.arange(len(self._age)) if which is None else np.asarray(which)
-        if seeds is not None:
-            self._starts.begin(which, seeds)
-        self._begun[which] = [self._starts.next(i) for i in which]
+        which, starts = self._starts.begun(which, seeds)
+        self._begun[which] = starts
         self._age[which], self._alive[which] = 0, True
         return self._traffic.begin(which, self._begun[which])
 

@@ -43,11 +43,8 @@ class GymnasiumCopies:
 
     def reset(self, which: np.ndarray | None = None, seeds: Sequence[int] | None = None) -> np.ndarray:
         """Starts episodes; see `Simulator.reset`."""
-        which = np.arange(len(self._age)) if which is None else np.asarray(which)
-        if seeds is not None:
-            self._starts.begin(which, seeds)
+        which, _ = self._starts.begun(which, seeds)
         for i in which.tolist():
-            self._starts.next(i)
             self._seen[i] = self._begin(i)
         self._age[which], self._alive[which], self._gained[which] = 0, True, 0.0
         return self._seen[which]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 
-from deadreckon.data.formats.flatten import MOST_ACTIONS, MOST_NUMBERS, bounds
+from deadreckon.data.formats.flatten import MOST_JOINED, MOST_NUMBERS, bounds
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 
@@ -148,8 +148,8 @@ def _actions(space: Any, name: str) -> tuple[Box | Discrete, tuple[Any, ...]]:
         return found, ()
     if all(isinstance(leaf, DISCRETE) for leaf in leaves):
         count = math.prod(_count(leaf) for leaf in leaves)
-        if count > MOST_ACTIONS:
-            raise UserError(f"{name}: actions have {count:,} combinations, at most {MOST_ACTIONS:,} are joined into one")
+        if count > MOST_JOINED:
+            raise UserError(f"{name}: actions have {count:,} combinations, at most {MOST_JOINED:,} are joined into one")
         choices = tuple(_choices(space))
         return Discrete(len(choices)), choices
     kinds = ", ".join(dict.fromkeys(type(leaf).__name__ for leaf in leaves))

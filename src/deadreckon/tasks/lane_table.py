@@ -7,7 +7,7 @@ import numpy as np
 
 from deadreckon.errors import UserError
 from deadreckon.tasks.road_network import Network
-from deadreckon.tasks.road_paths import Path, Pose, Projection
+from deadreckon.tasks.road_paths import Path, Pose, Projection, joined
 from deadreckon.tasks.road_routes import Route
 from deadreckon.tasks.roads import LaneKey
 
@@ -48,8 +48,7 @@ class LaneTable:
     @cached_property
     def path(self) -> Path:
         """Their middles, one piece a lane; they are no way, for pieces do not begin where others end."""
-        rows = np.concatenate([[path.x, path.y, path.heading, path.curvature, path.length] for path in self._paths], axis=1)
-        return Path(rows[0], rows[1], rows[2], rows[3], rows[4])
+        return joined(self._paths)
 
     @property
     def length(self) -> np.ndarray:

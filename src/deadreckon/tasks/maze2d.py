@@ -116,20 +116,11 @@ class MazeSimulator:
 
     def reset(self, which: np.ndarray | None = None, seeds: Sequence[int] | None = None) -> np.ndarray:
         """(which, 4) float32 observations of new episodes; see `Simulator.reset`."""
-        which = np.arange(len(self._state)) if which is None else np.asarray(which)
-        if seeds is not None:
-            self._starts.begin(which, seeds)
+        which, starts = self._starts.begun(which, seeds)
         self._state[which, 0] = 0.0
-        self._moving[which] = [self._starts.next(i) for i in which]
+        self._moving[which] = starts
         self._age[which] = 0
         return self._moving[which].astype(np.float32)
-
-    def set_state(self, state: np.ndarray) -> np.ndarray:
-        """Starts episodes in the given (copies, 4) positions and velocities and gives their observations."""
-        self._state[:, 0] = 0.0
-        self._moving[:] = state
-        self._age[:] = 0
-        return self._moving.astype(np.float32)
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Applies (copies, 2) forces, clipped to ±1; gives observations, rewards, terminals and timeouts."""

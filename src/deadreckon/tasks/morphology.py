@@ -123,13 +123,9 @@ class MorphologySimulator:
 
     def reset(self, which: np.ndarray | None = None, seeds: Sequence[int] | None = None) -> np.ndarray:
         """Starts episodes; see `Simulator.reset`."""
-        which = np.arange(len(self._age)) if which is None else np.asarray(which)
-        if seeds is not None:
-            self._starts.begin(which, seeds)
-        for i in which:
-            drawn = self._starts.next(i)
-            if not self._fixed:
-                self.designs[i] = drawn
+        which, drawn = self._starts.begun(which, seeds)
+        if not self._fixed:
+            self.designs[which] = drawn
         self._map(self._begin, which)
         self._age[which], self._last[which], self._alive[which] = 0, 0.0, True
         return self._observe(which)

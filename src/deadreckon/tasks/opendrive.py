@@ -13,7 +13,7 @@ from typing import Any
 from xml.parsers import expat
 
 from deadreckon.errors import UserError, reading
-from deadreckon.files import replacing
+from deadreckon.files import write_text
 from deadreckon.foreign.door import file_size, read_bytes
 from deadreckon.tasks.opendrive_text import TRAFFIC_LIGHT, to_xodr
 from deadreckon.tasks.road_network import Connection, Controller, Junction, Network, Signal
@@ -73,8 +73,7 @@ def write_xodr(network: Network, path: Path | str) -> None:
     Raises:
         UserError: the file cannot be written.
     """
-    with replacing(path) as temporary:
-        temporary.write_text(to_xodr(network), encoding="utf-8")
+    write_text(path, to_xodr(network))
 
 
 @dataclass

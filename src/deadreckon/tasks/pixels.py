@@ -135,9 +135,9 @@ class PixelSimulator:
         """(copies,) whether goals are reached, where the task knows."""
         return self.base.achieved
 
-    def picture(self, copy: int, size: tuple[int, int], renderer: Any = None, camera: Any = None) -> tuple[Any, np.ndarray]:
+    def picture(self, copy: int, size: tuple[int, int], renderer: Any = None) -> tuple[Any, np.ndarray]:
         """What the task's camera sees of a copy, in any size; see the task's simulator."""
-        return self.base.picture(copy, size, renderer, *(() if camera is None else (camera,)))
+        return self.base.picture(copy, size, renderer)
 
     def renderer(self, size: tuple[int, int], plain: bool = False) -> Any:
         """What draws pictures in any size; see the task's simulator."""

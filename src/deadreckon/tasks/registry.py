@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from deadreckon.data import terminations
-from deadreckon.data.entries import ENTRIES, ORIGINAL
+from deadreckon.data.entries import task_of
 from deadreckon.errors import UserError, unknown
 from deadreckon.imports import trusted
 from deadreckon.tasks import adroit, antmaze, battery, carla_task, control, driving, flow, gym_mujoco, kitchen, maze2d, town
@@ -167,11 +167,8 @@ def _is_world(found: Any) -> bool:
 
 def of_log(name: str) -> Task | None:
     """The task of a log that the catalogue knows, by the log's name; None for others, and for originals of another world."""
-    stem, _, version = name.partition("@")
-    known = ENTRIES.get(stem)
-    if known is None or known.task is None or (known.elsewhere and version == ORIGINAL):
-        return None
-    return task(known.task)
+    known = task_of(name)
+    return None if known is None else task(known)
 
 
 def names() -> list[str]:

@@ -8,6 +8,9 @@ from typing import NamedTuple
 from deadreckon.tasks.road_network import Connection, Controller, Junction, Network, Signal
 from deadreckon.tasks.roads import End, Geometry, Lane, Link, Road, number
 
+BLOCK = 60.0  # m, from the middle of a street to the middle of the next
+JUNCTION = 10.0  # m, from the middle of a junction to its ends, which is the radius of reference lines that turn there
+CORNER = 15.0  # m, the radius of a town's outer corners
 BEFORE, BESIDE = 1.0, 1.0  # m, how far lights stand before the junction and beside the lane
 Street = tuple[tuple[int, int], tuple[int, int]]  # column and row where a street begins, and where it ends
 
@@ -33,7 +36,7 @@ class _Arm(NamedTuple):
 _Way = tuple[_Arm, _Arm]  # in, and out
 
 
-def figure_eight(radius: float = 20.0, lane_width: float = 3.5, speed: float = 13.0) -> Network:
+def figure_eight(radius: float = 20.0, lane_width: float = 3.5) -> Network:
     """Two arcs of three quarters of a circle, joined by two straight streets that cross at a right angle at the origin.
 
     The crossing is a junction, since OpenDRIVE wants one wherever roads meet at grade, and since cars and CARLA's clients learn
@@ -44,7 +47,6 @@ def figure_eight(radius: float = 20.0, lane_width: float = 3.5, speed: float = 1
     Args:
         radius: m, of the reference lines of the arcs.
         lane_width: m, of the two lanes.
-        speed: m/s, the limit.
 
     Raises:
         UserError: an argument is out of range; the radius must be at least three times a lane's width.
@@ -62,47 +64,30 @@ def figure_eight(radius: float = 20.0, lane_width: float = 3.5, speed: float = 1
             Geometry(radius * x, radius * y, heading, 0.75 * math.pi * radius, side / radius),
         )
         lanes = _lanes(lane_width, behind=_meets("end", "end"))
-        roads.append(Road(id, pieces, lanes, Link("junction", junction), Link("road", other, "end"), speed=speed))
+        roads.append(Road(id, pieces, lanes, Link("junction", junction), Link("road", other, "end")))
     arms = [_arm(road, "start") for road in roads]
     ways = [(arm, other) for arm, other in itertools.permutations(arms, 2) if abs(_turn(arm, other)) < 1.0]
-    connecting = _connecting(itertools.count(junction + 1), junction, ways, lane_width, speed)
+    connecting = _connecting(itertools.count(junction + 1), junction, ways, lane_width)
     return Network((*roads, *connecting), (_junction(junction, ways, connecting),))
 
 
-def town(
-    blocks: tuple[int, int] = (2, 3),
-    block: float = 60.0,
-    lane_width: float = 3.5,
-    junction: float = 10.0,
-    corner: float = 15.0,
-    speed: float = 13.0,
-    one_by_one: bool = False,
-) -> Network:
+def town(blocks: tuple[int, int] = (2, 3), lane_width: float = 3.5) -> Network:
     """Streets with one lane each way round all of the blocks of a grid, whose south-western corner is the origin.
 
     Where streets meet is a junction whose ways lead straight on and through arcs to the right and to the left, never back. The
-    four outer corners are arcs. Junctions of four streets have traffic lights: those of streets that run east and west show the
-    same, and those of the others; but see `one_by_one`.
+    four outer corners are arcs. Each street has a traffic light at its junctions, with a controller of its own, as in CARLA's
+    towns: who comes in by one street need not meet who comes in by another.
 
     Args:
         blocks: how many, from west to east and from south to north.
-        block: m, from the middle of a street to the middle of the next.
         lane_width: m.
-        junction: m, from the middle of a junction to its ends, which is the radius of reference lines that turn there.
-        corner: m, the radius of the outer corners.
-        speed: m/s, the limit.
-        one_by_one: whether junctions of three streets have lights too, and each light a controller of its own, as in CARLA's
-            towns: then who comes in by one street need not meet who comes in by another.
 
     Raises:
-        UserError: an argument is out of range, or a street between two junctions or corners is shorter than 5 m.
+        UserError: an argument is out of range.
     """
     for name, count in zip(("columns of blocks", "rows of blocks"), blocks):
         number("town", name, count, 1, 50)
-    number("town", "lane_width", lane_width, 1.0, 10.0)
-    number("town", "junction", junction, 2 * lane_width, 100.0)
-    number("town", "corner", corner, 1.5 * lane_width, 1000.0)
-    number("town", "block", block, 5.0 + 2 * max(junction, corner), 1e4)
+    number("town", "lane_width", lane_width, 1.0, JUNCTION / 2)
     nodes = list(itertools.product(range(blocks[0] + 1), range(blocks[1] + 1)))
     streets: list[Street] = [((i, j), (i + 1, j)) for i, j in nodes if i < blocks[0]]
     streets += [((i, j), (i, j + 1)) for i, j in nodes if j < blocks[1]]
@@ -113,7 +98,7 @@ def town(
         at[end].append((i, "end"))
     ids = itertools.count(len(streets) + 1)
     joint = {node: next(ids) for node in nodes}  # id of the junction or, at a corner, of the road there
-    cut = {node: corner if len(at[node]) == 2 else junction for node in nodes}
+    cut = {node: CORNER if len(at[node]) == 2 else JUNCTION for node in nodes}
     links: dict[tuple[int, End], Link] = {}
     for node, ends in at.items():
         if len(ends) == 2:  # the road round the corner begins at the first street and ends at the second
@@ -123,31 +108,25 @@ def town(
     roads = []
     for i, (start, end) in enumerate(streets):
         east = start[1] == end[1]
-        x, y = block * start[0] + cut[start] * east, block * start[1] + cut[start] * (not east)
-        piece = Geometry(x, y, 0.0 if east else math.pi / 2, block - cut[start] - cut[end])
+        x, y = BLOCK * start[0] + cut[start] * east, BLOCK * start[1] + cut[start] * (not east)
+        piece = Geometry(x, y, 0.0 if east else math.pi / 2, BLOCK - cut[start] - cut[end])
         before, behind = links[i, "start"], links[i, "end"]
         lanes = _lanes(lane_width, _meets("start", before.contact), _meets("end", behind.contact))
-        roads.append(Road(i + 1, (piece,), lanes, before, behind, speed=speed))
-    bends, through, junctions, signals, controllers = [], [], [], [], []
+        roads.append(Road(i + 1, (piece,), lanes, before, behind))
+    bends, through, junctions, signals = [], [], [], []
     for node, ends in at.items():
         arms = [_arm(roads[i], end) for i, end in ends]
         if len(arms) == 2:
-            bends.append(_bend(joint[node], arms[0], arms[1], lane_width, speed))
+            bends.append(_bend(joint[node], arms[0], arms[1], lane_width))
             continue
         ways = list(itertools.permutations(arms, 2))
-        connecting = _connecting(ids, joint[node], ways, lane_width, speed)
-        own: tuple[int, ...] = ()
-        if len(arms) == 4 or one_by_one:
-            lights = [_light(len(signals) + k, roads[arm.road - 1], arm, lane_width) for k, arm in enumerate(arms, 1)]
-            signals += lights
-            alike = list(range(len(arms))) if one_by_one else [abs(math.cos(arm.heading)) < 0.5 for arm in arms]
-            for which in sorted(set(alike)):
-                group = tuple(light.id for light, each in zip(lights, alike) if each == which)
-                controllers.append(Controller(len(controllers) + 1, group))
-            own = tuple(each.id for each in controllers[-len(set(alike)) :])
+        connecting = _connecting(ids, joint[node], ways, lane_width)
+        lights = [_light(len(signals) + k, roads[arm.road - 1], arm, lane_width) for k, arm in enumerate(arms, 1)]
+        signals += lights
         through += connecting
-        junctions.append(_junction(joint[node], ways, connecting, own))
-    return Network((*roads, *bends, *through), tuple(junctions), tuple(signals), tuple(controllers))
+        junctions.append(_junction(joint[node], ways, connecting, tuple(light.id for light in lights)))
+    controllers = tuple(Controller(light.id, (light.id,)) for light in signals)
+    return Network((*roads, *bends, *through), tuple(junctions), tuple(signals), controllers)
 
 
 def _lanes(width: float, before: tuple[int, int] | None = None, behind: tuple[int, int] | None = None) -> tuple[Lane, Lane]:
@@ -182,19 +161,19 @@ def _curve(arm: _Arm, other: _Arm) -> Geometry:
     return Geometry(arm.x, arm.y, arm.heading, radius * abs(turn), math.copysign(1.0 / radius, turn))
 
 
-def _bend(id: int, arm: _Arm, other: _Arm, width: float, speed: float) -> Road:
+def _bend(id: int, arm: _Arm, other: _Arm, width: float) -> Road:
     """The road round a corner, between two others."""
     before, behind = Link("road", arm.road, arm.end), Link("road", other.road, other.end)
     lanes = _lanes(width, _meets("start", arm.end), _meets("end", other.end))
-    return Road(id, (_curve(arm, other),), lanes, before, behind, speed=speed)
+    return Road(id, (_curve(arm, other),), lanes, before, behind)
 
 
-def _connecting(ids: Iterator[int], junction: int, ways: list[_Way], width: float, speed: float) -> list[Road]:
+def _connecting(ids: Iterator[int], junction: int, ways: list[_Way], width: float) -> list[Road]:
     """The roads through a junction, one for each way, with a lane on the right of the line."""
     return [
         Road(
             next(ids), (_curve(arm, other),), (Lane(-1, width, _leaves(arm), -_leaves(other)),),
-            Link("road", arm.road, arm.end), Link("road", other.road, other.end), junction, speed,
+            Link("road", arm.road, arm.end), Link("road", other.road, other.end), junction,
         )
         for arm, other in ways
     ]  # fmt: skip

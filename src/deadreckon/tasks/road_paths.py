@@ -196,7 +196,8 @@ class Path:
 
 
 def joined(paths: Sequence[Path], closed: bool = False) -> Path:
-    """One path of several, at least one, each of which begins where the one before ends.
+    """One path of the pieces of several, at least one, in their order; whether each begins where the one before ends is not
+    checked.
 
     Args:
         paths: in the order of travel.

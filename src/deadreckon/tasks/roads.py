@@ -178,22 +178,6 @@ class Road:
         inside = sum(each.width for each in self.lanes if each.id * lane > 0 and abs(each.id) < abs(lane))
         return float(np.sign(lane)) * (inside + width / 2)
 
-    def lane_pose(self, lane: int, s: np.ndarray | float, offset: np.ndarray | float = 0.0) -> Pose:
-        """Poses (...) in the direction in which a lane is driven; raises as `lane`.
-
-        Args:
-            lane: its id.
-            s: (...) m along the road's reference line, not along the lane.
-            offset: (...) m from the middle of the lane, to the left of who drives.
-
-        Returns:
-            The curvature is that of the middle of the lane.
-        """
-        middle, way = self.lane_offset(lane), -1.0 if lane > 0 else 1.0
-        pose = self.pose(s, middle + way * np.asarray(offset))
-        curvature = way * pose.curvature / (1.0 - pose.curvature * middle)
-        return pose._replace(heading=pose.heading + (np.pi if lane > 0 else 0.0), curvature=curvature)
-
     def lane_path(self, lane: int) -> Path:
         """The middle of a lane, in the direction in which it is driven; raises as `lane`."""
         return self._paths[self.lane(lane).id]

@@ -97,6 +97,13 @@ class Starts:
             self.seeds[i], self.drawn[i] = seed, 0
             self._generators[i] = self._generator(int(seed))
 
+    def begun(self, which: np.ndarray | None, seeds: Sequence[int] | None) -> tuple[np.ndarray, list[np.ndarray]]:
+        """The copies (indices) in which `Simulator.reset` with these arguments starts episodes, and the start of each."""
+        which = np.arange(len(self.seeds)) if which is None else np.asarray(which)
+        if seeds is not None:
+            self.begin(which, seeds)
+        return which, [self.next(copy) for copy in which]
+
     def next(self, copy: int | np.integer) -> np.ndarray:
         """The copy's next start."""
         self.drawn[copy] += 1

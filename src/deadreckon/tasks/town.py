@@ -73,7 +73,7 @@ class TownDriving(Task):
     @cached_property
     def table(self) -> LaneTable:
         """The lanes of the town."""
-        return LaneTable(town(self.blocks, lane_width=self.width, one_by_one=True))
+        return LaneTable(town(self.blocks, self.width))
 
     @cached_property
     def slots(self) -> tuple[np.ndarray, np.ndarray]:
@@ -118,11 +118,11 @@ class TownSimulator:
         turns = generator.uniform(size=ROUTE - 1 + CARS * TURNS)
         return np.concatenate([places, shifts, cruise, clock, turns])
 
-    def _place(self, copy: int) -> None:
-        """Begins the copy's next episode."""
+    def _place(self, copy: int, start: np.ndarray) -> None:
+        """Begins an episode of the copy; see `_start`."""
         table, (lanes, along) = self.task.table, self.task.slots
         parts = np.cumsum([CARS + 1, CARS + 1, CARS, self.clock.shape[1], ROUTE - 1])
-        places, shifts, cruise, clock, route, turns = np.split(self._starts.next(copy), parts)
+        places, shifts, cruise, clock, route, turns = np.split(start, parts)
         where = places.astype(int)
         lanes, along = lanes[where], along[where] + shifts
         self.traffic.place(copy, lanes[1:], along[1:], cruise, turns.reshape(CARS, TURNS))
@@ -135,11 +135,9 @@ class TownSimulator:
 
     def reset(self, which: np.ndarray | None = None, seeds: Sequence[int] | None = None) -> np.ndarray:
         """See `Simulator.reset`. All cars stand still at first, on the middles of their lanes."""
-        which = np.arange(len(self.cars)) if which is None else np.asarray(which)
-        if seeds is not None:
-            self._starts.begin(which, seeds)
-        for copy in which:
-            self._place(int(copy))
+        which, starts = self._starts.begun(which, seeds)
+        for copy, start in zip(which.tolist(), starts):
+            self._place(copy, start)
         return self._observe()[which]
 
     def step(self, actions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -246,14 +246,14 @@ _divergences = solve.exactly(divergences)
 _expected_error = solve.exactly(expected_error, static=("steps",))
 
 
-def model_error(world: MDP, model: MDP, policy: np.ndarray | None = None, steps: int = STEPS) -> float:
-    """eps_m: the greatest expected total variation of the next state at any of the first `steps` steps of a policy.
+def model_error(world: MDP, model: MDP, policy: np.ndarray | None = None) -> float:
+    """eps_m: the greatest expected total variation of the next state at any of the first `STEPS` steps of a policy.
 
     Without a policy, that of the worst state and action, which no policy exceeds.
     """
     if policy is None:
         return float(_divergences(world.transitions, model.transitions).max())
-    return float(_expected_error(world.transitions, model.transitions, world.initial, policy, steps=steps))
+    return float(_expected_error(world.transitions, model.transitions, world.initial, policy, steps=STEPS))
 
 
 def tight(model: float, policy: float, *, under: str = "old") -> tuple[MDP, np.ndarray, MDP, np.ndarray]:

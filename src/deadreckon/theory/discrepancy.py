@@ -143,11 +143,11 @@ DRAWS = np.array([1, 2, 3, 4, 5, 7, 10, 14, 20, 30, 50])
 
 
 def figure(
-    alphas: tuple[float, ...] = (1.0, 1.5, 2.0, 3.0), variance: float = 20.0, std: float = 1.0, draws: np.ndarray = DRAWS,
+    alphas: tuple[float, ...] = (1.0, 1.5, 2.0, 3.0), variance: float = 20.0, draws: np.ndarray = DRAWS,
     sets: int = 1000, seed: int = 0,
 ) -> list[Curve]:  # fmt: skip
     """Figure A.1 with BEAR's Gaussian kernel: sampled by `nets.mmd`, and exact."""
-    rng, p, kernel = np.random.default_rng(seed), Normal(std=std), gaussian(variance)
+    rng, p, kernel = np.random.default_rng(seed), Normal(), gaussian(variance)
     sampled = jax.jit(lambda x, y: mmd(x, y, "gaussian", variance))
 
     def quartiles(q: Distribution, n: int) -> np.ndarray:
@@ -156,7 +156,7 @@ def figure(
 
     curves = []
     for alpha in alphas:
-        u = Uniform(half=alpha * std)
+        u = Uniform(half=alpha)
         own, other = (np.sqrt(expected_mmd2(p, q, kernel, draws) + FLOOR) for q in (p, u))
         own_drawn, other_drawn = (np.stack([quartiles(q, int(n)) for n in draws]) for q in (p, u))
         curves.append(Curve(alpha, draws, own_drawn, other_drawn, own, other, preferred_below(p, u, kernel)))

@@ -76,12 +76,13 @@ class Stitching:
 _MOVES = {"u": (0, -1, 0), "r": (1, 0, 1), "d": (0, 1, 2), "l": (-1, 0, 3)}  # to dx, dy, action
 
 
-def stitching(size: int = 7, discount: float = 0.9) -> Stitching:
+def stitching() -> Stitching:
     """Figure 7.1 on a grid: one trajectory comes from A through B, another goes through B to C, which alone pays.
 
     No trajectory leads from A to C: whoever looks at whole trajectories that begin at A finds nothing there. Backups on the log
     do, without an action that the log lacks.
     """
+    size, discount = 7, 0.9
     cell = lambda x, y: x + size * y  # noqa: E731
     half = size // 2
     walks = [((0, size - 1), "r" * half + "u" * half + "u" * half), ((0, 0), "d" * half + "r" * half + "r" * half)]

@@ -275,13 +275,14 @@ class Fit:
             path.unlink(missing_ok=True)
 
 
-def complete(job: Fit, what: str, on_chunk: Callable[[Chunk], None]) -> None:
+def complete(job: Fit, what: str, on_chunk: Callable[[Chunk], None], advice: str = "; a lower learning rate may help") -> None:
     """Runs a fit to its end, from its checkpoints if it has any.
 
     Args:
         job: a fit that has not begun.
         what: name of the fit, for the error.
         on_chunk: called after every chunk.
+        advice: how the error ends; empty where nobody sets the learning rate.
 
     Raises:
         UserError: all its checkpoints are damaged.
@@ -294,7 +295,7 @@ def complete(job: Fit, what: str, on_chunk: Callable[[Chunk], None]) -> None:
         if failure is not None:
             whose = f" with seed {seed}" if len(job.seeds) > 1 else ""
             bad = f"{what}: {failure.metric} was not finite at update {failure.step}{whose}"
-            raise DivergedError(f"{bad}; a lower learning rate may help")
+            raise DivergedError(f"{bad}{advice}")
 
 
 def fit(

@@ -6,10 +6,10 @@ import sys
 
 import duckdb
 import pytest
+from any_file import read_table
 
 from deadreckon.cli.main import main
 from deadreckon.data.formats import io
-from deadreckon.data.formats.any_table import read_table
 from deadreckon.data.formats.io import convert, read
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError

@@ -5,6 +5,7 @@ import random
 
 import pyarrow as pa
 import pytest
+from any_file import read_table
 from dialect_files import READ
 
 from deadreckon.cli.main import main
@@ -12,7 +13,6 @@ from deadreckon.cli.train import columns_of
 from deadreckon.data import catalogue
 from deadreckon.data.describe import describe_table
 from deadreckon.data.formats import io
-from deadreckon.data.formats.any_table import read_table
 from deadreckon.data.formats.cells import flags_of
 from deadreckon.data.formats.dialect import Dialect, encoding_of, sniff
 from deadreckon.data.formats.io import convert, read

@@ -2,11 +2,11 @@ import datetime
 import sys
 
 import pytest
+from any_file import read_table
 from small_sheets import write_ods, write_xlsx
 
 from deadreckon.cli.main import main
 from deadreckon.data.formats import io
-from deadreckon.data.formats.any_table import read_table
 from deadreckon.data.formats.excel import letters_of
 from deadreckon.data.formats.io import convert, read
 from deadreckon.errors import UserError

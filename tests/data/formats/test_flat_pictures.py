@@ -1,5 +1,7 @@
 """D4RL's pictures of CARLA's cameras, which its files keep as rows of 6,912 numbers, are pictures again."""
 
+import dataclasses
+
 import h5py
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from deadreckon.bench.published import reference
 from deadreckon.cli.main import main
 from deadreckon.data.catalogue import cached_path, entry, load
 from deadreckon.data.download import get
+from deadreckon.data.environments import environment_of
 from deadreckon.data.formats.flat_pictures import CARLA_FILES, SHAPES, pictures
 from deadreckon.data.formats.io import convert, read
 from deadreckon.errors import UserError
@@ -90,6 +93,14 @@ def test_mapped_and_converted(tmp_path):
 def test_info_tells_of_pictures(tmp_path, capsys):
     assert main(["data", "info", str(d4rl_file(tmp_path / "carla-lane-v0.hdf5", flat(np.float32, 255)))]) == 0
     assert "(48, 48, 3) uint8" in capsys.readouterr().out
+
+
+def test_the_original_is_not_of_our_environment():
+    log = dr.Dataset.from_arrays(
+        observations=DRAWN, actions=np.zeros((ROWS, 2)), rewards=np.zeros(ROWS), name="carla-lane-v0@d4rl",
+    )  # fmt: skip
+    assert environment_of(log) is None
+    assert environment_of(dataclasses.replace(log, name="carla-lane-v0@dr1")).spec.count("deadreckon/CarlaLane-v0")
 
 
 def test_the_catalogue(monkeypatch, tmp_path, capsys):

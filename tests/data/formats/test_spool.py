@@ -3,11 +3,11 @@
 import numpy as np
 import pyarrow as pa
 import pytest
+from any_file import read_table
 from dialect_files import READ
 
 from deadreckon.data.formats import delimited, stream
-from deadreckon.data.formats.any_table import read_table
-from deadreckon.data.formats.build import columns_of
+from deadreckon.data.formats.build import arrays_of
 from deadreckon.data.formats.delimited import read_delimited
 from deadreckon.data.formats.dialect import Dialect
 from deadreckon.data.formats.folder import read_folder
@@ -122,8 +122,8 @@ def test_large_text_files_become_the_log_in_memory(tmp_path, monkeypatch):
     assert rows[-1] == 400
     assert len(rows) > 5
     streamed = read_folder(tmp_path / "log")
-    for key, column in columns_of(whole).items():
-        np.testing.assert_array_equal(columns_of(streamed)[key], column, key)
+    for key, column in arrays_of(whole).items():
+        np.testing.assert_array_equal(arrays_of(streamed)[key], column, key)
     assert streamed.provenance.extra == whole.provenance.extra
     assert read_table(source)[0].num_rows == 400
     source.write_text(german() + "1;2\n")

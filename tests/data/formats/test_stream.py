@@ -14,7 +14,7 @@ from pyarrow import feather, parquet
 from deadreckon.cli.main import main
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats import stream
-from deadreckon.data.formats.build import columns_of
+from deadreckon.data.formats.build import arrays_of
 from deadreckon.data.formats.folder import read_folder
 from deadreckon.data.formats.io import convert, read
 from deadreckon.data.frame import _order
@@ -51,9 +51,9 @@ ASKED: dict[str, dict[str, Any]] = {
 
 
 def same(streamed: Dataset, whole: Dataset) -> None:
-    assert columns_of(streamed).keys() == columns_of(whole).keys()
-    for key, column in columns_of(whole).items():
-        found = columns_of(streamed)[key]
+    assert arrays_of(streamed).keys() == arrays_of(whole).keys()
+    for key, column in arrays_of(whole).items():
+        found = arrays_of(streamed)[key]
         assert found.dtype == column.dtype, key
         np.testing.assert_array_equal(found, column, key)
     assert streamed.action_space == whole.action_space

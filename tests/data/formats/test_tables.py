@@ -12,7 +12,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.io import convert, read
 from deadreckon.data.formats.npz import read_npz, write_npz
 from deadreckon.data.formats.spread import to_table
-from deadreckon.data.formats.tables import read_tabular, write_csv, write_parquet
+from deadreckon.data.formats.tables import write_csv, write_parquet
 from deadreckon.errors import UserError
 
 
@@ -42,18 +42,18 @@ def test_a_column_that_would_be_another_in_a_table_is_refused(extra, tmp_path):
 def test_a_number_behind_a_name_of_ours_is_ambiguous(tmp_path):
     (tmp_path / "a.csv").write_text("observation_0,action,reward,reward_1\n0.5,0.1,1,99\n0.6,0.2,2,98\n")
     with pytest.raises(UserError, match="there are columns reward and reward_1"):
-        read_tabular(tmp_path / "a.csv")
+        read(tmp_path / "a.csv")
     (tmp_path / "b.csv").write_text("observation_0,action,reward,goal,goal_1\n0.5,0.1,1,99,3\n0.6,0.2,2,98,4\n")
-    log = read_tabular(tmp_path / "b.csv")
+    log = read(tmp_path / "b.csv")
     assert (log.extras["goal"].tolist(), log.extras["goal_1"].tolist()) == ([99, 98], [3, 4])
 
 
 def test_an_empty_text_is_missing_in_csv_as_in_parquet(tmp_path):
     (tmp_path / "a.csv").write_text("x,arm,r\n1,l,0\n2,,1\n3,r,1\n")
     with pytest.raises(UserError, match="column arm is empty in row 1"):
-        read_tabular(tmp_path / "a.csv", action="arm", reward="r")
+        read(tmp_path / "a.csv", action="arm", reward="r")
     (tmp_path / "b.csv").write_text("site,arm,r\na,l,0\n,l,1\nb,r,1\n")
-    log = read_tabular(tmp_path / "b.csv", action="arm", reward="r")
+    log = read(tmp_path / "b.csv", action="arm", reward="r")
     assert log.provenance.extra["observation_names"] == ["site=a", "site=b", "site_missing"]
     assert any("missing values in 1 of 3 rows" in text for text in log.warnings)
 
@@ -172,7 +172,7 @@ def test_a_table_with_next_observations(tmp_path):
 
 
 def test_damaged_files(log, tmp_path):
-    for write, reader, name in ((write_parquet, read_tabular, "log.parquet"), (write_npz, read_npz, "log.npz")):
+    for write, reader, name in ((write_parquet, read, "log.parquet"), (write_npz, read_npz, "log.npz")):
         path = tmp_path / name
         write(log, path)
         path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
@@ -186,7 +186,7 @@ def test_damaged_files(log, tmp_path):
     with pytest.raises(UserError, match="no column rewards"):
         read_npz(tmp_path / "less.npz")
     with pytest.raises(UserError, match="no file .*nothing.csv"):
-        read_tabular(tmp_path / "nothing.csv")
+        read(tmp_path / "nothing.csv")
 
 
 @pytest.mark.parametrize(

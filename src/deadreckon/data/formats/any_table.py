@@ -16,30 +16,25 @@ from deadreckon.errors import UserError
 from deadreckon.foreign.parquet import read_parquet
 
 
-def read_table(
-    path: Path | str,
-    *,
-    separator: str | None = None,
-    decimal: str | None = None,
-    thousands: str | None = None,
-    encoding: str | None = None,
-    dates: str | None = None,
-    sheet: str | int | None = None,
-    query: str | None = None,
-    table: str | None = None,
+def table_of_kind(
+    path: Path | str, kind: str, ways: Mapping[str, Any], known: Known = NOTHING
 ) -> tuple[pa.Table, Dialect | None, list[str]]:
-    """Reads a table from a file, whose format is detected from its content, like the options that are None.
+    """Reads a table from a file.
 
     Args:
         path: of the file.
-        separator: of the columns of a text file: one character, or `comma`, `semicolon`, `tab`, `pipe`, `space`.
-        decimal: decimal separator of a text file: a point or a comma.
-        thousands: thousands separator of a text file: `none`, a point, a comma, a space or an apostrophe.
-        encoding: of a text file: a name that Python knows, such as utf-8, utf-16, latin-1.
-        dates: how texts of dates are read: `iso`, `day-first` or `month-first`.
-        sheet: of a spreadsheet: its name, or its number counted from 1.
-        query: of a database: one SELECT.
-        table: of a database: its name.
+        kind: its format, as returned by `kind.sniff`.
+        ways: the options of the reader; what is absent or None is detected from the content:
+
+            - separator: of the columns of a text file: one character, or `comma`, `semicolon`, `tab`, `pipe`, `space`.
+            - decimal: decimal separator of a text file: a point or a comma.
+            - thousands: thousands separator of a text file: `none`, a point, a comma, a space or an apostrophe.
+            - encoding: of a text file: a name that Python knows, such as utf-8, utf-16, latin-1.
+            - dates: how texts of dates are read: `iso`, `day-first` or `month-first`.
+            - sheet: of a spreadsheet: its name, or its number counted from 1.
+            - query: of a database: one SELECT.
+            - table: of a database: its name.
+        known: the types of some columns, regardless of what their cells look like.
 
     Returns:
         The table; the dialect of a text file, for other formats only with the order of dates, or None if there are no such
@@ -47,24 +42,6 @@ def read_table(
 
     Raises:
         UserError: one line with the file; the file is no table, is damaged, or does not have the option.
-    """
-    ways = {
-        "separator": separator, "decimal": decimal, "thousands": thousands, "encoding": encoding, "dates": dates,
-        "sheet": sheet, "query": query, "table": table,
-    }  # fmt: skip
-    return table_of_kind(path, sniff(path, separator), ways)
-
-
-def table_of_kind(
-    path: Path | str, kind: str, ways: Mapping[str, Any], known: Known = NOTHING
-) -> tuple[pa.Table, Dialect | None, list[str]]:
-    """See `read_table`.
-
-    Args:
-        path: of the file.
-        kind: its format, as returned by `kind.sniff`.
-        ways: {keyword of `read_table`: its value}; absent ones are detected.
-        known: the types of some columns, regardless of what their cells look like.
     """
     no_options(path, kind, dict(ways))
     separator, decimal, thousands, encoding, dates, sheet, query, table = map(ways.get, READING)
@@ -110,13 +87,13 @@ def read_rows(
         path: of the file, in any format of tables.
         schema: of the log, resolved.
         plain: a dict with columns as keys, whose values are set to these columns before conversion (texts for a text file).
-        **ways: options of `read_table`. Those that are not given are taken from the schema, or else detected.
+        **ways: options of `table_of_kind`. Those that are not given are taken from the schema, or else detected.
 
     Returns:
         The table, and messages, one line for each assumption that may be wrong.
 
     Raises:
-        UserError: see `read_table`.
+        UserError: see `table_of_kind`.
     """
     used = schema.having("observation", "action", "legal")
     texts = {each.name for each in used if each.kind == "category" and (each.levels is None or any(map(is_word, each.levels)))}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from deadreckon.data.checks import SLACK
-from deadreckon.data.columns import LOG_PROBS, METADATA, d4rl_metadata, d4rl_name, extra_name
+from deadreckon.data.columns import LOG_PROBS, METADATA, NEEDED, d4rl_metadata, d4rl_name, extra_name
 from deadreckon.data.formats.flatten import join_arrays
 from deadreckon.data.formats.layout_ends import MEANINGS, ends, in_episodes
 from deadreckon.data.formats.layout_rows import Parts
@@ -22,7 +22,6 @@ ENDS = {"terminals", "timeouts", "terminated", "truncated", "terminateds", "trun
         "dones", "masks"}  # fmt: skip
 _FLAGS = ("terminated", "truncated", "done", "alive", "discount")
 _CORE = ("observations", "next_observations")
-_NEEDED = ("observations", "actions", "rewards")
 
 
 @dataclass(frozen=True)
@@ -126,7 +125,7 @@ def _plain(columns: Mapping[str, Any], done: str | None) -> tuple[dict[str, Any]
 def _read(layout: Layout, parts: Parts, done: str | None) -> Arranged:
     lines = [told(layout)]
     _same_rows(layout, parts)
-    for key in _NEEDED:
+    for key in NEEDED:
         named = [name for name, role in layout.names.items() if role == key]
         if (other := next((name for name in named if name in parts.other), None)) and not parts.arrays.keys() & {*named}:
             raise UserError(f"column {other} is no array of numbers in which every row has the same shape")
@@ -137,7 +136,7 @@ def _read(layout: Layout, parts: Parts, done: str | None) -> Arranged:
     if parts.names is not None:
         extra["observation_names"] = parts.names
     roles, names, further = _roles(layout, parts, extra)
-    for key in _NEEDED:
+    for key in NEEDED:
         if key not in roles:
             found = ", ".join(sorted(parts.arrays.keys() - {"cut"}))
             raise UserError(f"no {key} among the columns {found} of {layout.library}'s layout")

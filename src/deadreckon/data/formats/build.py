@@ -14,6 +14,7 @@ from deadreckon.data.provenance import Provenance
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 
+ENDINGS = (".gz", ".hdf5", ".h5", ".npz", ".pickle", ".pkl", ".json", ".vw")  # of logs that are no tables
 TABLE_ENDINGS = (".parquet", ".csv", ".tsv", ".xlsx", ".xls", ".ods", ".sqlite", ".sqlite3", ".duckdb", ".db")
 
 
@@ -101,7 +102,7 @@ def _cut(path: Path | str, columns: Mapping[str, Any], horizon: int) -> np.ndarr
 def stem(path: Path | str) -> str:
     """The name of a log by that of its file: without folders and without the endings of formats."""
     name = Path(path).name
-    for ending in (".gz", ".hdf5", ".h5", ".npz", ".pickle", ".pkl", ".json", ".vw", *TABLE_ENDINGS):
+    for ending in (*ENDINGS, *TABLE_ENDINGS):
         name = name.removesuffix(ending)
     return name or "log"
 
@@ -111,7 +112,7 @@ def refuse_mmap(path: Path | str, why: str) -> UserError:
     return UserError(f"{path}: {why}, so it cannot be memory-mapped: `deadreckon data convert {path} OUT.hdf5` first")
 
 
-def columns_of(log: Dataset) -> dict[str, np.ndarray]:
+def arrays_of(log: Dataset) -> dict[str, np.ndarray]:
     """The columns that make up `log`, by `from_arrays` names: (rows, ...) each, `final_*` (episodes, ...)."""
     columns = {key: getattr(log, key) for key in COLUMNS if key != "next_observations"}
     if log.successors is not None:

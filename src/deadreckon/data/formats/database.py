@@ -20,6 +20,7 @@ from deadreckon.data.formats.values import column_of
 from deadreckon.errors import UserError, as_one_line, extra, reading, unknown
 from deadreckon.foreign.door import file_size
 from deadreckon.foreign.limits import RATE, SECONDS, UNPACKED, beyond, max_unpacked
+from deadreckon.names import repeated
 
 _BATCH = 10_000  # rows that are fetched at once
 _STEPS = 100_000  # instructions of SQLite's virtual machine between two checks of the time
@@ -55,13 +56,11 @@ def read_database(
     seconds, most = SECONDS.value + size / RATE, max_unpacked(size)
     with reading(path, f"a database of {'SQLite' if kind == 'sqlite' else 'DuckDB'}"):
         found, told = (_sqlite if kind == "sqlite" else _duckdb)(path, query, table, seconds, most)
-    seen: set[str] = set()
     for index, name in enumerate(found.column_names):
         if not name.strip():
             raise UserError(f"{path}: column {index + 1} of the query has no name; give it one with AS")
-        if name in seen:
-            raise UserError(f"{path}: the query gives two columns called {name!r}; rename one with AS")
-        seen.add(name)
+    if twice := repeated(found.column_names):
+        raise UserError(f"{path}: the query gives two columns called {twice[0]!r}; rename one with AS")
     return found, told
 
 

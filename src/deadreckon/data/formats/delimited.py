@@ -70,12 +70,12 @@ def _read(
     source.seek(0)
     table = with_words(_parsed(path, source, dialect, spool, known), source, _options(dialect), spool, known)
     told += _of_zeros(source, table, dialect, spool) + _of_large(source, table, dialect)
-    told += _of_names(path, table.column_names)
+    told += _of_names(table.column_names)
     table = _named(path, table)
     table, lines = _decoded(path, table, dialect, known=asked.encoding is not None or not head.isascii())
     told += lines
     dialect = replace(dialect, encoding=None) if lines else dialect  # it has two encodings
-    table, lines = _without_empty(path, table)
+    table, lines = _without_empty(table)
     told += lines
     told += _of_quotes(path, table, dialect)
     if not table.num_rows:
@@ -227,7 +227,7 @@ def _may_have_zeros(source: BinaryIO, dialect: Dialect) -> bool:
     return False
 
 
-def _of_names(path: Path | str, names: list[str]) -> list[str]:
+def _of_names(names: list[str]) -> list[str]:
     shown = [name for name in names if name != _clean(name)]
     return [f"blanks around or within names of columns are taken out, such as of {shown[0]!r}"] if shown else []
 
@@ -285,7 +285,7 @@ def _decoded(path: Path | str, table: pa.Table, dialect: Dialect, known: bool) -
     return table, told
 
 
-def _without_empty(path: Path | str, table: pa.Table) -> tuple[pa.Table, list[str]]:
+def _without_empty(table: pa.Table) -> tuple[pa.Table, list[str]]:
     """The table without rows of empty cells at its end, which spreadsheets leave there."""
     rows = table.num_rows
     # Only texts are looked at: values of other types, such as times in nanoseconds, need further packages in Python.

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from deadreckon.data.formats.values import column_of
+from deadreckon.data.formats.values import as_text, column_of
 from deadreckon.errors import UserError, extra, reading, unknown
 from deadreckon.foreign.child import read_apart
 from deadreckon.foreign.door import file_size
@@ -122,7 +122,7 @@ def _table(path: Path | str, rows: list[tuple[int, list[Any]]]) -> tuple[pa.Tabl
     told: list[str] = []
     for index, raw in enumerate(names):
         letters = letters_of(index)
-        name = " ".join(_name(raw).split())
+        name = " ".join(as_text(raw).split())
         values = [row[index] for _, row in body]
         if not name:
             filled = next((line for line, row in body if row[index] != ""), None)
@@ -139,10 +139,6 @@ def _table(path: Path | str, rows: list[tuple[int, list[Any]]]) -> tuple[pa.Tabl
 
 def _where(letters: str, lines: list[int]) -> Callable[[int], str]:
     return lambda row: f"cell {letters}{lines[row]}"
-
-
-def _name(value: Any) -> str:
-    return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
 
 
 def letters_of(column: int) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 
-MOST_ACTIONS = 10_000  # largest number of combinations of joined actions
+MOST_JOINED = 10_000  # largest number of combinations of joined actions
 MOST_NUMBERS = 100_000  # largest number of dimensions of a flattened observation
 
 
@@ -94,9 +94,9 @@ def join_actions(space: Any, values: np.ndarray) -> tuple[np.ndarray, Discrete, 
     counts = np.ravel(getattr(space, "nvec", np.full(space.shape, 2)))
     starts = np.ravel(getattr(space, "start", np.zeros(space.shape, int)))
     combinations = math.prod(counts.tolist())
-    if combinations > MOST_ACTIONS:
+    if combinations > MOST_JOINED:
         kind = f"actions are {type(space).__name__} with {combinations:,} combinations"
-        raise UserError(f"{kind}; at most {MOST_ACTIONS:,} are joined into one discrete action")
+        raise UserError(f"{kind}; at most {MOST_JOINED:,} are joined into one discrete action")
     flat = np.asarray(values).reshape(len(values), -1)
     index = flat.astype(np.int64) - starts
     wrong = ((index < 0) | (index >= counts) | (flat != np.floor(flat))).any(1)

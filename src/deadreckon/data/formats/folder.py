@@ -8,7 +8,7 @@ from typing import IO, Any
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.formats.build import build, columns_of
+from deadreckon.data.formats.build import arrays_of, build
 from deadreckon.data.formats.header import Header, damaged
 from deadreckon.errors import UserError, cannot_write
 from deadreckon.files import drop_empty, is_there, missing_folders
@@ -36,7 +36,7 @@ def write_folder(log: Dataset, path: Path | str, *, force: bool = False) -> None
     recover(path)
     if path.exists() and not force:
         raise UserError(f"{path} exists already")
-    columns = columns_of(log)
+    columns = arrays_of(log)
     for key in columns:  # names are from the author of the log
         safe_name(key, f"{path}: column")
     made = missing_folders(path)

@@ -15,12 +15,13 @@ import numpy as np
 from deadreckon.data.columns import COLUMNS
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.arrange import arranged
-from deadreckon.data.formats.build import build, columns_of, refuse_mmap, stem
+from deadreckon.data.formats.build import arrays_of, build, refuse_mmap, stem
 from deadreckon.data.formats.flat_pictures import PICTURES, SHAPES, as_pictures
-from deadreckon.data.formats.hdf5_inside import BLOCK, HEADER
+from deadreckon.data.formats.hdf5_inside import HEADER
 from deadreckon.data.formats.header import Header
 from deadreckon.data.formats.layouts import layout_of, told
 from deadreckon.data.provenance import Provenance
+from deadreckon.data.scratch import BLOCK
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 from deadreckon.files import replacing, reserve
@@ -114,7 +115,7 @@ def write_hdf5(log: Dataset, path: Path | str, compress: bool = False) -> None:
     Raises:
         UserError: a column's name would be a path in the file, or the file cannot be written.
     """
-    columns = columns_of(log)
+    columns = arrays_of(log)
     finals = columns.pop("final_observations"), columns.pop("final_known")
     shapes = {key: (column.shape[1:], column.dtype) for key, column in columns.items()}
     with create(path, rows=len(log), columns=shapes, header=Header.of(log), episodes=log.episodes, compress=compress) as writer:

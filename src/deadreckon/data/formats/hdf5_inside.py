@@ -10,6 +10,7 @@ from h5py import h5o
 
 from deadreckon.data.columns import COLUMNS, METADATA, NEEDED, d4rl_metadata, d4rl_name, extra_name
 from deadreckon.data.formats.layouts import layout_of
+from deadreckon.data.scratch import BLOCK
 from deadreckon.errors import UserError, naming, reading
 from deadreckon.files import digest
 from deadreckon.foreign.door import file_size
@@ -18,7 +19,6 @@ from deadreckon.foreign.parcel import Placed, Shared
 from deadreckon.foreign.reader import alive
 
 HEADER = "deadreckon"  # attribute that holds the header as JSON
-BLOCK = 262_144  # rows copied at a time
 _NUMBERS = "fiub"
 _WIDEST = 1 << 26  # largest number of bytes copied at a time
 
@@ -43,7 +43,7 @@ def contents(file: str, mmap: bool, scratch: str | None, shared: Shared) -> dict
     path = Path(file)
     size = file_size(path)
     with reading(path, "hdf5"), h5py.File(path, "r") as opened:
-        leaves = dict(columns_of(path, opened))
+        leaves = dict(datasets_of(path, opened))
         header = str(opened.attrs[HEADER]) if HEADER in opened.attrs else None
         if header is None and "episode_0" in opened:
             raise UserError(f"{path}: the inside of a Minari data set; give its folder, which holds metadata.json")
@@ -173,7 +173,7 @@ def _blocks(dataset: h5py.Dataset) -> Iterator[tuple[int, int]]:
         yield start, min(start + step, len(dataset))
 
 
-def columns_of(path: Path, file: h5py.File) -> Iterator[tuple[str, h5py.Dataset]]:
+def datasets_of(path: Path, file: h5py.File) -> Iterator[tuple[str, h5py.Dataset]]:
     """(path, column) of all columns, in the order of their names, after all links have been checked.
 
     Raises:
@@ -190,7 +190,7 @@ def columns_of(path: Path, file: h5py.File) -> Iterator[tuple[str, h5py.Dataset]
 
 
 def _check_links(path: Path, file: h5py.File) -> None:
-    """Refuses a file with a link to another one; raises as `columns_of`."""
+    """Refuses a file with a link to another one; raises as `datasets_of`."""
     for name, group in _objects(path, file):
         if isinstance(group.get(name.rpartition("/")[2], getlink=True), h5py.ExternalLink):
             how = "give a file that holds its columns itself"

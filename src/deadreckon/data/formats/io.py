@@ -49,7 +49,7 @@ def read(
         horizon: steps after which an episode is cut by a timeout, for files that do not mark their time limits.
         **mapping: for tables, the roles of columns: see `Dataset.from_frame`; and options of the reader, if they are not
             detected correctly: `separator`, `decimal`, `thousands`, `encoding`, `dates` (CSV), `sheet` (spreadsheets), `query`,
-            `table` (databases): see `read_table`.
+            `table` (databases): see `formats.any_table.table_of_kind`.
 
     Raises:
         UserError: one line with the file, and column and row where they apply.

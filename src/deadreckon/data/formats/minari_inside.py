@@ -9,7 +9,7 @@ import numpy as np
 
 from deadreckon.data.columns import extra_name
 from deadreckon.data.formats.flatten import bounds, flatten_space, join_actions
-from deadreckon.data.formats.hdf5_inside import columns_of
+from deadreckon.data.formats.hdf5_inside import datasets_of
 from deadreckon.data.spec import Box, Discrete, action_space_to_json
 from deadreckon.errors import UserError, reading
 from deadreckon.foreign.limits import UNPACKED, beyond, max_unpacked
@@ -37,7 +37,7 @@ def contents(folder: str, said: dict[str, Any], shared: Any) -> dict[str, Any]:
     for file in path.rglob("*.hdf5"):
         size += file.stat().st_size
         with reading(file, "hdf5"), h5py.File(file, "r") as opened:
-            list(columns_of(file, opened))  # refuses what lies in another file
+            list(datasets_of(file, opened))  # refuses what lies in another file
     most, taken = max_unpacked(size), 0
     storage = MinariStorage.read(path)
     parts: dict[str, list[np.ndarray]] = {}

@@ -8,7 +8,7 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.arrange import Arranged, arranged
-from deadreckon.data.formats.build import build, columns_of
+from deadreckon.data.formats.build import arrays_of, build
 from deadreckon.data.formats.header import Header
 from deadreckon.errors import UserError
 from deadreckon.files import replacing
@@ -41,7 +41,7 @@ def write_npz(log: Dataset, path: Path | str) -> None:
         UserError: a column's name is not a valid name of a file, as which it is unpacked, or is that of the header; or the
             file cannot be written.
     """
-    columns = columns_of(log)
+    columns = arrays_of(log)
     for key in columns:
         safe_name(key, f"{path}: column")
     if _HEADER in columns:

@@ -12,10 +12,10 @@ from deadreckon.data.arrow import compute, decoded, flat, is_category, is_missin
 from deadreckon.data.asked import Asked
 from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.formats.build import columns_of, last_rows
+from deadreckon.data.formats.build import arrays_of, last_rows
 from deadreckon.data.formats.header import Header, damaged
 from deadreckon.data.frame import ALONE, FrameColumns, table_columns
-from deadreckon.data.roles import like, not_observed, numbered, row_numbers
+from deadreckon.data.roles import like, not_observed, numbered, ours, row_numbers
 from deadreckon.data.scratch import Scratch
 from deadreckon.errors import UserError, unknown
 
@@ -24,7 +24,6 @@ _SINGULAR = {"observations": "observation", "actions": "action", "rewards": "rew
              "timeouts": "timeout", "next_observations": "next_observation",
              "final_observations": "final_observation"}  # fmt: skip
 _PLURAL = {value: key for key, value in _SINGULAR.items()}
-_OURS = ("observation", "action", "reward")  # a table with all of these names is read by them
 _DONE = ("done", "dones")  # alone they are refused, as they do not say how an episode ended
 # Any of these columns, or a time, indicates that rows follow each other.
 _ORDERED = {"terminals", "timeouts", "next_observations", "final_observations", *_DONE}
@@ -40,7 +39,7 @@ def to_table(log: Dataset) -> pa.Table:
         UserError: two columns would have the same name.
     """
     table: dict[str, Any] = {"episode": log.episode_of.astype(np.int64)}
-    columns = columns_of(log)
+    columns = arrays_of(log)
     known = columns.pop("final_known")
     final = columns.pop("final_observations")
     unknown = np.zeros(len(log), bool)
@@ -71,7 +70,7 @@ def _spread(table: dict[str, Any], name: str, column: np.ndarray, log: str, empt
 
 def shapes_of(log: Dataset) -> dict[str, Any]:
     """Shapes and types of the columns of `log`, which a table does not have, as JSON values for its header."""
-    return {key: (list(column.shape[1:]), str(column.dtype)) for key, column in columns_of(log).items()}
+    return {key: (list(column.shape[1:]), str(column.dtype)) for key, column in arrays_of(log).items()}
 
 
 def told_shapes(path: Path | str, header: Header) -> Shapes:
@@ -108,7 +107,7 @@ def from_anybody(
     for key in given:
         if key not in _MAPPING:
             raise unknown("option", key, _MAPPING)
-    if not given and all(key in table.column_names or numbered(table.column_names, key) for key in _OURS):
+    if not given and ours(table.column_names):
         groups = _groups(path, table.column_names, {})
         telling = [] if _written(groups) else [key for key in _with_roles(groups) if not like("cost", key) and key not in _DONE]
         if not telling:
@@ -197,39 +196,55 @@ def from_table(
                 raise damaged(path, f"column {key} of shape {list(shape)} has {column[:1].size} numbers per row")
             column = column.reshape(len(column), *shape).astype(dtype, copy=False)
         columns[key] = column
-    rows = table.num_rows
     if "episode" in table.column_names:
-        names = flat(table, "episode")
-        if is_category(names.type):  # texts
-            if (gone := is_missing(names)).any():
-                raise UserError(f"{path}: column episode is empty in row {int(np.argmax(gone))}")
-            episode = decoded(names).dictionary_encode().indices.to_numpy().astype(np.float64)
-        else:
-            episode = numbers(str(path), table, "episode")
-        if np.abs(episode).max() >= 2**53:
-            raise UserError(f"{path}: column episode has numbers from 2^53 on, where they are rounded; number the episodes")
-        change = np.append(episode[1:] != episode[:-1], True)
-        if int(change.sum()) != len(np.unique(episode)):
-            row = _returns(episode, change)
-            raise UserError(
-                f"{path}: the rows of episode {names[row].as_py()} are not together (row {row}); "
-                "name all columns (--episode, --time, --action, --reward) to have them sorted"
-            )
-        terminals = np.asarray(columns.get("terminals", np.zeros(rows, bool)))
-        given = np.asarray(columns.get("timeouts", np.zeros(rows, bool)))
-        if given.dtype.kind in "biuf" and given.shape == (rows,):  # others are refused later
-            columns["timeouts"] = np.where(change & (terminals == 0) & (given == 0), given.dtype.type(1), given)
+        _cut_at_episodes(path, table, columns)
     if unknown.any():
-        inside = unknown.copy()
-        inside[last := last_rows(columns, rows)] = False
-        if inside.any() or "timeouts" not in columns:  # without flags, next observations show the ends
-            row = int(np.argmax(inside if inside.any() else unknown))
-            raise UserError(f"{path}: column {groups['next_observation'][0]} is empty in row {row}")
-        columns["final_known"] = ~unknown[last]
+        columns["final_known"] = _known_finals(path, columns, unknown, groups["next_observation"][0])
     finals = groups.get("final_observation")
     if finals and "next_observations" not in columns:
         columns |= _finals(path, table, finals, columns)
     return columns
+
+
+def _cut_at_episodes(path: Path | str, table: pa.Table, columns: dict[str, np.ndarray]) -> None:
+    """Sets `timeouts` of the last rows of the episodes that the column `episode` tells apart, unless they are terminals."""
+    names, rows = flat(table, "episode"), table.num_rows
+    if is_category(names.type):  # texts
+        if (gone := is_missing(names)).any():
+            raise UserError(f"{path}: column episode is empty in row {int(np.argmax(gone))}")
+        episode = decoded(names).dictionary_encode().indices.to_numpy().astype(np.float64)
+    else:
+        episode = numbers(str(path), table, "episode")
+    if np.abs(episode).max() >= 2**53:
+        raise UserError(f"{path}: column episode has numbers from 2^53 on, where they are rounded; number the episodes")
+    change = np.append(episode[1:] != episode[:-1], True)
+    if int(change.sum()) != len(np.unique(episode)):
+        row = _returns(episode, change)
+        raise UserError(
+            f"{path}: the rows of episode {names[row].as_py()} are not together (row {row}); "
+            "name all columns (--episode, --time, --action, --reward) to have them sorted"
+        )
+    terminals = np.asarray(columns.get("terminals", np.zeros(rows, bool)))
+    given = np.asarray(columns.get("timeouts", np.zeros(rows, bool)))
+    if given.dtype.kind in "biuf" and given.shape == (rows,):  # others are refused later
+        columns["timeouts"] = np.where(change & (terminals == 0) & (given == 0), given.dtype.type(1), given)
+
+
+def _known_finals(path: Path | str, columns: dict[str, np.ndarray], unknown: np.ndarray, called: str) -> np.ndarray:
+    """(episodes,) bool: the next observation of the episode's last row is known.
+
+    Args:
+        path: named in errors.
+        columns: with the flags of ends.
+        unknown: (rows,) bool, where the next observation is missing.
+        called: the first column of next observations, for errors.
+    """
+    inside = unknown.copy()
+    inside[last := last_rows(columns, len(unknown))] = False
+    if inside.any() or "timeouts" not in columns:  # without flags, next observations show the ends
+        row = int(np.argmax(inside if inside.any() else unknown))
+        raise UserError(f"{path}: column {called} is empty in row {row}")
+    return ~unknown[last]
 
 
 def _filled(table: pa.Table, groups: Groups) -> tuple[pa.Table, np.ndarray]:

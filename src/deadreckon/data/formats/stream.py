@@ -126,7 +126,7 @@ def convert_table(
         name: of the log; the source's if absent.
         horizon: as for `read_tabular`.
         progress: called after each of several parts with the number of rows read, and the total if it is known.
-        **mapping: the roles of columns, as for `from_frame`, and options of the reader, as for `read_table`.
+        **mapping: the roles of columns, as for `from_frame`, and options of the reader, as for `table_of_kind`.
 
     Returns:
         The log, as in `target`. Its columns are memory-mapped from deleted files, which take disk space as long as the log

@@ -8,10 +8,10 @@ from pyarrow import parquet
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.any_table import table_of_kind
-from deadreckon.data.formats.build import build, columns_of
+from deadreckon.data.formats.build import arrays_of, build
 from deadreckon.data.formats.csv_out import write_table
 from deadreckon.data.formats.header import Header
-from deadreckon.data.formats.kind import READING, sniff
+from deadreckon.data.formats.kind import READING
 from deadreckon.data.formats.spread import from_anybody, from_table, shapes_of, to_table, told_shapes
 from deadreckon.data.formats.words import levels_in
 from deadreckon.data.spec import Discrete
@@ -25,7 +25,7 @@ _HEADER = b"deadreckon"  # the entry of Parquet's metadata that holds the header
 def read_tabular(
     path: Path | str,
     *,
-    kind: str | None = None,
+    kind: str,
     strict: bool = False,
     name: str | None = None,
     horizon: int | None = None,
@@ -37,17 +37,16 @@ def read_tabular(
 
     Args:
         path: of the file.
-        kind: its format, as returned by `kind.sniff`; None: it is detected.
+        kind: its format, as returned by `kind.sniff`.
         strict: refuse actions out of bounds.
         name: of the log; the file's if absent.
         horizon: steps after which an episode is cut by a timeout, for files with our names that mark no time limits.
-        **mapping: the roles of columns, as for `from_frame`, and options of the reader, as for `read_table`.
+        **mapping: the roles of columns, as for `from_frame`, and options of the reader, as for `table_of_kind`.
 
     Raises:
         UserError: one line with file, column and row or line.
     """
     ways = {key: mapping.pop(key) for key in READING if key in mapping}
-    kind = kind or sniff(path, ways.get("separator"))
     table, dialect, told = table_of_kind(path, kind, ways, levels_in(mapping))
     text = (table.schema.metadata or {}).get(_HEADER) if kind == "parquet" else None
     if text is None or any(value is not None for value in mapping.values()):
@@ -90,7 +89,7 @@ def write_csv(log: Dataset, path: Path | str) -> None:
     Raises:
         UserError: a column has more than one dimension per row, actions have a mask, or the file cannot be written.
     """
-    for key, column in columns_of(log).items():
+    for key, column in arrays_of(log).items():
         if isinstance(log.action_space, Discrete) and log.action_space.masked:
             raise UserError(f"{path}: CSV does not keep which actions are legal; write .hdf5 or .parquet")
         if column.ndim > 2:

@@ -52,7 +52,7 @@ def column_of(
     odd = f"{where(row)} holds {str(values[row])[:40]!r}, and most cells hold {_WORDS[usual]}"
     if count >= MOSTLY * (len(values) - missing) and usual != "text":
         raise UserError(f"{path}: {called}: {odd}; correct that cell (an empty one is missing), or make all of them texts")
-    return _array([None if _kind(value) == "" else _text(value) for value in values], "text"), [
+    return _array([None if _kind(value) == "" else as_text(value) for value in values], "text"), [
         f"{called} is read as texts: {odd}"
     ]
 
@@ -73,7 +73,8 @@ def _kind(value: Any) -> str:
     raise TypeError(f"a cell of type {type(value).__name__}")
 
 
-def _text(value: Any) -> str:
+def as_text(value: Any) -> str:
+    """A cell as a text: a whole number has no point, as in a spreadsheet."""
     return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
 
 

@@ -19,7 +19,7 @@ from deadreckon.errors import UserError, reading, unknown
 from deadreckon.mbo.design_table import numbers_of
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.problems.oracle import Arrays, kept, split
-from deadreckon.mbo.problems.problem import Problem, file_of, hidden
+from deadreckon.mbo.problems.problem import Problem, file_of, hidden, texts_of
 from deadreckon.mbo.problems.sequence_gp import SequenceGP
 from deadreckon.mbo.variables import Variable
 from deadreckon.nets.mlp import MLP, ensemble
@@ -71,7 +71,7 @@ def gfp(
         table = csv.read_csv(place, parse_options=csv.ParseOptions(delimiter="\t"))
     if not {"variant", "score"} <= set(table.column_names):
         raise UserError(f"{place}: columns variant and score are needed, separated by tabs")
-    x, rows = _sequences(table.column("variant").to_pylist(), place)
+    x, rows = _sequences(texts_of(place, table, "variant"), place)
     y = numbers_of(str(place), table, "score", rows)
     variables = tuple(Variable(f"acid{i}", "categorical", levels=tuple(ACIDS)) for i in range(len(WILD_TYPE)))
     full = Designs(x, y, variables, "gfp", "log10 brightness")
@@ -84,7 +84,7 @@ def _sequences(variants: list[str], place: Path) -> tuple[np.ndarray, np.ndarray
     out, rows = [], []
     for row, variant in enumerate(variants):
         codes = _WILD.copy()
-        for text in filter(None, (variant or "").split(",")):
+        for text in filter(None, variant.split(",")):
             found = _MUTATION.match(text)
             at = int(found[2]) if found else -1
             if found is None or at >= len(WILD_TYPE) or WILD_TYPE[at] != found[1]:
@@ -93,6 +93,8 @@ def _sequences(variants: list[str], place: Path) -> tuple[np.ndarray, np.ndarray
         if codes.min() >= 0:  # -1: a stop codon
             out.append(codes)
             rows.append(row)
+    if not rows:
+        raise UserError(f"{place}: no row has a variant without a stop codon")
     return np.array(out, np.int8), np.array(rows, int)
 
 

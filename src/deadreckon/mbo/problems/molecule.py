@@ -8,7 +8,7 @@ from pyarrow import csv
 from deadreckon.errors import UserError, extra, reading
 from deadreckon.mbo.design_table import numbers_of
 from deadreckon.mbo.designs import Designs
-from deadreckon.mbo.problems.problem import Problem, file_of, hidden
+from deadreckon.mbo.problems.problem import Problem, file_of, hidden, texts_of
 from deadreckon.mbo.problems.trees import forest
 from deadreckon.mbo.variables import Variable
 
@@ -61,7 +61,7 @@ def molecule(*, path: Path | str | None = None, column: str | None = None, shown
     if "smiles" not in table.column_names or not wanted or wanted[0] not in table.column_names:
         raise UserError(f"{place}: columns smiles and {column or 'one of ' + ', '.join(ACTIVITIES)} are needed")
     activity = numbers_of(str(place), table, wanted[0], np.arange(table.num_rows))
-    bits, owner = np.unique(fingerprints(table.column("smiles").to_pylist()), axis=0, return_inverse=True)
+    bits, owner = np.unique(fingerprints(texts_of(place, table, "smiles")), axis=0, return_inverse=True)
     y = np.bincount(owner.reshape(-1), activity) / np.bincount(owner.reshape(-1))
     variables = tuple(Variable(f"bit{i}", "categorical", levels=(0, 1)) for i in range(BITS))
     full = Designs(bits, y, variables, "molecule", wanted[0])

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 
+from deadreckon.data.arrow import is_text
 from deadreckon.errors import UserError
 from deadreckon.files import home
 from deadreckon.mbo.designer import Proposals
@@ -112,6 +114,18 @@ def hidden(
     if limit is not None and len(rows) > limit:
         rows = np.sort(np.random.default_rng(0).choice(rows, limit, replace=False))
     return Problem(name, full.part(rows, name), float(full.y.min()), float(full.y.max()), oracle, about, optimum)
+
+
+def texts_of(place: Path, table: pa.Table, column: str) -> list[str]:
+    """The cells of a column of texts; empty ones are empty texts.
+
+    Raises:
+        UserError: the column holds something else.
+    """
+    cells = table.column(column)
+    if not (is_text(cells.type) or pa.types.is_null(cells.type)):
+        raise UserError(f"{place}: column {column} must hold texts, got {cells.type}")
+    return [text or "" for text in cells.to_pylist()]
 
 
 def file_of(name: str, path: Path | str | None, file: str, source: str) -> Path:

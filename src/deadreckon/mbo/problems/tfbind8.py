@@ -1,11 +1,11 @@
 """TFBind8: DNA of eight bases that a transcription factor binds (Barrera et al. 2016); every design has a measured score."""
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
 from deadreckon.errors import UserError
+from deadreckon.foreign.archive import read_arrays
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.problems.problem import Problem, file_of, hidden
 from deadreckon.mbo.variables import Variable
@@ -25,13 +25,7 @@ def tfbind8(*, path: Path | str | None = None, shown: float = 50.0) -> Problem:
         UserError: the file is missing, or holds something else.
     """
     place = file_of("tfbind8", path, FILE, SOURCE)
-    try:
-        with np.load(place, allow_pickle=False) as arrays:
-            x, y = np.asarray(arrays["x"]).astype(int), np.asarray(arrays["y"], np.float64).reshape(-1)
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
-        raise UserError(f"{place}: no npz with arrays x and y: {error}") from None
-    if x.ndim != 2 or x.shape[1] != LENGTH or x.min() < 0 or x.max() >= len(BASES):
-        raise UserError(f"{place}: x must be (rows, {LENGTH}) with bases 0 .. {len(BASES) - 1}, got {x.shape}")
+    x, y = _arrays(place)
     codes = x @ len(BASES) ** np.arange(LENGTH)
     # The 256 palindromes are there twice, with the same score.
     table = np.full(len(BASES) ** LENGTH, np.nan)
@@ -45,3 +39,16 @@ def tfbind8(*, path: Path | str | None = None, shown: float = 50.0) -> Problem:
     variables = tuple(Variable(f"base{i}", "categorical", levels=BASES) for i in range(LENGTH))
     full = Designs(x, y, variables, "tfbind8")
     return hidden("tfbind8", full, oracle, "exact: every sequence is measured", most=shown, optimum=float(y.max()))
+
+
+def _arrays(place: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Bases (rows, 8) of sequences and their scores (rows,)."""
+    arrays = read_arrays(place, "an npz with arrays x and y")
+    if not {"x", "y"} <= arrays.keys() or any(arrays[key].dtype.kind not in "biuf" for key in ("x", "y")):
+        raise UserError(f"{place}: no npz with arrays x and y of numbers, as in {SOURCE}")
+    x, y = arrays["x"], arrays["y"].reshape(-1).astype(np.float64)
+    if x.ndim != 2 or x.shape[1] != LENGTH or not np.isin(x, range(len(BASES))).all():
+        raise UserError(f"{place}: x must be (rows, {LENGTH}) with bases 0 .. {len(BASES) - 1}, got {x.shape}")
+    if len(x) != len(y):
+        raise UserError(f"{place}: x and y must have equally many rows, got {len(x):,} and {len(y):,}")
+    return x.astype(int), y

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from deadreckon.data.formats.csv_out import write_rows
-from deadreckon.files import replacing
+from deadreckon.files import replacing, write_text
 from deadreckon.report import charts
 from deadreckon.report.markup import Markup, tag
 from deadreckon.report.picture import PANEL, style
@@ -44,9 +44,7 @@ def drawing(path: Path, size: tuple[int, int], *parts: Markup | list[Markup]) ->
         "svg", tag("style", style(), Markup(rules)), tag("rect", width="100%", height="100%", class_="back"), *parts,
         xmlns="http://www.w3.org/2000/svg", viewBox=f"0 0 {size[0]} {size[1]}", width=size[0], height=size[1],
     )  # fmt: skip
-    with replacing(path) as temporary:
-        temporary.write_text(re.sub(r' data-hover="[^"]*"', "", whole), encoding="utf-8")
-    return path
+    return write_text(path, re.sub(r' data-hover="[^"]*"', "", whole))
 
 
 def shades(values: np.ndarray, shape_of: Callable[..., str], most: float) -> list[Markup]:

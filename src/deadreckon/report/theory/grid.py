@@ -159,6 +159,3 @@ def gridworld(out: Path, seed: int = 0) -> Made:
     said.append(f"Q-iteration under a projection: grows {growth[50]:.2f} times per iteration, data half in either state")
     said.append("stitching, value at A: " + ", ".join(f"{name} {value:.2f}" for name, value in stitched.values.items()))
     return files, said
-
-
-# ---- appendix A.3 -----------------------------------------------------------------------------------------------------

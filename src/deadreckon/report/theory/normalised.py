@@ -11,6 +11,9 @@ from deadreckon.report.picture import sheet
 from deadreckon.report.theory.drawing import Made, columns, drawing, lines, shades
 from deadreckon.theory import cnml, piecewise
 
+QUERY = 5.0  # where labels are claimed in Figure 6.1
+CLAIMS = 7  # labels whose best curves are drawn there
+
 
 def _frame(
     x: int, y: int, wide: int, high: int, title: str, ticks: Sequence[float], across: Callable[[float], float]
@@ -48,12 +51,12 @@ def draw_beliefs(path: Path, found: piecewise.Beliefs) -> Path:
     return drawing(path, (left + 3 * (wide + left), top + high + 30), parts)
 
 
-def draw_claims(path: Path, found: piecewise.Beliefs, query: float = 5.0, shown: int = 7) -> Path:
+def draw_claims(path: Path, found: piecewise.Beliefs) -> Path:
     """Figure 6.1: data and query; the best curve for every claimed label; what p_NML makes of them."""
     wide, high, top, left = 330, 260, 40, 26
     curves = found.curves
     scores, levels = curves.scores(found.x, found.label), curves.levels
-    known = curves.experts(scores, query)
+    known = curves.experts(scores, QUERY)
     parts = []
 
     def frame(j: int, title: str) -> Callable[[float], float]:
@@ -61,19 +64,19 @@ def draw_claims(path: Path, found: piecewise.Beliefs, query: float = 5.0, shown:
         across = lambda v: x + (v - curves.knots[0]) / (curves.knots[-1] - curves.knots[0]) * wide  # noqa: E731
         parts.extend(_frame(x, top, wide, high, title, (-8, -4, 0, 4, 8), across))
         parts.extend(_dots(found, across, up))
-        parts.append(tag("line", x1=f"{across(query):.1f}", x2=f"{across(query):.1f}", y1=top, y2=top + high, class_="query"))
+        parts.append(tag("line", x1=f"{across(QUERY):.1f}", x2=f"{across(QUERY):.1f}", y1=top, y2=top + high, class_="query"))
         return across
 
     up = lambda level: top + high * (1 - (np.asarray(level) + 0.5) / levels)  # noqa: E731
     frame(0, "data, and a query")
     across = frame(1, "the best curve for each claim")
-    for slot, claim in enumerate(np.linspace(0, levels - 1, shown).astype(int)):
-        path_of = curves.best(curves.scores(np.append(found.x, query), np.append(found.label, claim)))
+    for slot, claim in enumerate(np.linspace(0, levels - 1, CLAIMS).astype(int)):
+        path_of = curves.best(curves.scores(np.append(found.x, QUERY), np.append(found.label, claim)))
         d = "M" + "L".join(f"{across(v):.1f} {up(y):.1f}" for v, y in zip(curves.knots, path_of))
         parts.append(tag("g", tag("path", d=d, class_="way", style="stroke-width: 1.6"), class_=f"s{slot}"))
     x = left + 2 * (wide + left)
     probs = cnml.p_nml(known)
-    parts += _frame(x, top, wide, high, f"p(y | x = {query:g}) under NML", (), lambda v: v)
+    parts += _frame(x, top, wide, high, f"p(y | x = {QUERY:g}) under NML", (), lambda v: v)
     thick = high / levels
     reach = 0.95 * wide * probs / probs.max()
     bars = (f"M{x} {up(y) - 0.4 * thick:.1f}h{r:.1f}v{0.8 * thick:.1f}H{x}Z" for y, r in enumerate(reach))

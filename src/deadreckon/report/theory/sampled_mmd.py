@@ -50,6 +50,3 @@ def mmd(out: Path, seed: int = 0) -> Made:
     files += [sheet(out / "threshold.svg", panels, [*kernels]), columns(out / "threshold.csv", rows)]
     said.append(f"chance that 9 draws from 81 points are different: {discrepancy.unseen_chance(9):.4f} (A.3 says above 0.6321)")
     return files, said
-
-
-# ---- chapter 5 --------------------------------------------------------------------------------------------------------

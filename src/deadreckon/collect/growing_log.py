@@ -1,11 +1,14 @@
 """Episodes on their way to a log: columns that grow on disk, so that an interrupted collection goes on."""
 
 import json
+from collections.abc import Iterable, Mapping
+from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple, TypedDict
 
 import numpy as np
 
+from deadreckon._version import __version__
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.provenance import Provenance
 from deadreckon.errors import UserError
@@ -27,6 +30,22 @@ class Episode(NamedTuple):
     def length(self) -> int:
         """Rows."""
         return len(self.columns["rewards"])
+
+
+def collected(
+    recipe: str | None, seed: int, packages: Iterable[str], extra: Mapping[str, Any], more: Mapping[str, str] | None = None
+) -> Provenance:
+    """Where a collected log comes from.
+
+    Args:
+        recipe: its name; None: there is no recipe.
+        seed: random seed.
+        packages: that its numbers depend on, beside this one.
+        extra: what else the log says of itself.
+        more: {package: version} of further ones.
+    """
+    versions = {each: metadata.version(each) for each in packages} | {"deadreckon": __version__, **(more or {})}
+    return Provenance("collected", recipe, seed, versions, extra=extra)
 
 
 def asked_for(name: str, seed: int, rows: list[int], provenance: Provenance) -> dict[str, Any]:
@@ -56,7 +75,7 @@ class _State(TypedDict):
     episodes: list[int]
 
 
-class Stage:
+class GrowingLog:
     """Columns that grow on disk: a raw file each, and a JSON file that says how many rows of them count."""
 
     def __init__(self, folder: Path, task: Task, kinds: dict[str, tuple[tuple[int, ...], Any]], asked: dict[str, Any]):
@@ -73,8 +92,8 @@ class Stage:
     def _state(self) -> Path:
         return self.folder / "state.json"
 
-    def append(self, episodes: list[Episode], room: int, act: int) -> None:
-        """Adds episodes, at most `room` rows of them, and says so once they are on the disk."""
+    def append(self, episodes: list[Episode], room: int, segment: int) -> None:
+        """Adds episodes of a segment, at most `room` rows of them, and says so once they are on the disk."""
         parts, finals = [], []
         for columns, final in episodes:
             length = min(len(columns["rewards"]), room)
@@ -92,8 +111,8 @@ class Stage:
         self._write("final_observations", np.stack(finals), self.finals)
         self.rows += sum(len(part["rewards"]) for part in parts)
         self.finals += len(finals)
-        self.episodes += [0] * (act + 1 - len(self.episodes))
-        self.episodes[act] += len(finals)
+        self.episodes += [0] * (segment + 1 - len(self.episodes))
+        self.episodes[segment] += len(finals)
         write_json(self._state, {"rows": self.rows, "finals": self.finals, "episodes": self.episodes})
 
     def _write(self, key: str, rows: np.ndarray, at: int) -> None:
