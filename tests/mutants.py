@@ -2567,8 +2567,7 @@ MUTANTS = (
     ),
     Mutant(
         "times-need-no-next-one", "data/draft.py",
-        "if lacking := [column for column in observed if column not in paired]:",
-        "if lacking := [column for column in observed if column not in paired and not roles.not_observed(column)]:",
+        "(c in times or not roles.not_observed(c))", "not roles.not_observed(c)",
         "a table with next observations and a time, but no episodes, is refused for want of the time's next observation",
         ("data/test_misreadings.py::test_a_time_without_episodes_is_an_observation_that_needs_a_next_one",),
     ),
@@ -2587,6 +2586,33 @@ MUTANTS = (
         "diverged-clone-goes-on", "collect/adroit.py", 'complete(job, f"{log.name}: its clone", lambda done: None, advice="")',
         "list(job.chunks())", "a clone that diverged collects a log",
         ("collect/test_collect_adroit.py::test_a_clone_that_diverges_ends_the_collection",),
+    ),
+    Mutant(
+        "mixture-as-cross-fit", "ope/estimator.py",
+        "differ = CROSSED if (case.cross_fitted & several).any() else MIXED", "differ = CROSSED",
+        "a mixture that is drawn on another log is refused as policies of folds",
+        ("ope/test_decide.py::test_a_mixture_over_folds_is_judged_by_the_policy_that_has_not_seen_the_episode",),
+    ),
+    Mutant(
+        "baseline-anywhere", "ope/select.py", "if LOGGED in found.names[:-1]:", "if False:",
+        "where the behaviour policy is not the last of an estimate, gains are told of other policies",
+        ("ope/test_select.py::test_the_behaviour_policy_is_the_last_of_an_estimate",),
+    ),
+    Mutant(
+        "effective-of-nothing", "ope/weights.py",
+        "np.exp(log_weights - np.where(np.isfinite(top), top, 0.0))", "np.exp(log_weights - top)",
+        "weights of which all are zero have no effective size",
+        ("ope/test_pareto.py::test_effective_sizes_of_logarithms",),
+    ),
+    Mutant(
+        "propensity-of-another-action", "data/draft.py", "of_ours = theirs and roles.ours", "of_ours = roles.ours",
+        "the probability of a column called action is taken for that of another action",
+        ("data/test_frame.py::test_a_propensity_beside_names_of_ours_is_one_as_in_a_file",),
+    ),
+    Mutant(
+        "unclear-episodes-observed", "data/draft.py", "(c in times or not roles.not_observed(c))", "True",
+        "columns of two episodes become observations beside next observations, in silence",
+        ("data/test_misreadings.py::test_a_time_without_episodes_is_an_observation_that_needs_a_next_one",),
     ),
     Mutant(
         "groups-kept", "ope/case.py",

@@ -34,6 +34,8 @@ def test_a_propensity_beside_names_of_ours_is_one_as_in_a_file():
     np.testing.assert_allclose(log.extras["behavior_log_probs"], np.log(table["propensity"]), rtol=1e-6)
     assert "column propensity is read as the probability of the logged action (--propensity)" in log.warnings
     assert log.observations.shape == (3, 1)
+    other = Dataset.from_frame(table | {"treat": [1, 0, 1]}, action="treat")  # it is not known whose probability it is
+    assert not other.extras
     table["x"] = table.pop("observation_0")
     assert not Dataset.from_frame(table).extras
 

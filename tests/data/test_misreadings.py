@@ -128,7 +128,11 @@ def test_a_time_without_episodes_is_an_observation_that_needs_a_next_one():
     table = base(t=np.arange(N), next_x=np.roll(X, -1))
     log = Dataset.from_frame(table)
     assert named(log) == ["x", "t"]
-    assert told(log, "columns next_x look like next observations and are left out, because t have none")
+    assert told(log, r"columns next_x look like .* left out, because t have none \(--ignore t uses them\)")
+    assert told(Dataset.from_frame(table, ignore="t"), "are read as next observations")
+    # Two columns of episodes: nobody knows which one it is.
+    with pytest.raises(UserError, match="observation ep has no next observation"):
+        Dataset.from_frame(base(ep=EPISODE, traj_id=EPISODE, next_x=np.roll(X, -1)))
     assert named(Dataset.from_frame(table, observations=["t", "x"])) == ["t", "x"]
     for more in ({"ep": EPISODE}, {"next_t": np.arange(N) + 1}):  # the order within an episode; an observation with a next one
         log = Dataset.from_frame(table | more)

@@ -7,7 +7,7 @@ from scipy import stats
 from deadreckon.data.dataset import Dataset
 from deadreckon.errors import UserError
 from deadreckon.ope.pareto import diagnosed, pareto_k
-from deadreckon.ope.weights import Episodes
+from deadreckon.ope.weights import Episodes, effective_of_logs
 
 
 @pytest.mark.slow
@@ -97,3 +97,8 @@ def test_an_episode_that_has_ended_keeps_its_last_weight_for_the_rest_of_the_tim
     )  # fmt: skip
     weights = Episodes(cut, 1.0, 0, np.arange(2)).typical(np.log([3.0, 2.0, 2.0]), whole=False)
     np.testing.assert_allclose(np.exp(weights), [3.0, 2.0 + 2.0 * 2.0])
+
+
+def test_effective_sizes_of_logarithms():
+    found = effective_of_logs(np.array([[800.0, 0.0, -np.inf], [-900.0, -900.0, -np.inf], [-np.inf] * 3]))
+    np.testing.assert_allclose(found, [1.0, 2.0, 0.0])

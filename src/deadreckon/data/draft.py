@@ -141,7 +141,8 @@ class _Maker:
         self.following_asked_for()
         self.ahead_by_name()
         self.ends_by_name()
-        of_ours = roles.ours(self.names) and LOG_PROBS not in self.names and not self.having("propensity")
+        theirs = self.having("action") == [c for c in self.names if c == "action" or re.fullmatch(r"action_\d+", c)]
+        of_ours = theirs and roles.ours(self.names) and LOG_PROBS not in self.names and not self.having("propensity")
         for column in [column for column in self.names if column not in self.roles]:
             if roles.DONE.fullmatch(column.lower()):
                 self.give([column], "ignore", "says that an episode ended, not why")
@@ -229,7 +230,7 @@ class _Maker:
                 self.doubt(column, f"looks like the {of} of the next row and is left out (--observations to observe it)")
 
     def following_by_name(self) -> None:
-        """Next observations whose names say whose; what has no role yet is observed."""
+        """Next observations whose names say whose."""
         if self.having("next_observation"):
             return
         named = self.asked.observations is not None
@@ -240,10 +241,15 @@ class _Maker:
             return
         found = ", ".join(list(pairs)[:4]) + (", ..." if len(pairs) > 4 else "")
         paired = {*pairs, *pairs.values()}
-        if lacking := [column for column in observed if column not in paired]:
+        # A time without episodes is an observation. Names of other roles that could not be given, such as those of two
+        # episodes, are none: they end in an error.
+        times = [] if self.having("episode") else [column for column in observed if roles.like("time", column)]
+        lacking = [c for c in observed if c not in paired and (c in times or not roles.not_observed(c))]
+        if lacking:
             self.give(list(pairs), "ignore", "looks like a next observation")
             shown = ", ".join(lacking[:4])
-            self.told.append(f"columns {found} look like next observations and are left out, because {shown} have none")
+            how = f" (--ignore {' '.join(lacking)} uses them)" if set(lacking) <= set(times) else ""
+            self.told.append(f"columns {found} look like next observations and are left out, because {shown} have none{how}")
         else:
             self.give(list(pairs), "next_observation", "by its name")
             self.of |= pairs

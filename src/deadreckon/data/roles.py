@@ -38,7 +38,8 @@ def like(role: str, name: str) -> bool:
 
 
 def not_observed(name: str) -> bool:
-    """Whether a column will have another role than that of an observation by its name, so that it needs no next observation."""
+    """Whether a column has the name of another role than that of an observation; a time is one all the same if no column
+    identifies episodes."""
     others = ("terminal", "timeout", "propensity", "cost", "episode", "time", "legal", "next_legal")
     return any(like(role, name) for role in others) or DONE.fullmatch(name.lower()) is not None
 

@@ -68,8 +68,8 @@ def _check(value: Any, shape: Any, path: Path | str, field: str) -> None:
     if typing.is_typeddict(shape) or dataclasses.is_dataclass(shape):
         for key, (part, needed) in _fields(shape).items():
             if key in value:
-                # A field of a dataclass may be left out, so null is not among what its error proposes (TOML has none).
-                part = part if typing.is_typeddict(shape) or value[key] is None else _without_null(part)
+                # A field of a dataclass that may be left out: null is not among what its error proposes (TOML has none).
+                part = part if needed or typing.is_typeddict(shape) or value[key] is None else _without_null(part)
                 _check(value[key], part, path, f"{field}.{key}" if field else key)
             elif needed:
                 raise UserError(f"{path}: {field or 'it'} lacks {key}")

@@ -182,7 +182,7 @@ def check_sizes(log: Dataset, task: Task) -> None:
     """
     space = task.action_space
     if not isinstance(space, Box) or not isinstance(log.action_space, Box):
-        raise UserError(f"{task.name}: going on from a log needs continuous actions, of the task and of the log {log.name}")
+        raise UserError(f"{log.name} and {task.name}: a log in a task needs continuous actions, in both")
     asked, found = (task.observation_shape, space.size), (log.spec.observation_shape, log.spec.action_size)
     if asked != found:
         sizes = f"{found[0]} and {found[1]} actions, {task.name} has {asked[0]} and {asked[1]}"

@@ -531,6 +531,7 @@ class OPEInput(Fits):
         """Hash of the policies' actions at observations from all parts of the log, which identifies this set of policies. It
         does not depend on the seed of the case."""
         some = np.unique(np.linspace(0, len(self.data) - 1, 256).astype(int))
+        # Digests, and the folders of checkpoints that have them, depend on the name of the draws.
         done = dataclasses.replace(self.actor, seed=0).table(np.asarray(self.data.observations[some]), 1, "manner")
         return hashlib.blake2b(np.ascontiguousarray(done).tobytes(), digest_size=16).hexdigest()
 

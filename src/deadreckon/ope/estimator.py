@@ -64,7 +64,8 @@ class Estimator(eqx.Module):
         if case.discount == 1.0 and not self.takes_horizon:
             raise UserError(f"{self.label} needs a discount below 1, got 1")
         if case.crossed and not self.takes_crossed:
-            differ = CROSSED if case.cross_fitted.any() else MIXED
+            several = np.bincount(case.owner) > 1  # policies that have more than one actor
+            differ = CROSSED if (case.cross_fitted & several).any() else MIXED
             raise UserError(f"{self.label} evaluates each policy on all episodes, and {differ}; use dr-linear")
         if case.data.successors is not None and not self.takes_apart:
             raise UserError(

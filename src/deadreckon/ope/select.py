@@ -138,15 +138,13 @@ def select(
         alpha: share of logs for which one of the intervals may miss.
 
     Raises:
-        UserError: no estimates, of different policies, or without the behaviour policy as the last.
+        UserError: no estimates, estimates of different policies, without the behaviour policy, or in which it is not the last.
     """
     if not estimates:
         raise UserError("no estimates to select by")
     first = estimates[0]
     if any(each.names != first.names for each in estimates):
         raise UserError("the estimates are of different policies")
-    if LOGGED in first.names[:-1]:  # policies are numbered without it, here and in `doubted`
-        raise UserError(f"the {LOGGED} must be the last policy of an estimate, got {', '.join(first.names)}")
     names = [name for name in first.names if name != LOGGED]
     if support is not None and len(support.missing) != len(names):
         raise UserError(f"support must have a number for each of {len(names)} policies, got {len(support.missing)}")
@@ -209,7 +207,12 @@ def doubted(found: Estimates, support: Support | None) -> tuple[list[list[str]],
     """For each policy the reasons why no interval of its estimate is valid; and (policies,) whether one is.
 
     The latter includes the behaviour policy, for which one always is.
+
+    Raises:
+        UserError: the behaviour policy is not the last.
     """
+    if LOGGED in found.names[:-1]:  # policies are numbered without it
+        raise UserError(f"the {LOGGED} must be the last policy of an estimate, got {', '.join(found.names)}")
     names = [name for name in found.names if name != LOGGED]
     unknown = [Basis.of(found, i).unreliable + ([] if support is None else support.objections(i)) for i in range(len(names))]
     settled = found.diagnostics.get("settled", np.ones(len(found.names)))

@@ -74,7 +74,7 @@ def effective(weights: np.ndarray) -> np.ndarray:
 
 
 def effective_of_logs(log_weights: np.ndarray) -> np.ndarray:
-    """`effective` of weights that are given as logarithms, whose exponentials may overflow."""
+    """`effective` of weights that are given as logarithms, whose exponentials may overflow; minus infinity is a weight of 0."""
     top = log_weights.max(-1, keepdims=True)
     return effective(np.exp(log_weights - np.where(np.isfinite(top), top, 0.0)))
 

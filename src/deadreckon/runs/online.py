@@ -128,9 +128,8 @@ def _train_online(
     if start is not None:
         job.states = jax.device_put(start.states(job.states))
     unsure = folder.config.exists() and _untold(config)
-    opened(job, [folder], [config], asked.resume)
-    if unsure:
-        warnings.warn(f"{task.name} has no spec: whether {folder.path} was begun in the same one is not checked", stacklevel=3)
+    doubts = [f"{task.name} has no spec: whether {folder.path} was begun in the same one is not checked"] if unsure else []
+    opened(job, [folder], [config], asked.resume, doubts)
     given = log.taught if log is not None else np.zeros(0, np.uint64) if shown is None else shown.episode_ids
     taught = functools.partial(_taught, job, folder, task, turns.copies, given)
     learned = None if log is None else log.log

@@ -249,22 +249,26 @@ class Recorder:
         self.pool.shutdown(wait=True, cancel_futures=True)
 
 
-def opened(job: Fit, folders: Sequence[Folder], configs: Sequence[dict[str, Any]], resume: bool) -> None:
+def opened(
+    job: Fit, folders: Sequence[Folder], configs: Sequence[dict[str, Any]], resume: bool, doubts: Sequence[str] = ()
+) -> None:
     """Begins the runs of a fit, or resumes them from its newest checkpoint.
 
-    Nothing is written if a folder refuses its run. After a crash at any moment, the runs can be resumed.
+    Nothing is written if `Folder.check` refuses a run. After a crash at any moment, the runs can be resumed; what is noted of
+    them after this function is noted again then.
 
     Args:
         job: the fit, which is brought to its newest checkpoint.
         folders: of the runs.
         configs: `run.json` of each.
         resume: whether a folder may hold the run already.
+        doubts: further warnings, before anything is written.
 
     Raises:
         UserError: a folder holds another run or something else, or the checkpoints are damaged.
     """
     told = [text for folder, config in zip(folders, configs) for text in folder.check(config, resume=resume)]
-    for text in dict.fromkeys(told):
+    for text in dict.fromkeys([*told, *doubts]):
         warnings.warn(text, stacklevel=4)
     for folder, config in zip(folders, configs):
         folder.begin(config)

@@ -78,11 +78,11 @@ def same_tasks(x: Mapping[Any, Any], y: Mapping[Any, Any], first: str, second: s
             raise UserError(f"both must have the same tasks, but {has} has {extra[0]!r} and {lacks} has not")
 
 
-def check_level(level: float) -> None:
-    """Refuses levels of intervals that are not between 0 and 1.
+def check_level(level: float, name: str = "level") -> None:
+    """Refuses levels of intervals and of significance that are not between 0 and 1.
 
     Raises:
         UserError: in one line.
     """
     if not 0.0 < level < 1.0:
-        raise UserError(f"level must lie between 0 and 1, got {level}")
+        raise UserError(f"{name} must lie between 0 and 1, got {level}")

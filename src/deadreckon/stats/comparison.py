@@ -219,8 +219,7 @@ def bold(columns: Mapping[str, Scores], alpha: float = ALPHA) -> dict[str, np.nd
     Raises:
         UserError: no method, tasks that are not the same, or numbers that are not finite.
     """
-    if not 0.0 < alpha < 1.0:
-        raise UserError(f"alpha must lie between 0 and 1, got {alpha}")
+    check_level(alpha, "alpha")
     if not columns:
         raise UserError("columns have no method: give at least one")
     table = {method: by_task(scores, f"the scores of {method!r}") for method, scores in columns.items()}
