@@ -2615,6 +2615,37 @@ MUTANTS = (
         ("data/test_misreadings.py::test_a_time_without_episodes_is_an_observation_that_needs_a_next_one",),
     ),
     Mutant(
+        "stray-checkpoints", "training/checkpoint.py",
+        "    if checkpoints(folder):\n", '    if any(folder.glob("[0-9]*.npz")):\n',
+        "a copy of a file in a fit's folder keeps it from going on from a shorter one",
+        ("training/test_fit.py::test_a_longer_fit_goes_on_from_a_shorter_one_whatever_else_lies_there",),
+    ),
+    Mutant(
+        "later-logarithms-in-a-range", "bench/claims_file.py", 'if first.range is not None and "log" in said:', "if False:",
+        "the range of scores is that of their logarithms in a later stage of a claim",
+        ("bench/test_claims_again.py::test_no_later_stage_of_a_test_with_a_range_takes_logarithms",),
+    ),
+    Mutant(
+        "any-shift", "bench/methods.py", "if isinstance(shift, bool) or shift < 0:", "if False:",
+        "a shift that no run accepts is found in every job alone",
+        ("bench/test_suite.py::test_a_shift_of_a_method_is_checked_when_the_suite_is_read",),
+    ),
+    Mutant(
+        "one-choice-twice", "bench/sampler.py", "list(dict.fromkeys(values))", "list(values)",
+        "the sampler takes equal values for different choices",
+        ("bench/test_sampler.py::test_a_value_that_stands_twice_is_one_choice",),
+    ),
+    Mutant(
+        "few-updates-untold", "runs/recommend.py", 'if each["updates"] < state.get("worth", 0)]', "if False]",
+        "a card does not say that its candidates are hardly trained",
+        ("runs/test_recommend.py::test_few_updates_are_told_with_a_budget",),
+    ),
+    Mutant(
+        "battery-any-chances", "tasks/battery.py", "np.allclose(chances.sum(-1), 1.0, atol=1e-6)", "True",
+        "values are computed for probabilities that sum to more than 1",
+        ("tasks/test_battery.py::test_probabilities_that_are_none_are_refused",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"
@@ -3371,7 +3402,7 @@ MUTANTS = (
         ("data/formats/test_stream.py::test_files_with_other_columns_and_types",),
     ),
     Mutant(
-        "recommend-leaks", "runs/recommend.py", 'told["choice"]["warnings"] += state.get("leaks", [])', "pass",
+        "recommend-leaks", "runs/recommend.py", '+= [*state.get("leaks", []), *(', "+= [*(",
         "suspected leaks are not on the card of a recommendation",
         ("runs/test_recommend.py::test_suspected_leaks_are_on_the_card_once",),
     ),

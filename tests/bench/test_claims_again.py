@@ -104,6 +104,15 @@ def test_a_third_stage_has_seeds_of_neither_before(folder):
             claims("claims.toml")
 
 
+@pytest.mark.parametrize("more", ["log = true }", 'again = { suite = "third.toml", log = true } }'])
+def test_no_later_stage_of_a_test_with_a_range_takes_logarithms(folder, more):
+    third(folder, 9)
+    text = CLAIMS.replace('"again.toml" }', f'"again.toml", {more}')
+    (folder / "claims.toml").write_text(text.replace('than = ["BC"]', 'than = ["BC"], range = [0, 99]'))
+    with pytest.raises(UserError, match="again: range is for tests without log; leave range or log out"):
+        claims("claims.toml")
+
+
 def test_they_contradict_as_well():
     kept("suite.toml", OPEN)
     assert said(kept("again.toml", WORSE)).state == "contradicted"

@@ -51,6 +51,10 @@ def test_values_may_be_tuples_and_whole_numbers_stay_whole():
     assert all(isinstance(each["batch_size"], int) and 16 <= each["batch_size"] <= 64 for each in chosen)
 
 
+def test_a_value_that_stands_twice_is_one_choice():
+    assert OptunaSampler("td3_bc", {"alpha": [1.0, 5.0, 1.0]}).space["alpha"] == [1.0, 5.0]
+
+
 def test_a_setting_that_failed_is_told_as_failed():
     sampler = OptunaSampler("td3_bc", {"alpha": [1.0, 5.0]})
     first, second = sampler.ask(2)

@@ -33,7 +33,7 @@ from deadreckon.runs.callback import StopTraining
 from deadreckon.runs.candidates import Candidate
 from deadreckon.runs.clock import Clock
 from deadreckon.runs.durations import in_words, seconds_of
-from deadreckon.runs.recommend import options_of, recommend
+from deadreckon.runs.recommend import _few_updates, options_of, recommend
 from deadreckon.runs.settings import RecommendSettings
 
 
@@ -398,6 +398,7 @@ def test_candidates_that_hardly_began_to_learn_are_not_judged(small, tmp_path, m
     words = "not enough time: 20 updates of each candidate would fit, and at least 200 are needed; reading, compiling"
     assert unfinished.startswith(words)
     assert [each["need"] > 0 for each in of(sent, "state") if "need" in each] == [True]
+    assert [each["need for worth"] >= each["need"] for each in of(sent, "state") if "need" in each] == [True]
     assert {"short": True} in of(sent, "state")
     assert not (out / "estimates.json").exists()
 
@@ -630,3 +631,14 @@ def test_the_command_that_goes_on_decides_by_the_same_settings():
         asked = parse(Ope, ["--data", "log.csv", "--policies", "p", "--select", *found], "ope")
         assert (asked.settings.discount, asked.settings.cost_limit) == (0.9, ("energy=5.0", "cost=2"))
         assert asked.settings.accept_model_based
+
+
+def test_few_updates_are_told_with_a_budget():
+    each = [{"name": name, "state": state, "updates": n} for name, state, n in
+            (("bc", "learned", 429), ("iql", "learned", 10_000), ("awac", "diverged", 50))]  # fmt: skip
+    state = {"candidates": each, "worth": 10_000, "need for worth": 290.0}
+    assert _few_updates(state) == [
+        "few updates: bc 429; with 10,000 of each, for which a budget of 5m should be sufficient, policies may be better"
+    ]
+    assert _few_updates(state | {"candidates": each[1:]}) == []
+    assert _few_updates({"candidates": each}) == []

@@ -92,3 +92,12 @@ def test_it_is_an_environment():
     env = gymnasium.make("deadreckon/Battery-v1").unwrapped
     check_env(env, skip_render_check=True)
     assert env.action_space == gymnasium.spaces.Discrete(3)
+
+
+@pytest.mark.parametrize(
+    ("chances", "words"),
+    [(np.full((4, 3), 1 / 3), r"must have shape \(8, 4, 4, 3\), got \(4, 3\)"), (np.full((8, 4, 4, 3), 0.5), "sum to 1")],
+)
+def test_probabilities_that_are_none_are_refused(chances, words):
+    with pytest.raises(UserError, match=words):
+        battery.values(chances)

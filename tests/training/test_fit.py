@@ -13,8 +13,8 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Box
 from deadreckon.errors import UserError
 from deadreckon.interrupts import Interrupted, listening
-from deadreckon.training.checkpoint import load_arrays, load_tree, save_tree
-from deadreckon.training.fit import Fit, checkpoints, fit
+from deadreckon.training.checkpoint import checkpoints, folder_of, inherit, load_arrays, load_tree, save_arrays, save_tree
+from deadreckon.training.fit import Fit, fit
 from deadreckon.training.hyperparameters import CountOrZero, check_fields, described, static
 from deadreckon.training.learner import lift
 from tests.agents.worlds import corridor
@@ -314,3 +314,14 @@ def test_several_logs_that_cannot_share_a_program_are_refused():
         Fit([Collector(asks=initial)] * 2, [TransitionSource(log, initial) for log in (LOG, LOG)], [0, 1], 5)
     with pytest.raises(UserError, match="must fit on the device together"):
         Fit([learner] * 2, [TransitionSource(log, asks) for log in (LOG, LOG)], [0, 1], 5, stream=True)
+
+
+def test_a_longer_fit_goes_on_from_a_shorter_one_whatever_else_lies_there(tmp_path):
+    shorter, longer = (folder_of(tmp_path, "model", {"steps": steps}) for steps in (10, 20))
+    for step in (5, 10, 30):
+        save_arrays(shorter / f"{step:010d}.npz", {"x": np.full(2, float(step))}, {})
+    (shorter / "0000000012 (1).npz").write_bytes(b"")
+    (longer / "0000000003 (1).npz").write_bytes(b"")
+    inherit(longer)
+    assert [step for step, _ in checkpoints(longer)] == [10]
+    assert load_arrays(longer / "0000000010.npz")[0]["x"].tolist() == [10.0, 10.0]

@@ -126,7 +126,7 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
                 raise UserError(f"{where}: {key} must be {kind}, got {value!r}")
         own: list[str] = [test["method"]] if isinstance(test["method"], str) else test["method"]
         than: list[str] | float = test.get("than", []) if isinstance(test.get("than", []), list) else float(test["than"])
-        if "range" in test and (forms != ["than"] or test.get("log", False) or "log" in test.get("again", {})):
+        if "range" in test and (forms != ["than"] or test.get("log", False)):
             raise UserError(f"{where}: range is for tests with than and without log; leave range or the others out")
         if "range" in test and isinstance(than, float) and not test["range"][0] <= than <= test["range"][1]:
             raise UserError(f"{where}: than must be within the range, got {than:g}")
@@ -208,6 +208,8 @@ def _again(
             raise UserError(f"{where}: {key} must be {kind}, got {value!r}")
     if first.beside is not None:
         raise UserError(f"{where}: a test with beside has no second stage")
+    if first.range is not None and "log" in said:
+        raise UserError(f"{where}: range is for tests without log; leave range or log out")
     place = path.parent / safe_path(file := said["suite"], f"{where}: suite")
     suite = _read(where, file, place, suites)
     if first.margin and said.get("log", first.log) != first.log:

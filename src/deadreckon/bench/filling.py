@@ -18,7 +18,7 @@ from deadreckon.bench.plan import plan_across
 from deadreckon.bench.rates import Rates
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import Suite
-from deadreckon.training.fit import checkpoints
+from deadreckon.training.checkpoint import checkpoints
 
 # Of a program: with more the device would make some more updates a second, but one core evaluates all of their policies, which
 # takes 40 minutes for 64 lanes at full size (ten evaluations of 100 episodes).

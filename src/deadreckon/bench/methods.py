@@ -73,6 +73,9 @@ def method(where: str, kind: str, name: str, table: Any) -> Method:
     for key, value in table.items():
         if not isinstance(value, kinds[key]):
             raise UserError(f"{where}: {key} of method {name!r} must be a {kinds[key].__name__}, got {value!r}")
+    shift = table.get("shift", 0)
+    if isinstance(shift, bool) or shift < 0:
+        raise UserError(f"{where}: shift of method {name!r} must be a whole number >= 0, got {shift!r}")
     check_count(where, f"history of method {name!r}", history := table.get("history", 1))
     if history > 1:
         from deadreckon.runs.settings import MOST_HISTORY  # with all that a run needs

@@ -67,10 +67,14 @@ class OptunaSampler:
         for name, values in self.space.items():
             if name not in defaults:
                 raise unknown(f"field of {agent}", name, defaults)
-            for value in (values.low, values.high) if isinstance(values, Range) else values:
-                check_fields(kind(**{name: value}))
-            if not isinstance(values, Range) and not values:
+            if isinstance(values, Range):
+                tried = [values.low, values.high]
+            else:  # a value that stands twice is one choice
+                self.space[name] = tried = list(dict.fromkeys(values))
+            if not tried:
                 raise UserError(f"{name} has no values to try")
+            for value in tried:
+                check_fields(kind(**{name: value}))
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         self.optuna = optuna
         sampler = optuna.samplers.TPESampler(seed=seed, n_startup_trials=_STARTS, multivariate=True)
@@ -90,7 +94,7 @@ class OptunaSampler:
         return found
 
     def tell(self, values: Mapping[str, float]) -> None:
-        """What the settings of the last `ask` came to, by their names (`bench.tune.named`); not finite where one failed."""
+        """What the settings of the last `ask` came to, by their names (`bench.tuned.named`); not finite where one failed."""
         for trial, fields in self.asked:
             value = values[named(fields)]
             if np.isfinite(value):

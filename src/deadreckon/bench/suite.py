@@ -79,8 +79,8 @@ class Suite:
 
     Attributes:
         name: of the suite.
-        kind: `learn` from logs, `online` in simulators, `design`, or `ope`: the DOPE protocol.
-        on: names of logs, tasks or problems.
+        kind: `learn` from logs, `online` in simulators, `design`, `ope` (the DOPE protocol), or `study`.
+        on: names of logs, tasks or problems, or the cases of a study.
         methods: each of them is run on each of those.
         seeds: of each: `first_seed` and those after it.
         first_seed: above 0 where seeds are to be fresh, beside those of another suite.
@@ -221,6 +221,8 @@ def _suite(path: Path, where: str, document: dict[str, Any], full: bool) -> Suit
     counts["first_seed"] = first
     if document.get("budget", "full") not in BUDGETS:
         raise UserError(f"{where}: budget must be one of {', '.join(BUDGETS)}, got {document['budget']!r}")
+    if not isinstance(document.get("about", ""), str):
+        raise UserError(f"{where}: about must be a text, got {document['about']!r}")
     steps = _steps(where, document.get("steps", STEPS), on)
     rest: dict[str, Any] = {key: document[key] for key in ("budget", "about") if key in document}
     rest |= _metrics(where, kind, document.get("metrics"))

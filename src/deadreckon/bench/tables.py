@@ -76,11 +76,6 @@ FINE_TUNED = (
 )  # fmt: skip
 
 
-def metrics_of(suite: Suite) -> tuple[Metric, ...]:
-    """Of a suite that is no study; where methods go on from a log, also what they gained and how far they fell."""
-    return METRICS[suite.kind] + (FINE_TUNED if suite.data else ())
-
-
 @dataclass(frozen=True)
 class Cell:
     """Scores of one method on one thing, one per seed."""
@@ -138,10 +133,11 @@ def tables(suite: Suite, jobs: Sequence[Job], store: Store, any_revision: bool =
 
 
 def _metrics(suite: Suite) -> tuple[Metric, ...]:
-    """Of its kind; where tasks have no scale of scores, the raw returns as well, or alone."""
+    """Of its kind, which is no study; where methods go on from a log, also what they gained and how far they fell; where tasks
+    have no scale of scores, the raw returns as well, or alone."""
     from deadreckon.tasks.registry import task
 
-    known = metrics_of(suite)
+    known = METRICS[suite.kind] + (FINE_TUNED if suite.data else ())
     if suite.kind != "online" or all(scored := [task(on).reference is not None for on in suite.on]):
         return known
     return (*known, _RETURN) if any(scored) else (_RETURN,)

@@ -293,7 +293,8 @@ class Attempt:
         steps = min(self._steps(max(time_for - begin, 0.0), rates), MOST)
         least = min(max(steps, FEWEST), 1_000)
         spent = time.time() - self.job.began
-        self.send("state", {"need": (spent + begin + least * sum(1 / rate for rate in rates) + LATE * judging) / SAFETY})
+        needs = lambda updates: (spent + begin + updates * sum(1 / rate for rate in rates) + LATE * judging) / SAFETY  # noqa: E731
+        self.send("state", {"need": needs(least), "worth": WORTH, "need for worth": needs(WORTH)})
         if steps < FEWEST:
             # A candidate after hardly any training would be evaluated as no better, which differs from not knowing.
             text = f"{steps} updates of each candidate would fit, and at least {FEWEST} are needed"

@@ -191,7 +191,7 @@ def _written(out: Path, log: str, again: Sequence[str], found: Found, clock: Clo
         told = _unjudged(out, log, again, found, clock)
     elif found.fault is not None:
         told["choice"]["warnings"].append(f"the steps after the evaluation were not done: {found.fault}")
-    told["choice"]["warnings"] += state.get("leaks", [])
+    told["choice"]["warnings"] += [*state.get("leaks", []), *(_few_updates(state) if told["results"] else [])]
     told["recommend"] = mine
     write_results(path, told)
     return told
@@ -225,6 +225,18 @@ def _unjudged(out: Path, log: str, again: Sequence[str], found: Found, clock: Cl
         "warnings": [], "objections": [],
     }  # fmt: skip
     return {"log": log, "estimand": None, "truth": None, "policies": [], "judged": None, "results": [], "choice": choice}
+
+
+def _few_updates(state: dict[str, Any]) -> list[str]:
+    """A warning if policies were evaluated after much less training than they should have, with a budget for that."""
+    learned = [each for each in state.get("candidates", []) if each["state"] == "learned"]
+    few = [each for each in learned if each["updates"] < state.get("worth", 0)]
+    if not few:
+        return []
+    updates = ", ".join(f"{each['name']} {each['updates']:,}" for each in few)
+    budget = f"{max(math.ceil(state['need for worth'] / 60), 2)}m"
+    return [f"few updates: {updates}; with {state['worth']:,} of each, for which a budget of {budget} should be sufficient, "
+            "policies may be better"]  # fmt: skip
 
 
 def _rest(stage: str, planned: bool) -> list[str]:

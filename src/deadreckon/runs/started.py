@@ -17,8 +17,7 @@ from deadreckon.runs.reading import ENCODED, HORIZON, Read, read_like
 from deadreckon.runs.run import Run, load
 from deadreckon.tasks.registry import of_run
 from deadreckon.tasks.task import Task
-from deadreckon.training.checkpoint import load_arrays, load_tree
-from deadreckon.training.fit import checkpoints
+from deadreckon.training.checkpoint import checkpoints, load_arrays, load_tree
 
 
 class Start(NamedTuple):

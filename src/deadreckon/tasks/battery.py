@@ -53,7 +53,16 @@ def values(chances: np.ndarray | None = None) -> np.ndarray:
 
     Args:
         chances: (8, 4, 4, 3) of each action; None: the best possible.
+
+    Raises:
+        UserError: probabilities of another shape, negative ones, or such that do not sum to 1.
     """
+    if chances is not None:
+        chances = np.asarray(chances, float)
+        if chances.shape != (*grid()[0].shape, 3):
+            raise UserError(f"battery: probabilities must have shape (8, 4, 4, 3), got {chances.shape}")
+        if not ((chances >= 0).all() and np.allclose(chances.sum(-1), 1.0, atol=1e-6)):
+            raise UserError("battery: probabilities of actions must be 0 or more and sum to 1 in each state")
     moves = np.zeros((len(LEVELS), len(LEVELS)))
     for level in range(len(LEVELS)):
         for step, chance in ((-1, WANDER), (0, 1 - 2 * WANDER), (1, WANDER)):

@@ -1,6 +1,7 @@
 """Pytrees of arrays on disk, without pickle, in files that are either whole or absent."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,12 @@ def folder_of(out: Path, what: str, asked: dict[str, Any]) -> Path:
     return folder
 
 
+def checkpoints(folder: Path) -> list[tuple[int, Path]]:
+    """Step and path of every checkpoint of a fit, oldest first."""
+    found = ((re.fullmatch(r"(\d+)\.npz", p.name), p) for p in folder.glob("*.npz"))
+    return sorted((int(m[1]), p) for m, p in found if m)
+
+
 def inherit(folder: Path) -> None:
     """Lets a fit continue a shorter one that differs in `steps` alone: the newest checkpoint of that one is copied.
 
@@ -39,12 +46,12 @@ def inherit(folder: Path) -> None:
     Args:
         folder: of the fit, from `folder_of`; nothing is done if it has a checkpoint.
     """
-    if any(folder.glob("[0-9]*.npz")):
+    if checkpoints(folder):
         return
     found, asked = [], read_json(folder / "asked.json", dict)
     for note in folder.parent.glob(f"{folder.name.rpartition('-')[0]}-*/asked.json"):
         if read_json(note, dict) | {"steps": asked["steps"]} == asked:
-            found += [(int(path.stem), path) for path in note.parent.glob("[0-9]*.npz") if int(path.stem) <= asked["steps"]]
+            found += [(step, path) for step, path in checkpoints(note.parent) if step <= asked["steps"]]
     for _, path in sorted(found, reverse=True):
         try:
             arrays, meta = load_arrays(path)

@@ -4,7 +4,6 @@ Lanes are the fits that one compiled program trains at once, such as the seeds o
 """
 
 import contextlib
-import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from deadreckon.data.batch import BatchSource, TransitionSource
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.interrupts import holding
 from deadreckon.randomness import key_for
-from deadreckon.training.checkpoint import load_tree, save_tree
+from deadreckon.training.checkpoint import checkpoints, load_tree, save_tree
 from deadreckon.training.learner import lane_of, lift, stack, unstack
 from deadreckon.training.pictures import USUAL, Sight
 from deadreckon.training.program import PARAMETERS, advance, begin, choose, finite
@@ -67,12 +66,6 @@ class Fitted:
         return lane_of(self.states, index)
 
 
-def checkpoints(folder: Path) -> list[tuple[int, Path]]:
-    """Step and path of every checkpoint, oldest first."""
-    found = ((re.fullmatch(r"(\d+)\.npz", p.name), p) for p in folder.glob("*.npz"))
-    return sorted((int(m[1]), p) for m, p in found if m)
-
-
 @dataclass
 class Fit:
     """A fit that runs chunk by chunk, and can be stopped anywhere and resumed.
@@ -86,9 +79,8 @@ class Fit:
         chunk: most updates between two values of `chunks`; also the most that an interruption can lose.
         folder: of the checkpoints; None keeps nothing on disk.
         stream: fetch batches from the host instead of keeping the log on the device; None decides by memory.
-        sight: settings for image observations.
         stops: further steps at which a chunk must end, such as evaluations, as a period; 0 for none.
-        each: the rows that each lane is trained on: `rows`, or those of its log.
+        sight: settings for image observations.
 
     Raises:
         UserError: numbers out of range or of different lengths, lanes that need different batches or programs, or a learner
