@@ -2380,13 +2380,13 @@ MUTANTS = (
         ("report/test_design_page.py::test_scores_that_were_measured_are_not_called_predictions",),
     ),
     Mutant(
-        "slack-of-bounds-absolute", "mbo/designs.py", "np.maximum(np.where(np.isfinite(end), np.abs(end), 0.0), 0.01 * size)",
+        "slack-of-bounds-absolute", "mbo/designs.py", "np.select([end == 0, np.isfinite(end)], [wide, np.abs(end)], 0.0)",
         "np.ones(len(end))",
         "bounds of small quantities are not checked", ("mbo/test_designs.py::test_proposals_of_people_are_checked",),
     ),
     Mutant(
-        "slack-of-the-other-bound", "mbo/designs.py", "0.01 * size) for end in (low, high))",
-        "0.01 * size) for end in (high, high))",
+        "slack-of-the-other-bound", "mbo/designs.py", "0.0) for end in (low, high))",
+        "0.0) for end in (high, high))",
         "the lower bound of a variable over several decades is not checked",
         ("mbo/test_designs.py::test_proposals_of_people_are_checked",),
     ),
@@ -2462,7 +2462,7 @@ MUTANTS = (
         ("mbo/test_design_tables.py::test_fixed_values_may_come_from_an_iterator",),
     ),
     Mutant(
-        "no-slack-at-zero", "mbo/designs.py", "0.01 * size) for end in (low, high))", "0.0 * size) for end in (low, high))",
+        "no-slack-at-zero", "mbo/designs.py", "[wide, np.abs(end)]", "[0.0 * wide, np.abs(end)]",
         "a rounding error at a bound of zero is refused",
         ("mbo/test_designs.py::test_rounding_at_a_bound_of_zero_is_no_error",),
     ),
@@ -2567,7 +2567,7 @@ MUTANTS = (
     ),
     Mutant(
         "times-need-no-next-one", "data/draft.py",
-        "(c in times or not roles.not_observed(c))", "not roles.not_observed(c)",
+        "(named or c in times or not roles.not_observed(c))", "(named or not roles.not_observed(c))",
         "a table with next observations and a time, but no episodes, is refused for want of the time's next observation",
         ("data/test_misreadings.py::test_a_time_without_episodes_is_an_observation_that_needs_a_next_one",),
     ),
@@ -2610,7 +2610,8 @@ MUTANTS = (
         ("data/test_frame.py::test_a_propensity_beside_names_of_ours_is_one_as_in_a_file",),
     ),
     Mutant(
-        "unclear-episodes-observed", "data/draft.py", "(c in times or not roles.not_observed(c))", "True",
+        "unclear-episodes-observed", "data/draft.py",
+        "(named or c in times or not roles.not_observed(c))", "True",
         "columns of two episodes become observations beside next observations, in silence",
         ("data/test_misreadings.py::test_a_time_without_episodes_is_an_observation_that_needs_a_next_one",),
     ),
@@ -2621,12 +2622,13 @@ MUTANTS = (
         ("training/test_fit.py::test_a_longer_fit_goes_on_from_a_shorter_one_whatever_else_lies_there",),
     ),
     Mutant(
-        "later-logarithms-in-a-range", "bench/claims_file.py", 'if first.range is not None and "log" in said:', "if False:",
+        "later-logarithms-in-a-range", "bench/claims_file.py",
+        'if first.range is not None and said.get("log", False):', "if False:",
         "the range of scores is that of their logarithms in a later stage of a claim",
         ("bench/test_claims_again.py::test_no_later_stage_of_a_test_with_a_range_takes_logarithms",),
     ),
     Mutant(
-        "any-shift", "bench/methods.py", "if isinstance(shift, bool) or shift < 0:", "if False:",
+        "any-shift", "bench/methods.py", 'table.get("shift", 0), least=0)', "0, least=0)",
         "a shift that no run accepts is found in every job alone",
         ("bench/test_suite.py::test_a_shift_of_a_method_is_checked_when_the_suite_is_read",),
     ),
@@ -2636,12 +2638,12 @@ MUTANTS = (
         ("bench/test_sampler.py::test_a_value_that_stands_twice_is_one_choice",),
     ),
     Mutant(
-        "few-updates-untold", "runs/recommend.py", 'if each["updates"] < state.get("worth", 0)]', "if False]",
+        "few-updates-untold", "runs/recommend.py", '(_few_updates(state, clock) if told["results"] else [])', "[]",
         "a card does not say that its candidates are hardly trained",
-        ("runs/test_recommend.py::test_few_updates_are_told_with_a_budget",),
+        ("runs/test_recommend.py::test_estimates_that_are_there_are_the_card_even_if_the_check_hangs",),
     ),
     Mutant(
-        "battery-any-chances", "tasks/battery.py", "np.allclose(chances.sum(-1), 1.0, atol=1e-6)", "True",
+        "battery-any-chances", "tasks/battery.py", "np.abs(chances.sum(-1) - 1.0).max() <= 1e-3", "True",
         "values are computed for probabilities that sum to more than 1",
         ("tasks/test_battery.py::test_probabilities_that_are_none_are_refused",),
     ),
@@ -3812,7 +3814,8 @@ MUTANTS = (
     ),
     Mutant(
         "pages-of-both-sizes", "cli/bench.py", 'f"{suite.name}-full" if full else suite.name', "suite.name",
-        "pages of the full size are written over those of the other", ("bench/test_studies.py",),
+        "pages of the full size are written over those of the other",
+        ("bench/test_studies.py::test_the_full_size_has_a_page_of_its_own",),
     ),
     Mutant(
         "metric-of-no-study", "bench/tables.py", "if given and metric.column", "if False and metric.column",

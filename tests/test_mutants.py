@@ -4,12 +4,20 @@ from pathlib import Path
 
 import pytest
 
-from tests.mutants import MUTANTS, ROOT
+from tests.mutants import MUTANTS, PAGE, ROOT
 
 
 def test_there_are_many_with_names_of_their_own():
     assert len(MUTANTS) >= 60
     assert len({mutant.name for mutant in MUTANTS}) == len(MUTANTS)
+
+
+def test_the_page_has_a_row_for_each_and_counts_them():
+    page = PAGE.read_text()
+    lacking = [mutant.name for mutant in MUTANTS if f"| {mutant.breaks} | `{mutant.file}` | `" not in page]
+    assert not lacking
+    assert page.count("\n| ") == len(MUTANTS) + 1  # and the heads
+    assert f"holds {len(MUTANTS)} bugs" in page
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: mutant.name)

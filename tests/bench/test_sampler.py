@@ -53,6 +53,8 @@ def test_values_may_be_tuples_and_whole_numbers_stay_whole():
 
 def test_a_value_that_stands_twice_is_one_choice():
     assert OptunaSampler("td3_bc", {"alpha": [1.0, 5.0, 1.0]}).space["alpha"] == [1.0, 5.0]
+    with pytest.raises(UserError, match="hidden takes a tuple of numbers"):
+        OptunaSampler("td3_bc", {"hidden": [[16, 16], [32, 32]]})
 
 
 def test_a_setting_that_failed_is_told_as_failed():

@@ -14,6 +14,7 @@ from deadreckon.bench.store import Store
 from deadreckon.bench.suite import read
 from deadreckon.bench.tables import tables
 from deadreckon.bench.work import perform
+from deadreckon.cli.bench import _page
 from deadreckon.cli.main import main
 from deadreckon.errors import UserError
 from deadreckon.imports import trust
@@ -139,6 +140,11 @@ def test_pages_of_the_full_size_leave_those_of_the_other(suite, tmp_path):
     assert main([*words, "--full"]) == 0
     assert (tmp_path / "out" / "reports" / "study.html").read_bytes() == before
     assert (tmp_path / "out" / "reports" / "study-full.html").exists()
+
+
+def test_the_full_size_has_a_page_of_its_own(suite, tmp_path):
+    of, store = read(suite("right")), Store(tmp_path / "out")
+    assert [_page(of, plan(of), store, full).name for full in (False, True)] == ["study.html", "study-full.html"]
 
 
 def test_what_cannot_be_planned_is_told_with_suite_and_method(tmp_path):

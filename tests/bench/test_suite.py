@@ -304,7 +304,7 @@ def test_histories_of_a_method_make_other_cells(written):
 
 @pytest.mark.parametrize("shift", ["-3", "true"])
 def test_a_shift_of_a_method_is_checked_when_the_suite_is_read(written, shift):
-    with pytest.raises(UserError, match="shift of method 'B' must be a whole number >= 0, got (-3|True)"):
+    with pytest.raises(UserError, match="shift of method 'B' must be a whole number of 0 or more, got (-3|True)"):
         read(written(HISTORY.replace("history = %s", f"shift = {shift}")))
     with pytest.raises(UserError, match="about must be a text, got 5"):
         read(written("about = 5\n" + HISTORY % 1))

@@ -17,16 +17,13 @@ from deadreckon.policies import load_dapg
 from deadreckon.policies.kinds import Gaussian
 from deadreckon.tasks import task
 from deadreckon.tasks.adroit import TASKS
+from tests.data.small_logs import make_log
 
 DOOR = task("door")
 
 
 def test_a_clone_that_diverges_ends_the_collection(monkeypatch):
-    rng = np.random.default_rng(0)
-    log = dr.Dataset.from_arrays(
-        observations=rng.normal(size=(300, 3)), actions=rng.uniform(-1, 1, (300, 2)), rewards=np.zeros(300),
-        terminals=np.arange(300) % 30 == 29, name="people",
-    )  # fmt: skip
+    log = make_log([30] * 10, terminal=(True,), finals=False, name="people")
     monkeypatch.setattr(adroit, "BC", lambda: dr.agents.BC(hidden=(8,), lr=1e30))
     monkeypatch.setattr(adroit, "UPDATES", 20)
     with pytest.raises(DivergedError, match="people: its clone: [a-z_]* was not finite at update [0-9]*$"):

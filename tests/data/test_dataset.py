@@ -156,7 +156,7 @@ def _with(column, place, value):
         ({"actions": np.float32(1)}, "log: the log has no rows"),
         ({"final_observations": np.zeros((2, 2))}, r"final_observations have shape \(2, 2\), \(1, 2\) is needed"),
         ({"final_observations": np.full((1, 2), np.nan)}, "final_observations has nan in row 0"),
-        ({"final_observations": np.zeros((1, 2)), "final_known": [1, 1]}, "has 2 values, 1 are needed, one per episode"),
+        ({"final_observations": np.zeros((1, 2)), "final_known": [1, 1]}, "final_known has 2 values, 1 are needed, one per"),
         ({"next_observations": np.zeros((4, 3))}, r"next_observations have shape \(4, 3\), observations \(4, 2\)"),
         ({"actions": np.array([0, 1, 5, 0]), "action_space": Discrete(3)}, r"actions has 5 in row 2, 0 .. 2 is needed"),
         ({"actions": np.array([0, 2**32 + 1, 0, 0]), "action_space": Discrete(3)}, "4294967297 in row 1, 0 .. 2 is"),

@@ -128,8 +128,13 @@ def test_a_time_without_episodes_is_an_observation_that_needs_a_next_one():
     table = base(t=np.arange(N), next_x=np.roll(X, -1))
     log = Dataset.from_frame(table)
     assert named(log) == ["x", "t"]
-    assert told(log, r"columns next_x look like .* left out, because t have none \(--ignore t uses them\)")
+    assert told(log, "columns next_x look like .* left out, because t has none; with --ignore t they are used")
     assert told(Dataset.from_frame(table, ignore="t"), "are read as next observations")
+    dates = [f"2024-04-{1 + i % 28:02d} 10:{i % 60:02d}" for i in range(N)]  # not observed, so that they need no next one
+    assert told(Dataset.from_frame(base(time=dates, next_x=np.roll(X, -1))), "are read as next observations")
+    # What was asked for is observed whatever its name.
+    log = Dataset.from_frame(base(cost=R, next_x=np.roll(X, -1)), observations=["x", "cost"])
+    assert told(log, "left out, because cost has none")
     # Two columns of episodes: nobody knows which one it is.
     with pytest.raises(UserError, match="observation ep has no next observation"):
         Dataset.from_frame(base(ep=EPISODE, traj_id=EPISODE, next_x=np.roll(X, -1)))
@@ -193,7 +198,7 @@ def test_some_next_observations_without_the_others_are_left_out():
     del table["next_s1"]
     log = Dataset.from_frame(table, episode="ep")
     assert named(log) == ["s0", "s1"]
-    assert told(log, "columns next_s0 look like next observations and are left out, because s1 have none")
+    assert told(log, "columns next_s0 look like next observations and are left out, because s1 has none")
 
 
 CASES = {

@@ -164,7 +164,8 @@ def test_proposals_of_people_are_checked():
         assert found.encode(part | {"grams": [unit]}).shape == (1, 3)
         with pytest.raises(UserError, match=r"grams is .* in row 0, a number in \[0, .*\] is needed"):
             found.encode(part | {"grams": [1.0001 * unit]})
-    for low, high, beyond in ((1e-3, 1e4, (0.0, 0.9999e-3, 1.0001e4)), (0.0, 1e9, (-900.0, 1.0001e9)), (-1e9, -1.0, (20.0,))):
+    decades, at_zero = (1e-3, 1e4, (0.0, 0.9999e-3, 1.0001e4)), (0.0, 1e9, (-900.0, 1.0001e9))
+    for low, high, beyond in (decades, at_zero, (-1e9, -1.0, (-0.99, 20.0))):
         variables = Variable("a", low=low, high=high, log=low > 0), Variable("b")
         x = np.stack([np.geomspace(low, high, 12) if low else np.linspace(low, high, 12), np.arange(12.0)], 1)
         found = Designs.from_arrays(x, np.arange(12.0), variables)

@@ -33,6 +33,7 @@ from deadreckon.runs.export_onnx import _line
 from deadreckon.runs.exported import Rows, check
 from deadreckon.runs.reading import noted
 from deadreckon.runs.subject import subject
+from tests.data.small_logs import make_log
 from tests.recorded import decision
 
 
@@ -351,11 +352,7 @@ def test_the_code_on_a_stablehlo_card_runs_as_it_stands(tmp_path):
 
 @pytest.mark.slow
 def test_a_mixture_of_arrays_says_how_it_is_called_and_what_it_was_trained_on(tmp_path):
-    rng = np.random.default_rng(0)
-    log = dr.Dataset.from_arrays(
-        observations=rng.normal(size=(40, 3)), actions=rng.uniform(-1, 1, (40, 2)), rewards=np.zeros(40),
-        terminals=np.arange(40) % 4 == 3, name="mine",
-    )  # fmt: skip
+    log = make_log([4] * 10, terminal=(True,), finals=False, name="mine")
     agent, short = dr.agents.BC(hidden=(4,), batch_size=8), {"steps": 2, "task": False}
     cross = dr.cross_fit(agent, log, out=tmp_path / "cross", folds=2, **short)
     other = dataclasses.replace(log, name="other", rewards=log.rewards + 1.0)

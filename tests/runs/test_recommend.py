@@ -214,6 +214,7 @@ def test_estimates_that_are_there_are_the_card_even_if_the_check_hangs(doing, ti
             "support": {"missing": [0.1], "ratio": [1.0]}}  # fmt: skip
     doing(
         f"{STATES}with open(job['out'] + '/estimates.json', 'w') as file:\n    file.write({json.dumps(told)!r})\n"
+        "send('state', {'need for worth': 290.0})\n"
         "send('line', 'written'); time.sleep(600)"
     )
     tell = lambda line: time_is_over() if line == "written" else None  # noqa: E731
@@ -221,6 +222,8 @@ def test_estimates_that_are_there_are_the_card_even_if_the_check_hangs(doing, ti
     assert found.judged
     assert found.choice.deploy
     assert "DEPLOY bc seed 0: it is better." in str(found)
+    few = "few updates: bc 90 (10,000 are advised); a budget of about 6m should be sufficient for them"
+    assert few in found.choice.warnings
     assert "bc seed 0 2.00 [1.50, 2.50] behaviour policy - [-, -]" in " ".join(str(found).split())
     assert read_json(tmp_path / "out" / "estimates.json")["recommend"]["late"]
     assert "it is better" in (tmp_path / "out" / "report.html").read_text()
@@ -398,7 +401,7 @@ def test_candidates_that_hardly_began_to_learn_are_not_judged(small, tmp_path, m
     words = "not enough time: 20 updates of each candidate would fit, and at least 200 are needed; reading, compiling"
     assert unfinished.startswith(words)
     assert [each["need"] > 0 for each in of(sent, "state") if "need" in each] == [True]
-    assert [each["need for worth"] >= each["need"] for each in of(sent, "state") if "need" in each] == [True]
+    assert [each["need for worth"] > each["need"] for each in of(sent, "state") if "need" in each] == [True]
     assert {"short": True} in of(sent, "state")
     assert not (out / "estimates.json").exists()
 
@@ -636,9 +639,8 @@ def test_the_command_that_goes_on_decides_by_the_same_settings():
 def test_few_updates_are_told_with_a_budget():
     each = [{"name": name, "state": state, "updates": n} for name, state, n in
             (("bc", "learned", 429), ("iql", "learned", 10_000), ("awac", "diverged", 50))]  # fmt: skip
-    state = {"candidates": each, "worth": 10_000, "need for worth": 290.0}
-    assert _few_updates(state) == [
-        "few updates: bc 429; with 10,000 of each, for which a budget of 5m should be sufficient, policies may be better"
-    ]
-    assert _few_updates(state | {"candidates": each[1:]}) == []
-    assert _few_updates({"candidates": each}) == []
+    state = {"candidates": each, "need for worth": 290.0}
+    said = "few updates: bc 429 (10,000 are advised); a budget of about {} should be sufficient for them"
+    assert _few_updates(state, Clock.of(120.0, None)) == [said.format("6m")]
+    assert _few_updates(state, Clock.of(3600.0, None)) == [said.format("75m")]  # not less than what was too little
+    assert _few_updates(state | {"candidates": each[1:]}, Clock.of(120.0, None)) == []

@@ -20,6 +20,7 @@ MAPS = {
     "eight": EIGHT,
     "town": town(),
     "ring": town((1, 1)),
+    "three": town((1, 2)),
     "small eight": figure_eight(10.5, 3.5),
 }
 TEXT = to_xodr(EIGHT)

@@ -208,7 +208,7 @@ def _again(
             raise UserError(f"{where}: {key} must be {kind}, got {value!r}")
     if first.beside is not None:
         raise UserError(f"{where}: a test with beside has no second stage")
-    if first.range is not None and "log" in said:
+    if first.range is not None and said.get("log", False):
         raise UserError(f"{where}: range is for tests without log; leave range or log out")
     place = path.parent / safe_path(file := said["suite"], f"{where}: suite")
     suite = _read(where, file, place, suites)

@@ -40,14 +40,14 @@ class Method:
     log: str = ""
 
 
-def check_count(where: str, what: str, value: Any) -> None:
+def check_count(where: str, what: str, value: Any, least: int = 1) -> None:
     """Refuses what is no number of things.
 
     Raises:
-        UserError: it is no whole number of 1 or more.
+        UserError: it is no whole number of `least` or more.
     """
-    if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-        raise UserError(f"{where}: {what} must be a whole number of 1 or more, got {value!r}")
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise UserError(f"{where}: {what} must be a whole number of {least} or more, got {value!r}")
 
 
 def method(where: str, kind: str, name: str, table: Any) -> Method:
@@ -73,9 +73,7 @@ def method(where: str, kind: str, name: str, table: Any) -> Method:
     for key, value in table.items():
         if not isinstance(value, kinds[key]):
             raise UserError(f"{where}: {key} of method {name!r} must be a {kinds[key].__name__}, got {value!r}")
-    shift = table.get("shift", 0)
-    if isinstance(shift, bool) or shift < 0:
-        raise UserError(f"{where}: shift of method {name!r} must be a whole number >= 0, got {shift!r}")
+    check_count(where, f"shift of method {name!r}", table.get("shift", 0), least=0)
     check_count(where, f"history of method {name!r}", history := table.get("history", 1))
     if history > 1:
         from deadreckon.runs.settings import MOST_HISTORY  # with all that a run needs

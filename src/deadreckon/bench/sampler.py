@@ -67,14 +67,14 @@ class OptunaSampler:
         for name, values in self.space.items():
             if name not in defaults:
                 raise unknown(f"field of {agent}", name, defaults)
-            if isinstance(values, Range):
-                tried = [values.low, values.high]
-            else:  # a value that stands twice is one choice
-                self.space[name] = tried = list(dict.fromkeys(values))
-            if not tried:
-                raise UserError(f"{name} has no values to try")
-            for value in tried:
+            for value in (values.low, values.high) if isinstance(values, Range) else values:
                 check_fields(kind(**{name: value}))
+            if not isinstance(values, Range) and not values:
+                raise UserError(f"{name} has no values to try")
+        # A value that stands twice is one choice.
+        self.space = {
+            name: values if isinstance(values, Range) else list(dict.fromkeys(values)) for name, values in self.space.items()
+        }
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         self.optuna = optuna
         sampler = optuna.samplers.TPESampler(seed=seed, n_startup_trials=_STARTS, multivariate=True)

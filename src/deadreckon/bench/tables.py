@@ -133,8 +133,8 @@ def tables(suite: Suite, jobs: Sequence[Job], store: Store, any_revision: bool =
 
 
 def _metrics(suite: Suite) -> tuple[Metric, ...]:
-    """Of its kind, which is no study; where methods go on from a log, also what they gained and how far they fell; where tasks
-    have no scale of scores, the raw returns as well, or alone."""
+    """The metrics of a suite that is no study: those of its kind; where methods go on from a log, also what they gained and how
+    far they fell; where tasks have no scale of scores, raw returns as well, or alone."""
     from deadreckon.tasks.registry import task
 
     known = METRICS[suite.kind] + (FINE_TUNED if suite.data else ())

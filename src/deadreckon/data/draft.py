@@ -16,7 +16,7 @@ from deadreckon.data.asked import Asked, listed
 from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.kinds import asked_kinds, check_column, columns_like, kind_of
 from deadreckon.data.legal_columns import find_legal
-from deadreckon.data.rest import rest
+from deadreckon.data.rest import Rest, rest
 from deadreckon.data.schema import ONE, Column, Role, Schema
 from deadreckon.errors import UserError
 
@@ -141,7 +141,7 @@ class _Maker:
         self.following_asked_for()
         self.ahead_by_name()
         self.ends_by_name()
-        theirs = self.having("action") == [c for c in self.names if c == "action" or re.fullmatch(r"action_\d+", c)]
+        theirs = set(self.having("action")) == {*self.names} & {"action", *roles.numbered(self.names, "action")}
         of_ours = theirs and roles.ours(self.names) and LOG_PROBS not in self.names and not self.having("propensity")
         for column in [column for column in self.names if column not in self.roles]:
             if roles.DONE.fullmatch(column.lower()):
@@ -241,15 +241,17 @@ class _Maker:
             return
         found = ", ".join(list(pairs)[:4]) + (", ..." if len(pairs) > 4 else "")
         paired = {*pairs, *pairs.values()}
-        # A time without episodes is an observation. Names of other roles that could not be given, such as those of two
-        # episodes, are none: they end in an error.
-        times = [] if self.having("episode") else [column for column in observed if roles.like("time", column)]
-        lacking = [c for c in observed if c not in paired and (c in times or not roles.not_observed(c))]
+        # A time without episodes is an observation, unless it holds dates. Names of other roles that could not be given, such
+        # as those of two episodes, are none unless they were asked for: they end in an error.
+        times = [] if self.having("episode") else [c for c in observed if roles.like("time", c)]
+        times = [c for c in times if self.left(c).role == "observation"]
+        lacking = [c for c in observed if c not in paired and (named or c in times or not roles.not_observed(c))]
         if lacking:
             self.give(list(pairs), "ignore", "looks like a next observation")
             shown = ", ".join(lacking[:4])
-            how = f" (--ignore {' '.join(lacking)} uses them)" if set(lacking) <= set(times) else ""
-            self.told.append(f"columns {found} look like next observations and are left out, because {shown} have none{how}")
+            how = f"; with --ignore {' '.join(lacking)} they are used" if set(lacking) <= set(times) else ""
+            lack = "have" if len(lacking) > 1 else "has"
+            self.told.append(f"columns {found} look like next observations and are left out, because {shown} {lack} none{how}")
         else:
             self.give(list(pairs), "next_observation", "by its name")
             self.of |= pairs
@@ -291,10 +293,14 @@ class _Maker:
 
     def observe(self, column: str) -> None:
         """The role of a column that is left, and what to say of it."""
-        found = rest(column, flat(self.table, column), self.kinds.get(column))
+        found = self.left(column)
         self.give([column], found.role, found.why)
         if found.doubt:
             self.doubt(column, found.doubt)
+
+    def left(self, column: str) -> Rest:
+        """What a column becomes to which no rule gives a role."""
+        return rest(column, flat(self.table, column), self.kinds.get(column))
 
     def complete(self) -> None:
         """Refuses a table without action, reward or observation."""

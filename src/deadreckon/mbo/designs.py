@@ -311,11 +311,10 @@ class Designs(Shown):
         low = np.array([0.0 if v.leveled else v.low for v in self.variables])
         high = np.array([len(v.levels) - 1.0 if v.leveled else v.high for v in self.variables])
         whole = np.array([v.kind != "continuous" for v in self.variables])
-        # Float32 does not hold every bound exactly. The slack of an infinite bound would be infinite, too; that of a variable
-        # on a log scale is a share of the bound, and of others at least a smaller share of the range, as at a bound of 0.
-        linear = np.array([not v.log for v in self.variables]) & np.isfinite(high - low)
-        size = np.where(linear, np.minimum(np.maximum(np.abs(low), np.abs(high)), high - low), 0.0)
-        below, above = (SLACK * np.maximum(np.where(np.isfinite(end), np.abs(end), 0.0), 0.01 * size) for end in (low, high))
+        # Float32 does not hold every bound exactly. The slack of an infinite bound would be infinite, too; that of a bound of 0
+        # is a smaller share of the range.
+        wide = 0.01 * np.where(np.isfinite(high - low), high - low, 0.0)
+        below, above = (SLACK * np.select([end == 0, np.isfinite(end)], [wide, np.abs(end)], 0.0) for end in (low, high))
         with np.errstate(invalid="ignore"):
             good = np.isfinite(x) & (x >= low - below) & (x <= high + above) & (~whole | (x == np.round(x)))
         if not good.all():

@@ -294,7 +294,7 @@ class Attempt:
         least = min(max(steps, FEWEST), 1_000)
         spent = time.time() - self.job.began
         needs = lambda updates: (spent + begin + updates * sum(1 / rate for rate in rates) + LATE * judging) / SAFETY  # noqa: E731
-        self.send("state", {"need": needs(least), "worth": WORTH, "need for worth": needs(WORTH)})
+        self.send("state", {"need": needs(least), "need for worth": needs(WORTH)})
         if steps < FEWEST:
             # A candidate after hardly any training would be evaluated as no better, which differs from not knowing.
             text = f"{steps} updates of each candidate would fit, and at least {FEWEST} are needed"

@@ -24,7 +24,7 @@ from deadreckon.files import alone
 from deadreckon.ope.select import Choice
 from deadreckon.progress import Watcher, unwatched
 from deadreckon.provided import Shown
-from deadreckon.runs.attempt import Job
+from deadreckon.runs.attempt import WORTH, Job
 from deadreckon.runs.clock import Clock
 from deadreckon.runs.decision_record import ESTIMATES, read_results, write_results
 from deadreckon.runs.durations import in_words
@@ -191,7 +191,7 @@ def _written(out: Path, log: str, again: Sequence[str], found: Found, clock: Clo
         told = _unjudged(out, log, again, found, clock)
     elif found.fault is not None:
         told["choice"]["warnings"].append(f"the steps after the evaluation were not done: {found.fault}")
-    told["choice"]["warnings"] += [*state.get("leaks", []), *(_few_updates(state) if told["results"] else [])]
+    told["choice"]["warnings"] += [*state.get("leaks", []), *(_few_updates(state, clock) if told["results"] else [])]
     told["recommend"] = mine
     write_results(path, told)
     return told
@@ -227,16 +227,15 @@ def _unjudged(out: Path, log: str, again: Sequence[str], found: Found, clock: Cl
     return {"log": log, "estimand": None, "truth": None, "policies": [], "judged": None, "results": [], "choice": choice}
 
 
-def _few_updates(state: dict[str, Any]) -> list[str]:
-    """A warning if policies were evaluated after much less training than they should have, with a budget for that."""
+def _few_updates(state: dict[str, Any], clock: Clock) -> list[str]:
+    """A warning if policies were evaluated after fewer than `WORTH` updates, with a budget for these."""
     learned = [each for each in state.get("candidates", []) if each["state"] == "learned"]
-    few = [each for each in learned if each["updates"] < state.get("worth", 0)]
-    if not few:
+    few = [each for each in learned if each["updates"] < WORTH]
+    if not few or "need for worth" not in state:
         return []
     updates = ", ".join(f"{each['name']} {each['updates']:,}" for each in few)
-    budget = f"{max(math.ceil(state['need for worth'] / 60), 2)}m"
-    return [f"few updates: {updates}; with {state['worth']:,} of each, for which a budget of {budget} should be sufficient, "
-            "policies may be better"]  # fmt: skip
+    budget = _in_minutes(_with_margin(state["need for worth"], clock))
+    return [f"few updates: {updates} ({WORTH:,} are advised); a budget of about {budget} should be sufficient for them"]
 
 
 def _rest(stage: str, planned: bool) -> list[str]:
@@ -248,9 +247,19 @@ def _rest(stage: str, planned: bool) -> list[str]:
 def _enough(state: dict[str, Any], clock: Clock) -> str:
     """A budget that should suffice, in whole minutes."""
     need = state.get("need")
-    seconds = EVER * clock.budget if need is None else max(1.2 * need, 1.25 * clock.budget)
+    seconds = EVER * clock.budget if need is None else _with_margin(need, clock)
     if state.get("stage") == "evaluation":  # which took longer than expected
         seconds = max(seconds, clock.budget + 2.0 * (time.time() - state["since"]))
+    return _in_minutes(seconds)
+
+
+def _with_margin(need: float, clock: Clock) -> float:
+    """Seconds of a budget for what is expected to need so many, more than the budget that there was."""
+    return max(1.2 * need, 1.25 * clock.budget)
+
+
+def _in_minutes(seconds: float) -> str:
+    """A budget of whole minutes, at least two."""
     return f"{max(math.ceil(seconds / 60), 2)}m"
 
 

@@ -184,8 +184,8 @@ class Recorder:
 
     def _judge_beside(self, step: int) -> None:
         paths = self._paths(step)
-        policies = [store.load(path) for path in paths]
-        metas = [store.meta(path) for path in paths]
+        saved = [store.load_all(path) for path in paths]
+        policies, metas = [each.policy for each in saved], [each.meta for each in saved]
         probes = [self.probe(memoryless(policy)) for policy in policies]
         count = self.episodes if self.judge is not None else 1
         columns: dict[str, Any] = {
@@ -254,8 +254,8 @@ def opened(
 ) -> None:
     """Begins the runs of a fit, or resumes them from its newest checkpoint.
 
-    Nothing is written if `Folder.check` refuses a run. After a crash at any moment, the runs can be resumed; what is noted of
-    them after this function is noted again then.
+    Nothing is written if `Folder.check` refuses a run. After a crash at any moment, the runs can be resumed. What the
+    callers write next, such as the ids of episodes, is written again when a run is resumed.
 
     Args:
         job: the fit, which is brought to its newest checkpoint.

@@ -59,9 +59,9 @@ def values(chances: np.ndarray | None = None) -> np.ndarray:
     """
     if chances is not None:
         chances = np.asarray(chances, float)
-        if chances.shape != (*grid()[0].shape, 3):
-            raise UserError(f"battery: probabilities must have shape (8, 4, 4, 3), got {chances.shape}")
-        if not ((chances >= 0).all() and np.allclose(chances.sum(-1), 1.0, atol=1e-6)):
+        if chances.shape != (shape := (*grid()[0].shape, BUY + 1)):
+            raise UserError(f"battery: probabilities must have shape {shape}, got {chances.shape}")
+        if not ((chances >= 0).all() and np.abs(chances.sum(-1) - 1.0).max() <= 1e-3):
             raise UserError("battery: probabilities of actions must be 0 or more and sum to 1 in each state")
     moves = np.zeros((len(LEVELS), len(LEVELS)))
     for level in range(len(LEVELS)):
