@@ -1,4 +1,4 @@
-"""One decision an episode: noise, classes, actions that the log lacks, users who come back, and many actions."""
+"""One decision an episode: noise, classes, actions that the log lacks, users, many actions, and changes along the log."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -25,19 +25,25 @@ class Bandit:
         mean: (n, actions) expected reward, of both.
         chances: (n, actions) of the log's own policy, of what is seen.
         seed: of the truth's contexts.
+        changing: (n, actions) the same of both, if it changes with what is not seen; None: it does not.
     """
 
     contexts: Callable[[np.random.Generator, int], tuple[np.ndarray, np.ndarray]]
     mean: Callable[[np.ndarray, np.ndarray], np.ndarray]
     chances: Callable[[np.ndarray], np.ndarray]
     seed: int
+    changing: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
+
+    def own(self, seen: np.ndarray, unseen: np.ndarray) -> np.ndarray:
+        """(n, actions) probabilities of the log's own policy."""
+        return self.chances(seen) if self.changing is None else self.changing(seen, unseen)
 
     def gains(self, policies: Sequence[Any], errors: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Over contexts that are the same for all policies, until the errors are small enough."""
         sums, squares, own, count = np.zeros(len(policies)), np.zeros(len(policies)), 0.0, 0
         for block in range(MOST):
             seen, unseen = self.contexts(np.random.default_rng([self.seed, TRUTH, block]), BLOCK)
-            mean, chances = self.mean(seen, unseen), self.chances(seen)
+            mean, chances = self.mean(seen, unseen), self.own(seen, unseen)
             for i, policy in enumerate(policies):
                 each = ((policy.probs(seen) - chances) * mean).sum(1)
                 sums[i] += each.sum()
@@ -72,7 +78,7 @@ def problem(
     rng = np.random.default_rng([world.seed, LOG])
     seen, unseen = world.contexts(rng, rows) if drawn is None else drawn
     seen = seen.astype(np.float32)
-    mean, chances = world.mean(seen, unseen), world.chances(seen)
+    mean, chances = world.mean(seen, unseen), world.own(seen, unseen)
     actions = choose(chances, np.random.default_rng([world.seed, LOG, 1]))
     got = noise(np.random.default_rng([world.seed, LOG, 2]), mean[np.arange(rows), actions])
     columns = dict(extras or {})
@@ -339,6 +345,54 @@ def many(seed: int, rows: int) -> Problem:
     return problem(world, rows, NOISES["bernoulli"], candidates, "many-actions")
 
 
+# ---- changes along the log -------------------------------------------------------------------------------------------
+
+
+def course(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
+    """A function of time in [0, 1] with values from -1 to 1: a trend, a step, or one or two seasons."""
+    kind, sign, when = rng.integers(3), rng.choice([-1.0, 1.0]), rng.uniform(0.25, 0.75)
+    seasons = rng.integers(1, 3)
+    if kind == 0:
+        return lambda t: sign * (2.0 * t - 1.0)
+    if kind == 1:
+        return lambda t: sign * np.where(t < when, -1.0, 1.0)
+    return lambda t: sign * np.sin(2.0 * np.pi * (seasons * t + when))
+
+
+def drifting(null: bool, constant: bool) -> Callable[[int, int], Problem]:
+    """The log's own policy changes along the log, and so do rewards, alike or not, unless these are constant in time.
+
+    What changes in the rewards is the same for all actions, so that gains do not depend on it. The log does not tell the
+    probabilities of its actions.
+    """
+
+    def make(seed: int, rows: int) -> Problem:
+        rng = np.random.default_rng([seed, WORLD])
+        size, actions = ((2, 2), (5, 3), (5, 5))[rng.integers(3)]
+        policy, alike = course(rng), rng.random() < 0.5
+        rewards = policy if alike else course(rng)
+        by, much = rng.choice([0.3, 1.0, 2.0]), rng.choice([0.1, 0.3, 1.0]) * (not constant)
+        turn, weights = linear(rng, size, actions), linear(rng, size, actions)
+        liked, effect = rng.permutation(np.linspace(-1.0, 1.0, actions)), rng.choice([0.3, 1.0]) * (not null)
+        mean = lambda seen, t: much * rewards(t) + effect * (seen @ weights)  # noqa: E731
+        mixed = lambda logits: 0.1 / actions + 0.9 * softmax(logits)  # noqa: E731
+        chances = lambda seen: mixed(seen @ turn)  # noqa: E731
+        world = Bandit(
+            lambda rng, n: (rng.standard_normal((n, size), np.float32), rng.random((n, 1))), mean, chances, seed,
+            lambda seen, t: mixed(seen @ turn + by * policy(t) * liked),
+        )  # fmt: skip
+        strength = rng.uniform(0.3, 1.0, 2)
+        candidates = {
+            "liked": Choices(lambda seen: tilted(chances(seen), liked + 0.0 * seen[:, :1], strength[0])),
+            "better": Choices(lambda seen: tilted(chances(seen), seen @ weights, strength[1])),
+        }
+        drawn, _ = world.contexts(np.random.default_rng([seed, LOG]), rows)
+        time = ((np.arange(rows) + 0.5) / rows)[:, None]
+        return problem(world, rows, NOISES["normal"], candidates, "drifting", (drawn, time), known=False, null=null)
+
+    return make
+
+
 NEVER = "none: all policies have the same value"
 FAMILIES = (
     Family("null-bandit", null(True), NEVER),
@@ -355,4 +409,7 @@ FAMILIES = (
     Family("supported-unknown", missing(True, False), "as in `supported`"),
     Family("users", users, "in half of the logs; in the others the preferences cancel and all policies have the same value"),
     Family("many-actions", many, BETTER, split="confirmatory"),
+    Family("drifting-null", drifting(True, False), NEVER),
+    Family("drifting", drifting(False, False), "in nearly all logs (`better`)"),
+    Family("drifting-constant", drifting(False, True), "as in `drifting`, of which it is a variant with constant rewards"),
 )

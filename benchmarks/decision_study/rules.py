@@ -262,16 +262,16 @@ def argmax_wis(task: Task) -> Verdict:
     return highest(weighted(task))
 
 
-def new(task: Task) -> Verdict:
+def new(task: Task, stationary: bool = False) -> Verdict:
     """The package's decision card, on the held-out part, or cross-fitted where that has few episodes or clusters."""
     problem = task.problem
     units, held = problem.units, problem.parts(task.seed)[1]
     if len(np.unique(units[held])) < (CROSS if problem.log.lengths.max() == 1 else UNITS):
-        return _crossed(task)
-    return _card(task, task.policies, held)
+        return _crossed(task, stationary)
+    return _card(task, task.policies, held, stationary)
 
 
-def _crossed(task: Task) -> Verdict:
+def _crossed(task: Task, stationary: bool) -> Verdict:
     """Learned `FOLDS` times, and each fold judged by the policy that has not seen it: of mixtures that draw one of these."""
     problem = task.problem
     which = problem.folds(task.seed, FOLDS)
@@ -287,16 +287,16 @@ def _crossed(task: Task) -> Verdict:
         policies[name] = policy if len(own) == 1 else CrossFitted(tuple(own), which)
         gains = np.zeros(len(own)) if problem.null else problem.world.gains(own, np.full(len(own), error))[0]
         true.append(float(gains @ share) if len(own) > 1 else float(gains[0]))
-    return replace(_card(task, policies, np.arange(problem.log.episodes)), true=np.array(true))
+    return replace(_card(task, policies, np.arange(problem.log.episodes), stationary), true=np.array(true))
 
 
-def _card(task: Task, policies: Mapping[str, Any], held: np.ndarray) -> Verdict:
+def _card(task: Task, policies: Mapping[str, Any], held: np.ndarray, stationary: bool) -> Verdict:
     problem, estimand = task.problem, task.problem.estimand
     case = OPEInput(
         problem.log, list(policies.values()), discount=estimand.discount, horizon=estimand.horizon, greedy=estimand.greedy,
         names=list(policies), logged=True, held=held, clusters=problem.units, seed=task.seed % 2**32, noise=None,
     )  # fmt: skip
-    found = decide(case, alpha=FIRST_LOOK)
+    found = decide(case, alpha=FIRST_LOOK, stationary=stationary)
     choice = found.choice
     index = list(policies).index(choice.name) if choice.deploy else None
     told = np.array([bool(found.support.objections(i)) for i in range(len(policies))])
@@ -305,5 +305,5 @@ def _card(task: Task, policies: Mapping[str, Any], held: np.ndarray) -> Verdict:
 
 RULES: dict[str, Callable[[Task], Verdict]] = {
     "new": new, "old-train": old_train, "old-held": old_held, "old-level": old_level, "old-fqe": old_fqe, "oracle": oracle,
-    "argmax-fqe": argmax_fqe, "argmax-wis": argmax_wis,
+    "argmax-fqe": argmax_fqe, "argmax-wis": argmax_wis, "stationary": lambda task: new(task, stationary=True),
 }  # fmt: skip

@@ -97,7 +97,7 @@ def test_decisions_against_deploying(case):
 def test_others_are_evidence(case):
     choice = select([ImportanceSampling().on(case), TABULAR.on(case)])
     assert choice.evidence[0].startswith("FQE-L2: +")
-    assert choice.evidence[0].endswith("agrees that it is best")
+    assert choice.evidence[0].endswith("ranks it first, too")
 
 
 def estimates(method, gains, bootstrap, ess=None, corrected=True):

@@ -125,7 +125,7 @@ def told(gains: dict[str, tuple[float, float, float]], deploy: bool = True, *, c
         "support": {"missing": [0.04] * len(names), "ratio": [0.99] * len(names), "degenerate": [False] * len(names)},
         "choice": {"name": names[0], "deploy": deploy, "gain": [gain, low, high], "level": 0.9875,
                    "reason": f"{gain:+.2f} [{low:+.2f}, {high:+.2f}] against the behaviour policy by DRL",
-                   "evidence": ["DR-linear: +9.00 [+1.00, +17.00], agrees that it is best"],
+                   "evidence": ["DR-linear: +9.00 [+1.00, +17.00], ranks it first, too"],
                    "warnings": [f"{names[1]}: {OBJECTION}"] if len(names) > 1 else [], "objections": objections},
     } | changes  # fmt: skip
 

@@ -41,7 +41,7 @@ def test_a_page_has_one_verdict_that_of_the_log_alone(runs, deploy):
     for said in (
         "good seed 0", "133", "of 667", "sampled actions", "98.8 % for all policies at once",
         "look 2 at these episodes or some of them, 7 policies so far", "4.0 % of its actions have no support",
-        "agrees that it is best", "Objections to other policies (1 of 2)", OBJECTION, "Checked afterwards in the simulator",
+        "ranks it first, too", "Objections to other policies (1 of 2)", OBJECTION, "Checked afterwards in the simulator",
         "Checked in the simulator", "Best in the simulator",
     ):  # fmt: skip
         assert said in seen, said

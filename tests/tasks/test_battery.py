@@ -87,6 +87,11 @@ def test_the_log_repeats_and_tells_its_propensities():
     assert np.bincount(log.actions).min() > 0.13 * len(log)
 
 
+def test_a_log_of_no_days_is_refused():
+    with pytest.raises(UserError, match="days must be 1 or more, got 0"):
+        collect_battery(0)
+
+
 def test_it_is_an_environment():
     assert task("battery") is battery.TASK
     env = gymnasium.make("deadreckon/Battery-v1").unwrapped

@@ -88,7 +88,8 @@ def predict(args: Sequence[str]) -> None:
     note = "" if outside is None else f", {int(outside.sum()):,} of them outside the log"
     unnamed = policy.player.members and policy.encoder.one.get("episode") is None  # else the name chooses the member
     drawn = f", drawn by the seed {seed}" if sampled or unnamed else ""
-    print(f"{found.words}: actions in {rows:,} rows{drawn}{note}, in {out}")
+    plural = "" if rows == 1 else "s"
+    print(f"{found.words}: actions in {rows:,} row{plural}{drawn}{note}, in {out}")
     if units := policy.encoder.units:
         print(f"units: {', '.join(f'{column} in {unit}' for column, unit in units.items())}")
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from deadreckon.collect.growing_log import collected
 from deadreckon.data.dataset import Dataset
+from deadreckon.errors import UserError
 from deadreckon.tasks.battery import BLOCKS, BUY, SELL, TASK, WAIT
 
 NIGHT, EVENING = (0, 1), (6, 7)  # blocks of the day in which the operator buys, and sells
@@ -20,9 +21,14 @@ def collect_battery(days: int, seed: int = 0) -> Dataset:
     """A log of so many days; its column `behavior_log_probs` tells how likely each action was.
 
     Args:
-        days: episodes of eight blocks.
+        days: episodes of eight blocks, one or more.
         seed: of prices and actions.
+
+    Raises:
+        UserError: no days.
     """
+    if days < 1:
+        raise UserError(f"days must be 1 or more, got {days}")
     prices, draws = np.random.SeedSequence(seed).spawn(2)
     simulator = TASK.simulate([int(s) for s in prices.generate_state(days, np.uint64)])
     rng = np.random.default_rng(draws)

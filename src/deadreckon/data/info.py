@@ -211,7 +211,7 @@ def _columns(log: Dataset, info: Info) -> list[str]:
         shown = _shortened([names[i].removeprefix("observation ") for i in info.constant_observations])
         out.append(f"observation dimensions that never change: {shown}; they carry no information and may be left out")
     if told := about_observations(log):
-        out.append(f"{told}; networks learn best from numbers of about 1: standardise observations (--agent.standardise)")
+        out.append(f"{told}; networks learn best from numbers of about 1: standardise observations (train --agent.standardise)")
     if info.saturated_share > 0.3:
         text = f"{info.saturated_share:.0%} of the action entries are at the bounds ({_shortened(action_names(log))})"
         out.append(f"{text}: log-probabilities of tanh policies are uncertain there; check that the bounds are right")

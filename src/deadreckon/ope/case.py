@@ -21,6 +21,7 @@ from deadreckon.ope.features import Table
 from deadreckon.ope.fits import Fits
 from deadreckon.ope.histories import with_histories
 from deadreckon.ope.pictures import behind, with_features
+from deadreckon.ope.positions import with_positions
 from deadreckon.ope.sequences import times
 from deadreckon.ope.settings import EstimateOptions, EstimateSettings
 from deadreckon.ope.tables import NOISE, Actor
@@ -68,6 +69,8 @@ class OPEInput(Fits):
         clusters: (episodes of `data`,) integers that are equal for episodes of one cluster, such as a user; None: each episode
             is one. Clusters are resampled as a whole for all intervals.
         noise: added to deterministic policies if weights need a density; None: their weights are zero; see `Actor`.
+        positions: whether models of the behaviour policy and of values see each episode's position in the log, which policies
+            do not; see `ope.over_time`.
         **options: `discount`, `horizon` (see `Estimand.of`), `greedy`, `seed`, `out` and `watch`; see
             `ope.settings.EstimateSettings`.
 
@@ -76,6 +79,7 @@ class OPEInput(Fits):
         log: all episodes, cut to the horizon; its observations are histories if policies act on these (`ope.histories`), and
             features if they are images (`ope.pictures`).
         data: the evaluated episodes, cut to the horizon.
+        plain: `log` without positions.
         estimand: what is estimated.
 
     Raises:
@@ -92,6 +96,7 @@ class OPEInput(Fits):
         held: np.ndarray | None = None,
         clusters: np.ndarray | None = None,
         noise: float | None = NOISE,
+        positions: bool = False,
         **options: Unpack[EstimateOptions],
     ):
         self.settings = EstimateSettings.of(options)
@@ -119,7 +124,11 @@ class OPEInput(Fits):
         flat = [one for own in each for one in own]
         whose = [name for name, own in zip(self.names, each) for _ in own]
         data, seen = with_features(data, flat, whose) if pictures else with_histories(data, flat)
+        self.positions, plain = positions, data
+        if positions:
+            data, seen = with_positions(data, seen, len(flat))
         self.log = self.estimand.cut(data)
+        self.plain = self.estimand.cut(plain) if positions else self.log
         self.data = self.log if held is None else self.log.select(self.held)
         self.clusters = np.arange(data.episodes) if clusters is None else np.unique(clusters, return_inverse=True)[1]
         if len(set(self.names)) < len(self.names) or LOGGED in self.names:
@@ -262,18 +271,19 @@ class OPEInput(Fits):
 
     @property
     def table(self) -> Table | None:
-        """The log's different observations, numbered; None if there are many, or actions are continuous. Made once."""
-        return self.once("table", lambda: Table.of(self.log))
+        """The log's different observations, numbered; None if there are many, if models see positions, or if actions are
+        continuous. Made once."""
+        return None if self.positions else self.once("table", lambda: Table.of(self.log))
 
     @cached_property
     def _habits(self) -> Callable[[np.ndarray], np.ndarray] | None:
         """A function from (n, d) observations to (n, actions) action frequencies in the log, for next actions that the log does
         not show. None if it shows them all, or if there are too many different observations."""
         whole = self.data.terminals[self.data.ends].all() and not self._apart.any()
-        if whole or (table := self.table) is None:
+        if whole or (table := Table.of(self.plain) if self.positions else self.table) is None:
             return None
-        shares = table.shares(self.log)
-        return lambda observations: shares[table.codes(np.asarray(observations))]
+        shares, size = table.shares(self.plain), self.plain.spec.observation_size
+        return lambda observations: shares[table.codes(np.asarray(observations)[:, -size:])]
 
     @cached_property
     def _uncut(self) -> tuple[np.ndarray, np.ndarray]:
@@ -328,12 +338,16 @@ class OPEInput(Fits):
             if isinstance(p, CrossFitted) else p
             for p in self.policies
         ]  # fmt: skip
-        return self._again(self.given, policies, held)
+        return self._again(self.given, policies, held, self.positions)
 
-    def _again(self, log: Dataset, policies: Sequence[Any], held: np.ndarray | None) -> "OPEInput":
+    def with_positions(self) -> "OPEInput":
+        """The case with models that see the positions of episodes."""
+        return self._again(self.given, self.policies, self.held, positions=True)
+
+    def _again(self, log: Dataset, policies: Sequence[Any], held: np.ndarray | None, positions: bool) -> "OPEInput":
         return OPEInput(
             log, policies, names=self.names[: len(self.policies)], logged=self.logged, held=held,
-            clusters=self.clusters, noise=self.actor.noise, **vars(self.settings),
+            clusters=self.clusters, noise=self.actor.noise, positions=positions, **vars(self.settings),
         )  # fmt: skip
 
     def of_rewards(self, rewards: np.ndarray, shared: Sequence[str]) -> "OPEInput":
@@ -344,7 +358,7 @@ class OPEInput(Fits):
             shared: names of results of `once` that do not depend on rewards.
         """
         log = dataclasses.replace(self.given, rewards=rewards)
-        found = self._again(log, self.policies, self.held)
+        found = self._again(log, self.policies, self.held, self.positions)
         found._kept |= {key: own for key, own in self._kept.items() if (key[0] if isinstance(key, tuple) else key) in shared}
         return found
 

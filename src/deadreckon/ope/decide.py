@@ -22,6 +22,7 @@ from deadreckon.ope.guarantee import guaranteed, refuse
 from deadreckon.ope.importance import ImportanceSampling, learns, log_ratios
 from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.losses import with_rare_rewards, without_losses
+from deadreckon.ope.over_time import adjusted, change_of
 from deadreckon.ope.registry import as_estimators
 from deadreckon.ope.select import MOVED, Choice, doubted, moved_most, select, unbounded_where_unsupported
 from deadreckon.ope.sensitivity import MOST
@@ -44,7 +45,7 @@ class Decision(NamedTuple):
         support: of the policies in the log.
         choice: by the first of the estimates.
         more: for the chosen policy, as JSON values: `confounding`, and, if requested, `guarantee`, `groups` and `tail`; for all
-            policies `costs`, if the log has some.
+            policies `over_time`, whether the behaviour policy changed along the log, and `costs`, if the log has some.
     """
 
     estimates: list[Estimates]
@@ -70,8 +71,8 @@ def decide(
         seen: for each policy the reason why its estimate is not of held-out episodes, or None if it is; None: all are.
         alpha: share of logs for which one of the intervals may miss.
         groups: also estimate the gain in each of these groups of episodes.
-        **options: `accept_model_based`, `cost_limit` (see `ope.costs`), `model`, `guarantee` (see `ope.guarantee`),
-            `return_range`, `confounding` and `tail`; see `ope.settings.DecisionSettings`.
+        **options: `accept_model_based`, `cost_limit` (see `ope.costs`), `stationary` (see `ope.over_time`), `model`,
+            `guarantee` (see `ope.guarantee`), `return_range`, `confounding` and `tail`; see `ope.settings.DecisionSettings`.
 
     Raises:
         UserError: invalid input, or a request that the log cannot answer.
@@ -82,6 +83,7 @@ def decide(
     check_kind("alpha", alpha, float)
     if not 0.0 < alpha < 1.0:
         raise UserError(f"alpha, the share of logs for which an interval may miss, must lie between 0 and 1, got {alpha}")
+    case = adjusted(case, settings.stationary)
     auto = isinstance(estimators, str) and estimators == "auto"
     asked = automatic(case, model, accept_model_based) if auto else as_estimators(estimators)
     for each in asked:
@@ -95,6 +97,11 @@ def decide(
     choice = select(estimates, checked, seen=seen, against=against, accept_model_based=accept_model_based, alpha=alpha)
     which = case.names.index(choice.name)
     more: dict[str, Any] = {"costs": as_json(costs)} if costs else {}
+    change = None if settings.stationary else change_of(case)
+    p_value = None if change is None else change.p_value
+    more["over_time"] = {"stationary": settings.stationary, "p_value": p_value, "adjusted": case.positions}
+    if case.positions and change is not None:
+        choice = replace(choice, warnings=(*choice.warnings, change.words))
     for each in costs:
         doubts = (f"{each.column}: {line}" for line in each.warnings if line not in choice.warnings)
         choice = replace(

@@ -176,7 +176,7 @@ def select(
     evidence = []
     for each, told in zip(estimates[1:], found[1:]):
         chosen = max(range(len(names)), key=lambda i: _standing(each, told[i]))
-        agrees = ", agrees that it is best" if chosen == best else f", would choose {names[chosen]}"
+        agrees = ", ranks it first, too" if chosen == best else f", ranks {names[chosen]} first"
         # Agreement means nothing for a single policy, or if the interval is infinite.
         agrees = agrees if len(names) > 1 and np.isfinite(told[best, 1]) else ""
         evidence.append(f"{each.method}: {_signed(told[best])}{agrees}")

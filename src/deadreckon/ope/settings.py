@@ -58,6 +58,9 @@ class EvidenceSettings(Settings):
     accept_model_based: bool = False  # whether to deploy also by estimates that no logged reward corrects
     cost_limit: float | Mapping[str, float] | Sequence[str] | None = None
     """largest total cost of an episode, discounted like the value; a number or COLUMN=NUMBER; the interval must be within"""
+    stationary: bool = False
+    """whether the system never changes, as a simulator, or the order of rows says nothing of time; otherwise estimates compare
+    actions of the same time if the behaviour policy changed along the log"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,6 +116,7 @@ class DecisionOptions(TypedDict, total=False):
 
     accept_model_based: bool
     cost_limit: float | Mapping[str, float] | Sequence[str] | None
+    stationary: bool
     model: BehaviorModel
     guarantee: bool
     return_range: tuple[float, float] | None

@@ -75,6 +75,8 @@ class StateMarginal(Estimator):
     def solve(self, case: OPEInput) -> Estimates:
         """Propagates the state distribution of each policy; intervals by the influence functions of episodes."""
         data, episodes = case.data, case.episodes
+        if case.positions:
+            raise UserError("smis cannot adjust for a behaviour policy that changed along the log; use dr-linear")
         if case.table is None:
             raise UserError(
                 f"smis needs discrete actions and few different observations, {TABLE // 2} with two actions, which {data.name} "

@@ -108,6 +108,14 @@ class Groups(TypedDict):
     values: NotRequired[list[Group]]
 
 
+class OverTime(TypedDict):
+    """The test whether the behaviour policy changed along the log, and whether estimates are adjusted for it."""
+
+    stationary: bool
+    p_value: Number
+    adjusted: bool
+
+
 class Choice(TypedDict):
     """The decision."""
 
@@ -121,6 +129,7 @@ class Choice(TypedDict):
     objections: list[list[str]]
     costs: NotRequired[list[Cost]]
     groups: NotRequired[Groups]
+    over_time: NotRequired[OverTime]
 
 
 class Truth(TypedDict):

@@ -15,12 +15,14 @@ from deadreckon.data.split import clusters as clusters_of
 from deadreckon.errors import UserError
 from deadreckon.files import alone, digest
 from deadreckon.interrupts import resumable
+from deadreckon.ope.basis import UNITS
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.decide import Decision, automatic, check, decide
 from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.groups import Groups
+from deadreckon.ope.over_time import adjusted, p_in_words
 from deadreckon.ope.registry import Function, as_estimators, fits_name, titled
 from deadreckon.ope.select import Choice, doubted, gains
 from deadreckon.ope.settings import DecisionSettings, EstimateSettings
@@ -31,6 +33,7 @@ from deadreckon.runs.gather import Gathered, check_encodings, for_case, fresh, g
 from deadreckon.runs.looks import Look, look
 from deadreckon.runs.settings import JudgeOptions, JudgeSettings
 from deadreckon.stats.interval import ALPHA, decimals, fixed, level_in_words
+from deadreckon.tasks.registry import of_log
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.hyperparameters import described
@@ -72,8 +75,8 @@ def judge(
         estimators: names, `Estimator` objects or functions, the first of which decides; or "auto" (`ope.decide.automatic`).
         task: simulator in which the estimates are checked, as `tasks.registry.task` takes it; None: no check.
         **options: what is estimated: `discount`, `horizon`, `greedy`; what decides: `accept_model_based`, `cost_limit`,
-            `guarantee`, `return_range`, `confounding`, `tail`, `by_group`, `model`; on which episodes: `cluster`, `unseen`,
-            `counted`; and `seed`, `episodes` (per policy in the simulator), `out` and `watch`. See
+            `stationary`, `guarantee`, `return_range`, `confounding`, `tail`, `by_group`, `model`; on which episodes: `cluster`,
+            `unseen`, `counted`; and `seed`, `episodes` (per policy in the simulator), `out` and `watch`. See
             `runs.settings.JudgeSettings`.
 
     Raises:
@@ -111,7 +114,10 @@ def judge_alone(
         held=episodes.held, clusters=None if cluster is None else clusters_of(data, cluster), noise=None,
         **_with_fits_apart(settings).only(EstimateSettings),
     )  # fmt: skip
+    if of_log(data.name) is not None:
+        settings = replace(settings, stationary=True)  # a simulator
     check(case, settings, groups)  # before a look is counted
+    case = adjusted(case, settings.stationary)  # before estimators are chosen, which may fit models
     if isinstance(estimators, str) and estimators == "auto":
         estimators = automatic(case, settings.model, settings.accept_model_based)
     estimators = as_estimators(estimators)
@@ -119,8 +125,9 @@ def judge_alone(
         each.check(case)
     current = Look(1, ALPHA, len(candidates))
     if settings.counted:
-        # What the intervals of gains depend on: with another estimator, or other clusters, it is another look.
-        digested = digest([case.policies_digest, case.estimand.as_json(), _told_apart(estimators[0]), cluster], 16)
+        # What the intervals of gains depend on: with another estimator, other clusters or positions, it is another look.
+        parts = [case.policies_digest, case.estimand.as_json(), _told_apart(estimators[0]), cluster]
+        digested = digest(parts + (["positions"] if case.positions else []), 16)
         current = look(data, episodes.held, digested, len(candidates))
     decision = decide(
         case, estimators, seen=episodes.against, alpha=current.alpha, groups=groups, **settings.only(DecisionSettings)
@@ -224,7 +231,23 @@ def grounds(results: dict[str, Any]) -> list[tuple[str, str]]:
         ("evaluated on", judged["words"] + of),
         ("level", f"{level} for all policies at once: {looked}"),
     ]
-    return lines + ([("propensities", known[results["propensities"]])] if "propensities" in results else [])
+    if "propensities" in results:
+        lines.append(("propensities", known[results["propensities"]]))
+    if (over := results["choice"].get("over_time")) is not None:
+        lines.append(("over time", _over_time(over)))
+    return lines
+
+
+def _over_time(over: Mapping[str, Any]) -> str:
+    """Whether estimates are adjusted for time, in words."""
+    if over["stationary"]:
+        return "the system is taken for stationary"
+    if over["p_value"] is None:
+        return f"there are too few episodes or clusters to test whether the behaviour policy changed: {UNITS} are needed"
+    p = p_in_words(over["p_value"])
+    if over["adjusted"]:
+        return f"the behaviour policy changed along the log ({p}), and actions of about the same position in it are compared"
+    return f"no change of the behaviour policy along the log is found ({p})"
 
 
 def simulated(

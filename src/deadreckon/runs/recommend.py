@@ -108,8 +108,8 @@ def recommend(
         tell: receives lines as they come, first how the time is divided.
         watch: called while something is fitted, with its name, updates done and in all.
         began: start of the budget, by `time.perf_counter()`; None: now.
-        **options: `task`, `discount`, `seed`, `holdout`, `accept_model_based`, `cost_limit`, `history` and `columns`; see
-            `runs.settings.RecommendSettings`.
+        **options: `task`, `discount`, `seed`, `holdout`, `accept_model_based`, `cost_limit`, `stationary`, `history` and
+            `columns`; see `runs.settings.RecommendSettings`.
 
     Raises:
         UserError: an invalid log or option, in one line; nothing is written then.
@@ -174,7 +174,8 @@ def options_of(settings: RecommendSettings) -> list[str]:
         named = [] if limits is None else [str(limits)] if isinstance(limits, str | float | Real) else list(limits)
     options = ["--discount", str(settings.discount), "--seed", str(settings.seed)]
     options += ["--cost-limit", *named] if named else []
-    return options + (["--accept-model-based"] if settings.accept_model_based else [])
+    options += ["--accept-model-based"] if settings.accept_model_based else []
+    return options + (["--stationary"] if settings.stationary else [])
 
 
 def _written(out: Path, log: str, again: Sequence[str], found: Found, clock: Clock) -> dict[str, Any]:

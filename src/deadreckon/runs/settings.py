@@ -235,5 +235,6 @@ class RecommendOptions(TypedDict, total=False):
     holdout: Holdout | float | None
     accept_model_based: bool
     cost_limit: float | Mapping[str, float] | Sequence[str] | None
+    stationary: bool
     history: int
     columns: dict[str, Any] | None

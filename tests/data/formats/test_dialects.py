@@ -49,7 +49,7 @@ REFUSED = {
     "names alone": ("a,b\n", {}, "the log has no rows, only a line of names"),
     "names alone, without a line end": ("a;b", {}, "the log has no rows, only a line of names"),
     "names alone and empty rows": ("a;b\n;\n;\n", {}, "the log has no rows"),
-    "one column": ("a\n1\n2\n", {}, "not a log in a format that is read"),
+    "one column": ("a\n1\n2\n", {}, "not a log in a format that is read .* one column is read from Parquet or a spreadsheet"),
     "prose": ("hello\nworld, this is\nprose\n", {}, "two columns or more, and nothing separates any in 'hello'"),
     "UTF-8 that breaks": (
         "a,ä\n".encode() + b"1,x\n" * 100_000 + b"2,\xe4\n", {}, "column ä, row 100000: .* is not utf-8; name the encoding",

@@ -8,7 +8,7 @@ from typing import Any
 
 from deadreckon.data.formats import folder as folders
 from deadreckon.data.formats import minari_ids as minaris
-from deadreckon.data.formats.dialect import is_table
+from deadreckon.data.formats.dialect import encoding_of, is_table
 from deadreckon.data.formats.rllib import files_of, is_rllib
 from deadreckon.data.formats.vw import is_vw
 from deadreckon.errors import UserError, reading
@@ -82,7 +82,8 @@ def sniff(path: Path | str, separator: str | None = None) -> str:
         raise UserError(f"{path}: a list in JSON, which is not read; {how}")
     if is_table(head, separator):
         return "csv"
-    raise UserError(f"{path}: not a log in a format that is read ({FORMATS})")
+    one = "; a table of one column is read from Parquet or a spreadsheet, not from text" if encoding_of(head) else ""
+    raise UserError(f"{path}: not a log in a format that is read ({FORMATS}){one}")
 
 
 def no_options(path: Path | str, kind: str, given: dict[str, Any]) -> None:

@@ -1,0 +1,80 @@
+"""Logs whose observations begin with functions of the episode's position in the log, which models see and policies do not.
+
+A log with few different observations also gets an indicator of each: a critic's table has no cells for positions, and models
+that are linear in a number of a state would be poor.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, cast
+
+import numpy as np
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.ope.features import PRODUCTS, Table
+
+WAVES = 6  # functions of the position: half a period over the log, one, and so on up to three
+
+
+def waves(log: Dataset, episodes: np.ndarray) -> np.ndarray:
+    """(n, WAVES) cosines of half periods 1, 2, ... over the log, at the middle row of each of these (n,) episodes."""
+    middle = (log.starts[episodes] + 0.5 * log.lengths[episodes]) / len(log)
+    return np.cos(np.pi * middle[:, None] * np.arange(1, WAVES + 1)).astype(np.float32)
+
+
+def with_positions(log: Dataset, parts: Sequence[slice] | None, policies: int) -> tuple[Dataset, list[slice]]:
+    """The log with `waves` before each observation, computed when rows are read.
+
+    Args:
+        log: with flat observations.
+        parts: slice of an observation that each policy acts on; None: all of it.
+        policies: number of them.
+
+    Returns:
+        The log, whose episodes keep their ids, and the slices in its observations.
+    """
+    each, size = np.arange(log.episodes), log.spec.observation_size
+    own, table = waves(log, each), Table.of(log)
+    # Critics need the products of indicators and actions.
+    few = table is not None and (WAVES + len(table.seen) + size) * log.spec.action_size <= PRODUCTS
+    placed = lambda seen, episode: _Placed(own, episode, seen, table if few else None)  # noqa: E731
+    found = replace(
+        log, observations=cast(np.ndarray, placed(log.observations, log.episode_of)),
+        final_observations=placed(log.final_observations, each)[:],
+        successors=None if log.successors is None else cast(np.ndarray, placed(log.successors, log.episode_of)),
+        part_of=lambda: log.episode_ids,
+    )  # fmt: skip
+    more = found.observations.shape[1] - size
+    return found, [slice(more + part.start, more + part.stop) for part in parts or [slice(0, size)] * policies]
+
+
+class _Placed:
+    """(rows, WAVES + indicators + size) observations with functions of their positions; the log is not copied.
+
+    Like a memory-mapped column it has a shape and is read by indices of rows.
+    """
+
+    ndim = 2
+
+    def __init__(self, own: np.ndarray, episode: np.ndarray, seen: Any, table: Table | None):
+        self.own, self.episode, self.seen = own, episode, seen
+        self.codes = None if table is None else table.codes(np.asarray(seen))
+        self.states = 0 if table is None else len(table.seen)
+        self.shape = len(seen), WAVES + self.states + seen.shape[1]
+        self.dtype = np.result_type(np.float32, seen.dtype)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        if copy is False:
+            raise ValueError("positions are computed when they are read, which needs a copy")
+        return np.asarray(self[:], dtype)
+
+    def __getitem__(self, index: Any) -> np.ndarray:
+        if isinstance(index, tuple):
+            return self[index[0]][..., *index[1:]]
+        columns = [self.own[self.episode[index]], np.asarray(self.seen[index])]
+        if self.codes is not None:
+            columns.insert(1, np.eye(self.states, dtype=np.float32)[self.codes[index]])
+        return np.concatenate(columns, axis=-1, dtype=self.dtype)
