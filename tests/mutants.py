@@ -2648,6 +2648,96 @@ MUTANTS = (
         ("tasks/test_battery.py::test_probabilities_that_are_none_are_refused",),
     ),
     Mutant(
+        "changes-of-rows-in-clusters", "ope/over_time.py", "    number = np.unique(cluster, return_inverse=True)[1]",
+        "    number = np.arange(len(cluster))", "the users of a log are a change along it, because rows count and not clusters",
+        ("ope/test_over_time.py::test_clusters_and_not_rows_count",),
+    ),
+    Mutant(
+        "changes-in-many-tests", "ope/over_time.py", "min(min(found) * max(len(found) - 1, 1), 1.0)", "min(found)",
+        "tests of changes along the log have no correction for their number",
+        ("ope/test_over_time.py::test_the_p_value_is_that_of_a_regression_with_robust_errors",),
+    ),
+    Mutant(
+        "changes-of-the-other-side", "ope/over_time.py",
+        "    both = both - given @ np.linalg.solve(gram, given.T @ both)\n",
+        "    both[:, time.shape[1] :] -= given @ np.linalg.solve(gram, given.T @ columns)\n",
+        "a change along the log is tested against waves that other columns explain",
+        ("ope/test_over_time.py::test_the_p_value_is_that_of_a_regression_with_robust_errors",),
+    ),
+    Mutant(
+        "changes-with-many-regressors", "ope/over_time.py", "    freedom = 1 - given.shape[1] / rows", "    freedom = 1",
+        "the errors of a test along the log do not count what its regressions have fitted",
+        ("ope/test_over_time.py::test_the_p_value_is_that_of_a_regression_with_robust_errors",),
+    ),
+    Mutant(
+        "tested-rows-at-equal-distances", "ope/over_time.py", "np.sort(rng.choice(len(log), MOST, replace=False))",
+        "np.linspace(0, len(log) - 1, MOST).astype(int)", "the steps of long logs' episodes are taken for times",
+        ("ope/test_over_time.py::test_steps_of_episodes_are_no_times",),
+    ),
+    Mutant(
+        "a-table-of-every-row", "ope/over_time.py", "if table is not None and ROWS * len(table.seen) <= len(rows):",
+        "if table is not None:", "a small log is never tested, because each of its rows has an indicator",
+        ("ope/test_over_time.py::test_a_small_log_is_tested_too",),
+    ),
+    Mutant(
+        "few-observations-in-a-line", "ope/over_time.py", "if table is not None and ROWS * len(table.seen) <= len(rows):",
+        "if False:", "numbers of states are regressed on as if they had a size",
+        ("ope/test_over_time.py::test_few_observations_are_regressed_on_one_by_one",),
+    ),
+    Mutant(
+        "spreads-that-change", "ope/over_time.py", "np.concatenate([unit, np.square(unit)], 1)", "np.concatenate([unit], 1)",
+        "a change of the spread of continuous actions is not seen",
+        ("ope/test_over_time.py::test_the_behaviour_policy_may_change_in_continuous_actions",),
+    ),
+    Mutant(
+        "a-stationary-system-is-adjusted", "ope/over_time.py", "if stationary or case.positions:", "if case.positions:",
+        "what is said of a stationary system is ignored",
+        ("ope/test_over_time.py::test_what_needs_no_adjustment_is_left",),
+    ),
+    Mutant(
+        "positions-of-a-part", "ope/case.py", "return self._again(self.given, policies, held, self.positions)",
+        "return self._again(self.given, policies, held, False)",
+        "models of the whole log do not see the positions that they are evaluated with",
+        ("ope/test_over_time.py::test_policies_do_not_see_positions_and_models_do",),
+    ),
+    Mutant(
+        "tables-of-positions", "ope/case.py", "return None if self.positions else self.once(", "return self.once(",
+        "a small log has a cell for each position, of which a critic learns nothing",
+        ("ope/test_over_time.py::test_a_small_log_is_tested_too",),
+    ),
+    Mutant(
+        "habits-without-positions", "ope/case.py", "Table.of(self.plain) if self.positions else self.table", "self.table",
+        "what the behaviour policy does next is forgotten where models see positions",
+        ("ope/test_over_time.py::test_next_actions_that_the_log_does_not_show_are_known_by_the_state_with_positions_too",),
+    ),
+    Mutant(
+        "positions-by-the-start", "ope/positions.py", "log.starts[episodes] + 0.5 * log.lengths[episodes]",
+        "log.starts[episodes]",
+        "the position of an episode is that of its first row",
+        ("ope/test_over_time.py::test_waves_are_cosines_of_the_middle_of_each_episode",),
+    ),
+    Mutant(
+        "policies-see-positions", "ope/positions.py", "slice(more + part.start, more + part.stop)",
+        "slice(part.start, part.stop)",
+        "policies act on positions that only models should see",
+        ("ope/test_over_time.py::test_policies_do_not_see_positions_and_models_do",),
+    ),
+    Mutant(
+        "simulators-change", "runs/offline.py", "    if of_log(data.name) is not None:\n", "    if False:\n",
+        "logs of simulators are adjusted for changes along the log",
+        ("ope/test_over_time.py::test_a_log_of_the_catalogue_is_that_of_a_simulator_and_stationary",),
+    ),
+    Mutant(
+        "one-look-with-and-without-positions", "runs/offline.py", '(["positions"] if case.positions else [])', "[]",
+        "the same episodes evaluated again as stationary are no other look",
+        ("ope/test_over_time.py::test_a_log_of_the_catalogue_is_that_of_a_simulator_and_stationary",),
+    ),
+    Mutant(
+        "changes-are-not-told", "ope/decide.py", "warnings=(*choice.warnings, change.words))", "warnings=choice.warnings)",
+        "the card does not say that estimates are adjusted for changes along the log",
+        ("ope/test_over_time.py::test_an_action_of_good_times_is_not_praised",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

@@ -1,6 +1,5 @@
 """A behaviour policy and outcomes that change along the log: what is noise is not praised, and what needs nothing is left."""
 
-
 import numpy as np
 import pytest
 import scipy.stats
@@ -170,6 +169,11 @@ def test_steps_of_episodes_are_no_times():
 def test_a_small_log_is_tested_too():
     """Of 180 rows, each of which has an observation of its own."""
     assert change_of(case_of(campaign(0, rows=180, by=0.9))).found
+    same = Dataset.from_arrays(
+        observations=np.zeros((150, 1)), actions=np.arange(150) % 2, rewards=np.zeros(150), terminals=np.ones(150)
+    )
+    assert case_of(same).table is not None
+    assert case_of(same).with_positions().table is None  # it would have a cell for each episode
 
 
 def test_the_p_value_is_that_of_a_regression_with_robust_errors():
@@ -196,8 +200,8 @@ def test_few_observations_are_regressed_on_one_by_one():
     """Actions depend on the number of a state in no linear way, and the states change along the log."""
     rng = np.random.default_rng(0)
     rows = 4000
-    states = (rng.random(rows) * (1 + 2 * np.arange(rows) / rows)).astype(int)  # 0, then also 1 and 2
-    actions = (rng.random(rows) < np.array([0.2, 0.8, 0.2])[states]).astype(int)
+    states = (rng.random(rows) * (1 + 5 * np.arange(rows) / rows)).astype(int)  # 0, then also 1 to 5
+    actions = (rng.random(rows) < np.array([0.1, 0.9, 0.1, 0.1, 0.9, 0.1])[states]).astype(int)
     log = Dataset.from_arrays(observations=states[:, None], actions=actions, rewards=np.zeros(rows), terminals=np.ones(rows))
     assert change_of(case_of(log)).p_value > 0.1
 
@@ -256,7 +260,12 @@ def test_next_actions_that_the_log_does_not_show_are_known_by_the_state_with_pos
 
 def test_policies_do_not_see_positions_and_models_do():
     log = campaign(0, rows=300, by=0.5)
-    plain, case = case_of(log), case_of(log).with_positions()
+    first = BlackBoxPolicy(
+        lambda seen, rng: (seen[:, 0] > 0).astype(int),
+        action_probs=lambda seen: np.where(seen[:, :1] > 0, [[0.1, 0.9]], [[0.7, 0.3]]),
+    )
+    plain = OPEInput(log, [first], logged=True, discount=0.0)
+    case = plain.with_positions()
     assert case.positions
     assert case.log.spec.observation_size == log.spec.observation_size + WAVES
     np.testing.assert_array_equal(case.log.observations[:, WAVES:], log.observations)
