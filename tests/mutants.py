@@ -2723,7 +2723,7 @@ MUTANTS = (
         ("ope/test_over_time.py::test_policies_do_not_see_positions_and_models_do",),
     ),
     Mutant(
-        "simulators-change", "runs/offline.py", "    if of_log(data.name) is not None:\n", "    if False:\n",
+        "simulators-change", "runs/offline.py", "    if _simulated(data):\n", "    if False:\n",
         "logs of simulators are adjusted for changes along the log",
         ("ope/test_over_time.py::test_a_log_of_the_catalogue_is_that_of_a_simulator_and_stationary",),
     ),

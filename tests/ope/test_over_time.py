@@ -1,5 +1,7 @@
 """A behaviour policy and outcomes that change along the log: what is noise is not praised, and what needs nothing is left."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.stats
@@ -245,6 +247,22 @@ def test_episodes_of_several_steps_are_not_praised(known):
         decide(case, ["smis"], model=MODEL)
 
 
+def test_functions_of_users_see_the_log_and_what_is_asked_for_is_not_called_a_finding():
+    log = campaign(0, by=0.0, rows=300)
+    seen = []
+
+    def mine(data, policies, discount):
+        seen.append(data.observations.shape)
+        return np.zeros(len(policies))
+
+    found = decide(OPEInput(log, [OFTEN], logged=True, discount=0.0, positions=True), [DR, mine], model=MODEL)
+    assert seen == [(300, 2)]
+    assert not any("changed along the log" in line for line in found.choice.warnings)
+    held = OPEInput(log, [OFTEN], logged=True, discount=0.0, positions=True, held=np.arange(100))
+    decide(held, [DR, mine], model=MODEL)
+    assert seen[1] == (100, 2)
+
+
 def test_next_actions_that_the_log_does_not_show_are_known_by_the_state_with_positions_too():
     rng = np.random.default_rng(0)
     states = rng.integers(0, 4, 400)
@@ -281,7 +299,18 @@ def test_policies_do_not_see_positions_and_models_do():
     np.testing.assert_array_equal(case.plain.observations, log.observations)
     rows = np.array([3, 250])
     np.testing.assert_array_equal(case.log.observations[rows, WAVES:], log.observations[rows])
-    np.testing.assert_array_equal(case.log.observations[5], np.asarray(case.log.observations)[5])
+    every = np.asarray(case.log.observations)
+    for index in (
+        5,
+        -1,
+        rows,
+        np.arange(300) % 2 == 0,
+        slice(3, 9),
+        (rows, slice(-2, None)),
+        (rows, rows % 2),
+        (slice(None), 1),
+    ):
+        np.testing.assert_array_equal(case.log.observations[index], every[index])
     assert part.of_rewards(np.zeros(300), ()).positions
 
 
@@ -323,12 +352,12 @@ def test_positions_stand_before_histories_legal_actions_and_indicators_of_few_ob
     assert found.spec.mask_size == 2
 
 
-def test_a_log_of_the_catalogue_is_that_of_a_simulator_and_stationary(tmp_path, monkeypatch):
+def test_a_log_of_the_catalogue_is_that_of_a_simulator_and_stationary(tmp_path):
     """Its behaviour policy may change, as in a replay buffer. What was tested is among the grounds."""
     log = campaign(0, rows=400)
     options = {"discount": 0.0, "model": MODEL}
 
-    def judged(**more):
+    def judged(log=log, **more):
         found = judge([OFTEN], log, [DR], **options, **more).results
         return found["choice"]["over_time"]["adjusted"], dict(grounds(found))["over time"], found["looks"]["number"]
 
@@ -337,11 +366,10 @@ def test_a_log_of_the_catalogue_is_that_of_a_simulator_and_stationary(tmp_path, 
     assert judged(out=out) == (True, told, 1)
     assert judged(out=out) == (True, told, 1)
     assert judged(out=out, stationary=True) == (False, "the system is taken for stationary", 2)  # which is another look
-    monkeypatch.setattr("deadreckon.runs.offline.of_log", lambda name: object())
-    assert judged(counted=False)[:2] == (False, "the system is taken for stationary")
-    monkeypatch.undo()
-    log = campaign(0, rows=400, by=0.0)
-    assert judged(counted=False)[1].startswith("no change of the behaviour policy along the log is found (p = ")
-    log = campaign(0, rows=400, user=np.arange(400) // 50)
+    collected = replace(log.provenance, source="collected")
+    for known in (replace(log, name="hopper-medium-v2@dr1"), replace(log, provenance=collected)):
+        assert judged(known, counted=False)[:2] == (False, "the system is taken for stationary")
+    told = judged(campaign(0, rows=400, by=0.0), counted=False)[1]
+    assert told.startswith("no change of the behaviour policy along the log is found (p = ")
     few = "there are too few episodes or clusters to test whether the behaviour policy changed: 20 are needed"
-    assert judged(counted=False, cluster="user")[1] == few
+    assert judged(campaign(0, rows=400, user=np.arange(400) // 50), counted=False, cluster="user")[1] == few

@@ -100,7 +100,7 @@ def decide(
     change = None if settings.stationary else change_of(case)
     p_value = None if change is None else change.p_value
     more["over_time"] = {"stationary": settings.stationary, "p_value": p_value, "adjusted": case.positions}
-    if case.positions and change is not None:
+    if case.positions and change is not None and change.found:
         choice = replace(choice, warnings=(*choice.warnings, change.words))
     for each in costs:
         doubts = (f"{each.column}: {line}" for line in each.warnings if line not in choice.warnings)

@@ -25,7 +25,7 @@ from deadreckon.ope.positions import waves
 from deadreckon.randomness import generator
 
 LEVEL = 0.1  # error probability of the test: missing a change costs more than seeing one that is not there
-MOST = 40_000  # most rows that are tested
+MOST, NUMBERS = 40_000, 40_000_000  # most rows that are tested, and most numbers in their observations
 COLUMNS = 50  # most columns of actions
 WIDE = 100  # most numbers of an observation that are regressed on; of more, as many random projections are
 ROWS = 10  # least rows for each regressor, and for each observation of a table
@@ -88,9 +88,10 @@ def _change(case: OPEInput) -> Change | None:
     if len(np.unique(case.clusters)) < UNITS:
         return None
     rng = generator(case.seed, "change")
+    most = min(MOST, max(NUMBERS // log.spec.observation_size, 1_000))
     # At random: rows at equal distances may all be the same steps of their episodes.
-    rows = np.arange(len(log)) if len(log) <= MOST else np.sort(rng.choice(len(log), MOST, replace=False))
-    episode, table = log.episode_at(rows), Table.of(log)
+    rows = np.arange(len(log)) if len(log) <= most else np.sort(rng.choice(len(log), most, replace=False))
+    episode, table = log.episode_at(rows), Table.of(log) if case.positions else case.table
     if table is not None and ROWS * len(table.seen) <= len(rows):
         known = np.eye(len(table.seen))[table.codes(log.observations[rows])]
     else:

@@ -14,6 +14,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.ope.features import PRODUCTS, Table
 
 WAVES = 6  # functions of the position: half a period over the log, one, and so on up to three
+ROOM = 20_000_000  # most numbers of indicators over all rows
 
 
 def waves(log: Dataset, episodes: np.ndarray) -> np.ndarray:
@@ -35,9 +36,11 @@ def with_positions(log: Dataset, parts: Sequence[slice] | None, policies: int) -
     """
     each, size = np.arange(log.episodes), log.spec.observation_size
     own, table = waves(log, each), Table.of(log)
-    # Critics need the products of indicators and actions.
-    few = table is not None and (WAVES + len(table.seen) + size) * log.spec.action_size <= PRODUCTS
-    placed = lambda seen, episode: _Placed(own, episode, seen, table if few else None)  # noqa: E731
+    if table is not None:  # critics need the products of indicators and actions
+        count = len(table.seen)
+        few = (WAVES + count + size) * log.spec.action_size <= PRODUCTS and len(log) * count <= ROOM
+        table = table if few else None
+    placed = lambda seen, episode: _Placed(own, episode, seen, table)  # noqa: E731
     found = replace(
         log, observations=cast(np.ndarray, placed(log.observations, log.episode_of)),
         final_observations=placed(log.final_observations, each)[:],
@@ -73,7 +76,7 @@ class _Placed:
 
     def __getitem__(self, index: Any) -> np.ndarray:
         if isinstance(index, tuple):
-            return self[index[0]][..., *index[1:]]
+            return np.asarray(self)[index]
         columns = [self.own[self.episode[index]], np.asarray(self.seen[index])]
         if self.codes is not None:
             columns.insert(1, np.eye(self.states, dtype=np.float32)[self.codes[index]])

@@ -147,7 +147,8 @@ class Function(Estimator):
 
     def solve(self, case: OPEInput) -> Estimates:
         """Calls the function; there are no intervals."""
-        values = np.asarray(self.fn(case.data, case.policies, case.discount), float)
+        data = case.plain.select(case.held) if case.positions else case.data  # positions are for the package's models
+        values = np.asarray(self.fn(data, case.policies, case.discount), float)
         if values.shape != (len(case.policies),):
             raise UserError(f"the estimator function gave values of shape {values.shape} for {len(case.policies)} policies")
         if case.logged:

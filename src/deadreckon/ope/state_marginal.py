@@ -72,11 +72,16 @@ class StateMarginal(Estimator):
         """Its name in tables."""
         return "SMIS"
 
+    def check(self, case: OPEInput) -> None:
+        """Refuses cases whose models see positions, too."""
+        super().check(case)
+        if case.positions:
+            told = "smis cannot adjust for a behaviour policy that changed along the log"
+            raise UserError(f"{told}; use dr-linear, or --stationary if the system never changes")
+
     def solve(self, case: OPEInput) -> Estimates:
         """Propagates the state distribution of each policy; intervals by the influence functions of episodes."""
         data, episodes = case.data, case.episodes
-        if case.positions:
-            raise UserError("smis cannot adjust for a behaviour policy that changed along the log; use dr-linear")
         if case.table is None:
             raise UserError(
                 f"smis needs discrete actions and few different observations, {TABLE // 2} with two actions, which {data.name} "

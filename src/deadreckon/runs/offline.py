@@ -33,7 +33,6 @@ from deadreckon.runs.gather import Gathered, check_encodings, for_case, fresh, g
 from deadreckon.runs.looks import Look, look
 from deadreckon.runs.settings import JudgeOptions, JudgeSettings
 from deadreckon.stats.interval import ALPHA, decimals, fixed, level_in_words
-from deadreckon.tasks.registry import of_log
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.hyperparameters import described
@@ -114,8 +113,8 @@ def judge_alone(
         held=episodes.held, clusters=None if cluster is None else clusters_of(data, cluster), noise=None,
         **_with_fits_apart(settings).only(EstimateSettings),
     )  # fmt: skip
-    if of_log(data.name) is not None:
-        settings = replace(settings, stationary=True)  # a simulator
+    if _simulated(data):
+        settings = replace(settings, stationary=True)
     check(case, settings, groups)  # before a look is counted
     case = adjusted(case, settings.stationary)  # before estimators are chosen, which may fit models
     if isinstance(estimators, str) and estimators == "auto":
@@ -152,6 +151,11 @@ def judge_alone(
         results["truth"] = simulated(acting, task, results["estimand"], episodes=settings.episodes, seed=settings.seed)
         _write(settings, results)
     return Judged(decision.estimates, decision.choice, results)
+
+
+def _simulated(data: Dataset) -> bool:
+    """Whether a log is from a simulator, which never changes: one of the catalogue, or collected by this package."""
+    return data.name.partition("@")[0] in catalogue.ENTRIES or data.provenance.source == "collected"
 
 
 def _write(settings: JudgeSettings, results: dict[str, Any]) -> None:
@@ -241,7 +245,7 @@ def grounds(results: dict[str, Any]) -> list[tuple[str, str]]:
 def _over_time(over: Mapping[str, Any]) -> str:
     """Whether estimates are adjusted for time, in words."""
     if over["stationary"]:
-        return "the system is taken for stationary"
+        return "the system is taken for stationary" + (", but models see positions" if over["adjusted"] else "")
     if over["p_value"] is None:
         return f"there are too few episodes or clusters to test whether the behaviour policy changed: {UNITS} are needed"
     p = p_in_words(over["p_value"])
