@@ -2670,8 +2670,8 @@ MUTANTS = (
         ("ope/test_over_time.py::test_the_p_value_is_that_of_a_regression_with_robust_errors",),
     ),
     Mutant(
-        "tested-rows-at-equal-distances", "ope/over_time.py", "np.sort(rng.choice(len(log), MOST, replace=False))",
-        "np.linspace(0, len(log) - 1, MOST).astype(int)", "the steps of long logs' episodes are taken for times",
+        "tested-rows-at-equal-distances", "ope/over_time.py", "np.sort(rng.choice(len(log), most, replace=False))",
+        "np.linspace(0, len(log) - 1, most).astype(int)", "the steps of long logs' episodes are taken for times",
         ("ope/test_over_time.py::test_steps_of_episodes_are_no_times",),
     ),
     Mutant(
