@@ -10,7 +10,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.history import stacked
 from deadreckon.data.spec import Discrete
 from deadreckon.errors import UserError
-from deadreckon.ope import DoublyRobust, LinearFQE, OPEInput
+from deadreckon.ope import FQE, DoublyRobust, LinearFQE, OPEInput
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.decide import automatic, decide
 from deadreckon.ope.over_time import adjusted, change_of, p_value
@@ -245,6 +245,25 @@ def test_episodes_of_several_steps_are_not_praised(known):
     assert automatic(case, MODEL)[0].kind == "dr"
     with pytest.raises(UserError, match="smis cannot adjust for a behaviour policy that changed along the log"):
         decide(case, ["smis"], model=MODEL)
+
+
+@pytest.mark.slow
+def test_critics_alone_do_not_praise_actions_of_good_times():
+    """Continuous actions, and a deterministic policy, of which no logged reward corrects an estimate."""
+    rng = np.random.default_rng(0)
+    episodes, steps = 300, 4
+    time = np.repeat(np.arange(episodes) / episodes, steps)
+    actions = time - 0.5 + 0.4 * rng.normal(size=len(time))
+    log = Dataset.from_arrays(
+        observations=rng.normal(size=(len(time), 2)), actions=actions[:, None], rewards=time + 0.1 * rng.normal(size=len(time)),
+        terminals=np.tile(np.arange(steps) == steps - 1, episodes),
+    )  # fmt: skip
+    policy = BlackBoxPolicy(lambda seen, rng: np.full((len(seen), 1), 0.5))
+    critics = FQE(hidden=(32,), members=3, steps=1500, lr=1e-3, tau=0.02)
+    for stationary in (True, False):
+        case = OPEInput(log, [policy], names=["high"], logged=True, discount=0.9)
+        found = decide(case, [critics], model=MODEL, accept_model_based=True, stationary=stationary)
+        assert found.choice.deploy == stationary
 
 
 def test_functions_of_users_see_the_log_and_what_is_asked_for_is_not_called_a_finding():
