@@ -13,7 +13,7 @@ LEARNED = ("bc", "iql", "cql", "awac", "td3_bc")
 WHAT = {
     "new": "the package", "old-train": "531dcab's rule, training rows", "old-held": "531dcab's rule, held-out rows",
     "old-level": "… at the package's level", "old-fqe": "… by FQE alone", "oracle": "oracle", "argmax-fqe": "argmax of FQE",
-    "argmax-wis": "argmax of WIS", "stationary": "the package with `--stationary`",
+    "argmax-wis": "argmax of WIS", "stationary": "the package, stationary",
 }  # fmt: skip
 UPPER, LOWER = "… upper bound (95 %)", "… lower bound (95 %)"
 BAD, SHARE, WIDTH = "… a policy that is not better", "share of the oracle's gain", "width relative to the oracle's"
