@@ -395,6 +395,7 @@ def test_what_diverges_or_runs_out_of_time_is_told(small, tmp_path, monkeypatch)
 def test_candidates_that_hardly_began_to_learn_are_not_judged(small, tmp_path, monkeypatch):
     """That they are no better would say nothing of what the log has to teach; nor is a look spent on them."""
     monkeypatch.setattr(work, "FEWEST", 200)
+    monkeypatch.setattr(work, "WORTH", 400)
     monkeypatch.setattr(Attempt, "_steps", lambda self, seconds, rates: 20)
     sent, out = attempt(tmp_path, a_log())
     (unfinished,) = of(sent, "unfinished")
