@@ -72,6 +72,15 @@ def test_an_action_of_good_times_is_not_praised():
         assert unadjusted.more["over_time"] == {"stationary": True, "p_value": None, "adjusted": False}
 
 
+def test_logged_propensities_of_their_time_are_right_with_positions_too():
+    case = case_of(campaign(0, known=True))
+    assert adjusted(case).positions
+    found = decide(case, [DR], model=MODEL)
+    assert not found.choice.deploy
+    assert (found.choice.gains[:, 1] <= 0).all()
+    assert (found.choice.gains[:, 2] >= 0).all()
+
+
 def test_a_true_effect_is_found_beside_the_changes():
     """The second action adds 0.2 at all times, and the policy takes it in 90 % of the rows instead of half."""
     gains = []
@@ -319,16 +328,8 @@ def test_policies_do_not_see_positions_and_models_do():
     rows = np.array([3, 250])
     np.testing.assert_array_equal(case.log.observations[rows, WAVES:], log.observations[rows])
     every = np.asarray(case.log.observations)
-    for index in (
-        5,
-        -1,
-        rows,
-        np.arange(300) % 2 == 0,
-        slice(3, 9),
-        (rows, slice(-2, None)),
-        (rows, rows % 2),
-        (slice(None), 1),
-    ):
+    columns = [(rows, slice(-2, None)), (rows, rows % 2), (slice(None), 1)]
+    for index in (5, -1, rows, np.arange(300) % 2 == 0, slice(3, 9), *columns):
         np.testing.assert_array_equal(case.log.observations[index], every[index])
     assert part.of_rewards(np.zeros(300), ()).positions
 

@@ -12,6 +12,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from deadreckon.data.computed import Computed
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Spec
@@ -56,28 +57,16 @@ def beginning(observation: Any, action_size: int, steps: int) -> Any:
     return arrays.concat([past] * (steps - 1) + [observation], axis=1)
 
 
-class Histories:
-    """(rows, history_size) float32 histories of a log, computed when they are read: the log is not copied `steps` times.
-
-    Like a memory-mapped column it has a shape and is read by indices of rows.
-    """
+class Histories(Computed):
+    """(rows, history_size) float32 histories of a log, computed when they are read: the log is not copied `steps` times."""
 
     dtype = np.dtype(np.float32)
-    ndim = 2
 
     def __init__(self, log: Dataset, steps: int, view: Normalizer):
         spec: Spec = log.spec
         self.log, self.steps, self.view = log, steps, view
         self.actions = spec.action_size if spec.discrete else 0
         self.shape = len(log), history_size(spec.observation_size, spec.action_size, steps)
-
-    def __len__(self) -> int:
-        return self.shape[0]
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        if copy is False:
-            raise ValueError("histories are made when they are read, which needs a copy")
-        return np.asarray(self[:], dtype)
 
     def __getitem__(self, index: Any) -> np.ndarray:
         if isinstance(index, tuple):

@@ -4,8 +4,8 @@ If outcomes changed too, for reasons other than the recorded observations, an ac
 looks good: time is a confounder, as in a campaign that was stepped up before the holidays. Logged propensities are those of
 their time, but learned ones, and critics, are averages over time unless they see it. The position of an episode in the log
 stands for its time, so models of the behaviour policy and of values then see it (`ope.positions`), and estimates compare
-actions of the same time. Whether outcomes changed is not asked: a change too small to be found can bias a gain by more than its
-error, if the behaviour policy changed much.
+actions of about the same time. Whether outcomes changed is not asked: a change too small to be found can bias a gain by more
+than its error, if the behaviour policy changed much.
 
 The test correlates slow waves of the position with the actions, given observations, after linear regression of both sides on
 these (Frisch and Waugh, 1933); errors are by clusters of episodes.

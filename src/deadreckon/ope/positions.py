@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from deadreckon.data.computed import Computed
 from deadreckon.data.dataset import Dataset
 from deadreckon.ope.features import PRODUCTS, Table
 
@@ -51,13 +52,8 @@ def with_positions(log: Dataset, parts: Sequence[slice] | None, policies: int) -
     return found, [slice(more + part.start, more + part.stop) for part in parts or [slice(0, size)] * policies]
 
 
-class _Placed:
-    """(rows, WAVES + indicators + size) observations with functions of their positions; the log is not copied.
-
-    Like a memory-mapped column it has a shape and is read by indices of rows.
-    """
-
-    ndim = 2
+class _Placed(Computed):
+    """(rows, WAVES + indicators + size) observations with functions of their positions."""
 
     def __init__(self, own: np.ndarray, episode: np.ndarray, seen: Any, table: Table | None):
         self.own, self.episode, self.seen = own, episode, seen
@@ -65,14 +61,6 @@ class _Placed:
         self.states = 0 if table is None else len(table.seen)
         self.shape = len(seen), WAVES + self.states + seen.shape[1]
         self.dtype = np.result_type(np.float32, seen.dtype)
-
-    def __len__(self) -> int:
-        return self.shape[0]
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        if copy is False:
-            raise ValueError("positions are computed when they are read, which needs a copy")
-        return np.asarray(self[:], dtype)
 
     def __getitem__(self, index: Any) -> np.ndarray:
         if isinstance(index, tuple):

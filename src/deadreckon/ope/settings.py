@@ -60,7 +60,7 @@ class EvidenceSettings(Settings):
     """largest total cost of an episode, discounted like the value; a number or COLUMN=NUMBER; the interval must be within"""
     stationary: bool = False
     """whether the system never changes, as a simulator, or the order of rows says nothing of time; otherwise estimates compare
-    actions of the same time if the behaviour policy changed along the log"""
+    actions of about the same time if the behaviour policy changed along the log"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -245,7 +245,7 @@ def grounds(results: dict[str, Any]) -> list[tuple[str, str]]:
 def _over_time(over: Mapping[str, Any]) -> str:
     """Whether estimates are adjusted for time, in words."""
     if over["stationary"]:
-        return "the system is taken for stationary" + (", but models see positions" if over["adjusted"] else "")
+        return "the system is taken for stationary"
     if over["p_value"] is None:
         return f"there are too few episodes or clusters to test whether the behaviour policy changed: {UNITS} are needed"
     p = p_in_words(over["p_value"])

@@ -190,13 +190,19 @@ def encoding_of(head: bytes, whole: bool = False) -> str:
     return ""
 
 
-def is_table(head: bytes, separator: str | None = None) -> bool:
-    """Whether the first bytes are those of a text whose lines are split into columns, by `separator` if that is known."""
+def text_of(head: bytes) -> str | None:
+    """The text that a file begins with; None if its first bytes are not those of a text."""
     encoding = encoding_of(head)
     if not encoding:
-        return False
+        return None
     text = codecs.getincrementaldecoder(encoding)("replace").decode(head).removeprefix("\ufeff")
-    if re.search(r"[\x00-\x08\x0e-\x1f]", text):
+    return None if re.search(r"[\x00-\x08\x0e-\x1f]", text) else text
+
+
+def is_table(head: bytes, separator: str | None = None) -> bool:
+    """Whether the first bytes are those of a text whose lines are split into columns, by `separator` if that is known."""
+    text = text_of(head)
+    if text is None:
         return False
     if separator is not None or _SEP_LINE.match(text):
         return True

@@ -8,7 +8,7 @@ from typing import Any
 
 from deadreckon.data.formats import folder as folders
 from deadreckon.data.formats import minari_ids as minaris
-from deadreckon.data.formats.dialect import encoding_of, is_table
+from deadreckon.data.formats.dialect import is_table, text_of
 from deadreckon.data.formats.rllib import files_of, is_rllib
 from deadreckon.data.formats.vw import is_vw
 from deadreckon.errors import UserError, reading
@@ -82,7 +82,7 @@ def sniff(path: Path | str, separator: str | None = None) -> str:
         raise UserError(f"{path}: a list in JSON, which is not read; {how}")
     if is_table(head, separator):
         return "csv"
-    one = "; a table of one column is read from Parquet or a spreadsheet, not from text" if encoding_of(head) else ""
+    one = "; a table of one column is read from Parquet or a spreadsheet, not from text" if text_of(head) is not None else ""
     raise UserError(f"{path}: not a log in a format that is read ({FORMATS}){one}")
 
 
