@@ -441,8 +441,8 @@ MUTANTS = (
         "the share is learned from and the rest held out", ("data/test_split.py",),
     ),
     Mutant(
-        "folds-not-drawn", "data/split.py", "        return rng.permutation(np.arange(log.episodes) % k)\n    sizes",
-        "        return np.arange(log.episodes) % k\n    sizes", "folds are not drawn by the seed",
+        "folds-not-drawn", "data/split.py", "        return rng.permutation(np.arange(log.episodes) % k)\n    order",
+        "        return np.arange(log.episodes) % k\n    order", "folds are not drawn by the seed",
         ("data/test_split.py::test_folds_are_drawn_by_the_seed",),
     ),
     # ---- replay and learning online
@@ -2738,6 +2738,42 @@ MUTANTS = (
         ("ope/test_over_time.py::test_an_action_of_good_times_is_not_praised",),
     ),
     Mutant(
+        "copies-split", "data/split.py", "np.arange(log.episodes) if (found := copied(log)) is None else found",
+        "np.arange(log.episodes)", "copies of an episode are in training and in held-out data",
+        ("data/test_split.py::test_copies_are_held_out_together",),
+    ),
+    Mutant(
+        "copies-by-chance", "data/repeats.py", "if telling_apart(log, rows, len(rows)) is None:", "if len(rows) == 0:",
+        "episodes that are equal by chance are one cluster",
+        ("data/test_split.py::test_episodes_that_are_equal_by_chance_are_not_copies",),
+    ),
+    Mutant(
+        "copies-first-in-time", "data/split.py", "np.maximum.at(last, cluster, np.arange(len(cluster)))",
+        "last[cluster[::-1]] = np.arange(len(cluster))[::-1]",
+        "where copies are held out by time, the first copy of an episode counts",
+        ("data/test_split.py::test_copies_are_held_out_together",),
+    ),
+    Mutant(
+        "copies-independent", "ope/case.py", "clusters_of(self.given) if clusters is None",
+        "np.arange(data.episodes) if clusters is None", "copies of an episode narrow intervals as independent ones do",
+        ("ope/test_case.py::test_copies_of_episodes_add_nothing",),
+    ),
+    Mutant(
+        "copies-untold", "runs/offline.py", 'if cluster is None and count is not None and count < judged["episodes"]:',
+        "if False:", "a card does not say that episodes are copies",
+        ("runs/test_offline.py::test_copies_of_episodes_are_counted_as_one",),
+    ),
+    Mutant(
+        "neighbours-of-a-group", "data/neighbours.py", " or group_of(log) is not None", "",
+        "a group column is asked for where there is one",
+        ("data/test_info.py::test_users_whose_rows_follow_each_other_are_told_if_no_column_names_them",),
+    ),
+    Mutant(
+        "neighbours-in-any-order", "data/neighbours.py", "(rank[1:] * rank[:-1]).sum(0)", "(rank[1:] * rank[1:]).sum(0)",
+        "episodes in random order are taken for those of users",
+        ("data/test_info.py::test_users_whose_rows_follow_each_other_are_told_if_no_column_names_them",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"
@@ -3247,7 +3283,7 @@ MUTANTS = (
         "right propensities are said to be too small", ("data/test_info.py",),
     ),
     Mutant(
-        "copies-in-any-order", "data/copies.py", "(before[1:] == before[:-1] + 1)", "(before[1:] >= 0)",
+        "copies-in-any-order", "data/repeats.py", "(first[1:] == first[:-1] + 1)", "(first[1:] >= 0)",
         "equal people are taken for a part of a table that was stored twice", ("data/test_info.py",),
     ),
     Mutant(
@@ -3259,8 +3295,8 @@ MUTANTS = (
         "a next value that is empty in last rows passes for a column of earlier values", ("data/test_leaks.py",),
     ),
     Mutant(
-        "copies-of-people", "data/copies.py",
-        "if len(kinds) >= _OWN * (rows - found.many) and (kinds != np.floor(kinds)).any():",
+        "copies-of-people", "data/repeats.py",
+        "if len(kinds) >= _OWN * different and (kinds != np.floor(kinds)).any():",
         "if (kinds != np.floor(kinds)).any():",
         "equal people are taken for a table that was stored twice", ("data/test_info.py",),
     ),

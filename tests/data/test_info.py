@@ -85,8 +85,8 @@ def test_a_table_that_was_stored_twice_is_told_and_equal_people_are_not():
     once = {"x": rng.normal(size=200), "act": rng.integers(0, 2, 200), "reward": rng.normal(size=200)}
     twice = {name: np.tile(values, 2) for name, values in once.items()}
     told = [line for line in warnings_for(Dataset.from_frame(twice, action="act", reward="reward")) if "repeat" in line]
-    words = "if a part of the table was stored twice, leave the copies out, else held-out rows are used for training"
-    assert told == [f"200 of 400 rows repeat an earlier one, in the same order: {words}"]
+    words = "if a part of the table was stored twice, leave the copies out; until then, equal episodes are held out together"
+    assert told == [f"200 of 400 rows repeat an earlier one, in the same order: {words} and counted as one"]
     order = rng.permutation(400)
     mixed = {name: values[order] for name, values in twice.items()}
     told = [line for line in warnings_for(Dataset.from_frame(mixed, action="act", reward="reward")) if "repeat" in line]
@@ -100,6 +100,23 @@ def test_a_table_that_was_stored_twice_is_told_and_equal_people_are_not():
     prices = {"price": rng.integers(1, 40, 400) / 4, "act": rng.integers(0, 2, 400), "reward": rng.integers(0, 2, 400)}
     for honest in (once, people, prices):
         assert "repeat" not in str(warnings_for(Dataset.from_frame(honest, action="act", reward="reward")))
+
+
+def test_users_whose_rows_follow_each_other_are_told_if_no_column_names_them():
+    rng = np.random.default_rng(0)
+    user = np.repeat(np.arange(40), 10)
+    columns = {"age": rng.normal(size=40)[user] + rng.normal(size=400), "noise": rng.normal(size=400)}
+    columns |= {"act": rng.integers(0, 2, 400), "reward": rng.normal(size=400), "user": user}
+    read = lambda order, **how: Dataset.from_frame(  # noqa: E731
+        {name: column[order] for name, column in columns.items()}, action="act", reward="reward",
+        observations=["age", "noise"], **how,
+    )  # fmt: skip
+    told = [line for line in warnings_for(read(np.arange(400))) if "episode before" in line]
+    assert len(told) == 1
+    assert "episodes begin like the episode before (correlation of age: 0." in told[0]
+    assert "name its column (--group)" in told[0]
+    assert "episode before" not in str(warnings_for(read(np.arange(400), group="user")))
+    assert "episode before" not in str(warnings_for(read(rng.permutation(400))))
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_logs import logs, make_log, quick
 
+from deadreckon.data.dataset import Dataset
 from deadreckon.data.split import Fold, Holdout, clusters, folds
 from deadreckon.errors import UserError
 
@@ -92,6 +93,55 @@ def test_folds_are_drawn_by_the_seed():
     for fold in (first, second):
         assert not np.array_equal(fold, np.arange(20) % 4)
     assert not np.array_equal(first, second)
+
+
+def stored_again(log, times, order):
+    """The episodes of a log of single steps several times, in an order of the rows."""
+    rows = np.tile(np.arange(len(log)), times)[order]
+    return Dataset.from_arrays(
+        observations=log.observations[rows], actions=log.actions[rows], rewards=log.rewards[rows],
+        terminals=np.ones(len(rows), bool), action_space=log.action_space,
+    ), rows  # fmt: skip
+
+
+@pytest.mark.parametrize("by", ["random", "time"])
+@pytest.mark.parametrize("mixed", [False, True])
+def test_copies_are_held_out_together(by, mixed):
+    once = make_log((1,) * 60, terminal=(True,), finals=False, discrete=True)
+    order = np.random.default_rng(1).permutation(180) if mixed else np.arange(180)
+    log, which = stored_again(once, 3, order)
+    learning, held = Holdout(0.2, by).parts(log)
+    assert not set(which[learning]) & set(which[held])
+    assert len(held) == 36
+    np.testing.assert_array_equal(np.sort(np.concatenate([learning, held])), np.arange(180))
+    if by == "time":  # those of which the last copy is among the latest
+        last = [int(np.flatnonzero(which == i).max()) for i in range(60)]
+        assert set(which[held]) == set(np.argsort(last)[-12:])
+    fold = folds(log, 5, by)
+    assert all(len(set(fold[which == i])) == 1 for i in range(60))
+    assert np.bincount(fold).tolist() == [36] * 5
+    assert len(np.unique(clusters(log, by))) == 60
+
+
+def test_whole_episodes_that_were_stored_again_are_one_cluster():
+    once = make_log((3, 5, 1, 4) * 10, finals=False)
+    rows = np.concatenate([np.arange(len(once)), np.arange(5 * 13)])
+    log = Dataset.from_arrays(**{name: getattr(once, name)[rows] for name in ("observations", "actions", "rewards")},
+                              terminals=once.terminals[rows], timeouts=once.timeouts[rows])  # fmt: skip
+    np.testing.assert_array_equal(clusters(log), clusters(log)[np.append(np.arange(40), np.arange(20))])
+    assert len(np.unique(clusters(log))) == 40
+
+
+def test_episodes_that_are_equal_by_chance_are_not_copies():
+    """Three contexts, two actions, rewards of 0 or 1: nearly every episode equals another one."""
+    rng = np.random.default_rng(0)
+    log = Dataset.from_arrays(
+        observations=rng.integers(0, 3, (300, 1)), actions=rng.integers(0, 2, 300), rewards=rng.integers(0, 2, 300),
+        terminals=np.ones(300, bool),
+    )  # fmt: skip
+    np.testing.assert_array_equal(clusters(log), np.arange(300))
+    few, _ = stored_again(make_log((1,) * 400, terminal=(True,), finals=False), 2, np.r_[:400, 400:404])
+    np.testing.assert_array_equal(clusters(few), np.arange(404))  # 1 % is neglected
 
 
 def test_what_cannot_be_held_out():

@@ -57,6 +57,25 @@ def lqr(gain: float, noise: float, episodes: int, steps: int, seed: int = 0) -> 
     )  # fmt: skip
 
 
+def test_copies_of_episodes_add_nothing():
+    """A log that was stored three times has the estimates and errors of the log; independent rows would have smaller errors."""
+    once, policy = lqr(-0.5, 0.3, 60, 1), linear(-0.7, 0.3)
+    again = lambda name: np.tile(np.asarray(getattr(once, name)).T, 3).T  # noqa: E731
+    three = Dataset.from_arrays(
+        **{name: again(name) for name in ("observations", "actions", "rewards", "timeouts")},
+        final_observations=np.tile(once.final_observations, (3, 1)), action_space=once.action_space, name="lqr",
+        behavior_log_probs=np.tile(linear(-0.5, 0.3).log_prob(once.observations, once.actions), 3),
+    )  # fmt: skip
+    first = three.select(np.arange(60))
+    is_ = ImportanceSampling()
+    one, copied = (is_.on(OPEInput(log, policy, discount=0.0)) for log in (first, three))
+    np.testing.assert_allclose(copied.value, one.value, rtol=1e-5)
+    error = [np.sqrt(np.square(each.influence).sum(0)) / len(each.influence) for each in (one, copied)]
+    np.testing.assert_allclose(error[1], error[0], rtol=1e-5)
+    apart = is_.on(OPEInput(three, policy, discount=0.0, clusters=np.arange(180)))
+    np.testing.assert_allclose(error[0] / (np.sqrt(np.square(apart.influence).sum(0)) / 180), np.sqrt(3), rtol=1e-5)
+
+
 def riccati(gain: float, noise: float, discount: float) -> float:
     """Mean value of `linear(gain, noise)` at s = N(0, 1): -(p s^2 + c) with p and c from the Bellman equation."""
     closed = 0.9 + 0.5 * gain

@@ -444,6 +444,16 @@ def test_an_estimate_above_the_range_of_the_reference_is_refuted():
     assert given.below_at == 1
 
 
+def test_copies_of_episodes_are_no_independent_ones():
+    rng = np.random.default_rng(0)
+    columns = {"x": np.repeat(rng.normal(size=50), 2), "action": np.repeat(np.arange(50) % 2, 2), "reward": np.zeros(100)}
+    log = dr.Dataset.from_frame(columns, action="action", reward="reward")
+    told = decision([{"name": "a"}], [{"value": [0.5, 0.4], "low": [0.4, 0.3], "high": [0.6, 0.5]}])
+    assert realised(log, log, (told, 0), (0.0, 1.0), 0.025).startswith(
+        "not compared: the 100 episodes are copies of 50 different ones, and the interval needs independent ones"
+    )
+
+
 def test_where_nothing_can_be_tested_that_is_said():
     """500 episodes of three sites are no 20 independent ones."""
 

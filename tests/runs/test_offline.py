@@ -247,6 +247,20 @@ def test_a_column_by_which_episodes_were_held_out_is_redrawn_as_one(noise):
     assert told["judged"]["units"] == len(np.unique(log.extras["user"][np.isin(log.episode_ids, run.held)]))
 
 
+def test_copies_of_episodes_are_counted_as_one(noise):
+    log, _, folder = noise
+    columns = {
+        name: np.tile(np.asarray(getattr(log, name)).T, 3).T for name in ("observations", "actions", "rewards", "terminals")
+    }
+    log = Dataset.from_arrays(**columns, behavior_log_probs=np.full(900, -np.log(3)), action_space=Discrete(3), name="thrice")
+    run = train(BC(hidden=(8,)), log, steps=20, out=folder / "thrice")
+    told = judge([run], log, [ImportanceSampling()], counted=False, **QUICK).results
+    assert (told["judged"]["episodes"], told["judged"]["clusters"], told["judged"]["units"]) == (180, 60, 60)
+    assert dict(grounds(told))["evaluated on"] == (
+        "180 held-out episodes of 900, of which 60 are different: copies are counted as one"
+    )
+
+
 def test_each_look_at_the_same_episodes_spends_half_of_what_is_left(noise, tmp_path, monkeypatch):
     log, run, folder = noise
     monkeypatch.setenv("DEADRECKON_HOME", str(tmp_path))

@@ -7,6 +7,7 @@ import numpy as np
 
 from deadreckon.data.copies import Copies, about_copies, copies
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.neighbours import about_neighbours
 from deadreckon.data.propensities import about_propensities
 from deadreckon.data.sizes import about_observations, about_rewards, reward_scale
 from deadreckon.data.spec import Box
@@ -222,7 +223,7 @@ def _columns(log: Dataset, info: Info) -> list[str]:
         text = f"{len(unused)} of {len(names)} actions {never} in the log ({_shortened(unused)})"
         out.append(f"{text}: their effects are not known")
     repeated = Copies(info.duplicate_rows, info.duplicates_together)
-    return [*out, *about_propensities(log), *about_copies(log, repeated, info.sampled)]
+    return [*out, *about_propensities(log), *about_copies(log, repeated, info.sampled), *about_neighbours(log)]
 
 
 def _shortened(names: Sequence[str]) -> str:

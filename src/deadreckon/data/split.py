@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from deadreckon.data.repeats import copied
 from deadreckon.data.scratch import BLOCK
 from deadreckon.errors import UserError, unknown
 
@@ -33,7 +34,7 @@ class Holdout:
     Attributes:
         share: of the episodes, between 0 and 1.
         by: "random", "time" (the latest: rows are in the order of time), or a column of the log's extras, such as a user or a
-            site, each value of which is held out as a whole or not at all.
+            site, each value of which is held out as a whole or not at all. Copies of an episode are always held out together.
         seed: of the draw.
     """
 
@@ -52,12 +53,15 @@ class Holdout:
             raise UserError(f"the share held out must lie between 0 and 1, got {self.share}")
         cluster = clusters(log, self.by)
         _enough(log, cluster, self.by, 2)
-        held = np.zeros(log.episodes, bool)
+        sizes = np.bincount(cluster)
         if self.by in (RANDOM, TIME):
-            order = np.arange(log.episodes) if self.by == TIME else np.random.default_rng(self.seed).permutation(log.episodes)
-            held[order[min(max(round((1 - self.share) * log.episodes), 1), log.episodes - 1) :]] = True
+            count = len(sizes)
+            order = _latest_last(cluster) if self.by == TIME else np.random.default_rng(self.seed).permutation(count)
+            before = np.cumsum(sizes[order]) - sizes[order]  # episodes of the clusters ahead of each in this order
+            first = int(np.searchsorted(before, min(max(round((1 - self.share) * log.episodes), 1), log.episodes - 1)))
+            held = np.isin(cluster, order[min(max(first, 1), count - 1) :])
         else:
-            held = np.isin(cluster, self._drawn(np.bincount(cluster)))
+            held = np.isin(cluster, self._drawn(sizes))
         return Parts(np.flatnonzero(~held), np.flatnonzero(held))
 
     def told(self) -> dict[str, Any]:
@@ -109,13 +113,15 @@ def group_of(log: "Dataset") -> str | None:
 
 
 def clusters(log: "Dataset", by: str = RANDOM) -> np.ndarray:
-    """(episodes,) number 0, 1, ... of the cluster that each episode belongs to: its own for "random" and "time", else one for
-    each value of the column `by`.
+    """(episodes,) number 0, 1, ... of the cluster that each episode belongs to: for "random" and "time" its own, or one for all
+    copies of an episode (`data.repeats.copied`), else one for each value of the column `by`.
 
     Raises:
         UserError: the log has no such column, or it changes within an episode.
     """
-    return np.arange(log.episodes) if by in (RANDOM, TIME) else groups(log, by)[1]
+    if by not in (RANDOM, TIME):
+        return groups(log, by)[1]
+    return np.arange(log.episodes) if (found := copied(log)) is None else found
 
 
 def units_of(log: "Dataset") -> np.ndarray:
@@ -163,18 +169,27 @@ def folds(log: "Dataset", k: int, by: str = RANDOM, seed: int = 0) -> np.ndarray
         raise UserError(f"at least 2 folds are needed, got {k}")
     cluster = clusters(log, by)
     _enough(log, cluster, by, k)
-    if by == TIME:
-        return np.arange(log.episodes) * k // log.episodes
-    rng = np.random.default_rng(seed)
-    if by == RANDOM:
-        return rng.permutation(np.arange(log.episodes) % k)
     sizes = np.bincount(cluster)
+    if by == TIME:
+        order, fold = _latest_last(cluster), np.empty(len(sizes), np.int64)
+        fold[order] = (np.cumsum(sizes[order]) - sizes[order]) * k // log.episodes
+        return fold[cluster]
+    rng = np.random.default_rng(seed)
+    if by == RANDOM and len(sizes) == log.episodes:
+        return rng.permutation(np.arange(log.episodes) % k)
     order = rng.permutation(len(sizes))
     fold, filled = np.empty(len(sizes), np.int64), np.zeros(k, np.int64)
     for each in order[np.argsort(-sizes[order], kind="stable")]:  # the largest first, each to where fewest are
         fold[each] = np.argmin(filled)
         filled[fold[each]] += sizes[each]
     return fold[cluster]
+
+
+def _latest_last(cluster: np.ndarray) -> np.ndarray:
+    """Clusters in the order of their last episodes."""
+    last = np.zeros(int(cluster.max()) + 1, np.int64)
+    np.maximum.at(last, cluster, np.arange(len(cluster)))
+    return np.argsort(last)
 
 
 def _enough(log: "Dataset", cluster: np.ndarray, by: str, needed: int) -> None:

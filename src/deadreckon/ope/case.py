@@ -13,6 +13,7 @@ from deadreckon.data.batch import TransitionSource, redrawn
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.episodes import rows_of
 from deadreckon.data.normalizer import EDGE, Normalizer
+from deadreckon.data.split import clusters as clusters_of
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.estimand import TAIL, discounted_steps
@@ -67,7 +68,7 @@ class OPEInput(Fits):
         held: (n,) indices of the episodes that policies are evaluated on; None: all. The other episodes of `data`, on which the
             policies may have been trained, are only used to fit the models of doubly robust estimators.
         clusters: (episodes of `data`,) integers that are equal for episodes of one cluster, such as a user; None: each episode
-            is one. Clusters are resampled as a whole for all intervals.
+            is one, or all copies of it (`data.repeats`). Clusters are resampled as a whole for all intervals.
         noise: added to deterministic policies if weights need a density; None: their weights are zero; see `Actor`.
         positions: whether models of the behaviour policy and of values see each episode's position in the log, which policies
             do not; see `ope.over_time`.
@@ -130,7 +131,7 @@ class OPEInput(Fits):
         self.log = self.estimand.cut(data)
         self.plain = self.estimand.cut(plain) if positions else self.log
         self.data = self.log if held is None else self.log.select(self.held)
-        self.clusters = np.arange(data.episodes) if clusters is None else np.unique(clusters, return_inverse=True)[1]
+        self.clusters = clusters_of(self.given) if clusters is None else np.unique(clusters, return_inverse=True)[1]
         if len(set(self.names)) < len(self.names) or LOGGED in self.names:
             raise UserError(f"names must differ, and from {LOGGED!r}, got {', '.join(self.names)}")
         self._parts = [np.asarray(p.which)[self.held] if isinstance(p, CrossFitted) else None for p in self.policies]

@@ -94,9 +94,7 @@ def judge(
         return judge_alone(policies, log, estimators, task, settings)
 
 
-def judge_alone(
-    policies: Any, data: Dataset, estimators: Sequence[Any] | str, task: Any, settings: JudgeSettings
-) -> Judged:
+def judge_alone(policies: Any, data: Dataset, estimators: Sequence[Any] | str, task: Any, settings: JudgeSettings) -> Judged:
     """`judge` for callers that hold the lock of `settings.out`, or have no folder."""
     groups = None if settings.by_group is None else Groups.of(data, settings.by_group)
     candidates = gather(policies)
@@ -224,6 +222,8 @@ def grounds(results: dict[str, Any]) -> list[tuple[str, str]]:
     judged, looks, level = results["judged"], results["looks"], level_in_words(results["choice"]["level"])
     cluster, count = judged["cluster"], judged.get("clusters")
     of = "" if cluster is None else f", in {count:,} clusters by {cluster}" if count else f", in clusters by {cluster}"
+    if cluster is None and count is not None and count < judged["episodes"]:
+        of = f", of which {count:,} are different: copies are counted as one"
     policies = f"{looks['policies']:,} {'policy' if looks['policies'] == 1 else 'policies'}"
     looked = f"look {looks['number']} at these episodes or some of them, {policies} so far"
     if not looks["counted"]:
@@ -254,9 +254,7 @@ def _over_time(over: Mapping[str, Any]) -> str:
     return f"no change of the behaviour policy along the log is found ({p})"
 
 
-def simulated(
-    policies: Sequence[Any], task: Task, estimand: Mapping[str, Any], *, episodes: int, seed: int
-) -> dict[str, Any]:
+def simulated(policies: Sequence[Any], task: Task, estimand: Mapping[str, Any], *, episodes: int, seed: int) -> dict[str, Any]:
     """The values of policies in a simulator by an estimand, both as in `estimates.json`; at least two episodes."""
     asked = {name: estimand[name] for name in ("discount", "horizon", "greedy")}
     played = evaluate(policies, task, episodes=episodes, seed=seed, **asked)

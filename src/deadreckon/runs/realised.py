@@ -123,7 +123,9 @@ def realised(
             how = f"{those}: if these are not finished, give only the episodes that started before the first of them"
         return f"not compared: {beyond}, which a log does not show; {how}"
     if (units := len(np.unique(units_of(new)))) < new.episodes:
-        those = f"the {new.episodes:,} episodes come from {units:,} values of {group_of(new)}"
+        group = group_of(new)
+        of = f"come from {units:,} values of {group}" if group else f"are copies of {units:,} different ones"
+        those = f"the {new.episodes:,} episodes {of}"
         return f"not compared: {those}, and the interval needs independent ones; give one episode of each"
     if given is not None and not (np.isfinite(given).all() and given[0] < given[1]):
         raise UserError(f"return_range must be least and greatest return of an episode, got {given[0]:g} .. {given[1]:g}")

@@ -29,7 +29,7 @@ from deadreckon.runs.clock import Clock
 from deadreckon.runs.decision_record import ESTIMATES, read_results, write_results
 from deadreckon.runs.durations import in_words
 from deadreckon.runs.follow import Found, followed
-from deadreckon.runs.offline import checked, supports
+from deadreckon.runs.offline import checked, grounds, supports
 from deadreckon.runs.run import Run, load
 from deadreckon.runs.settings import RecommendOptions, RecommendSettings
 from deadreckon.stats.interval import PERCENT, decimals
@@ -284,7 +284,7 @@ def card(told: dict[str, Any]) -> str:
     width = max(map(len, names))
     d = decimals(*first["value"], *first["low"], *first["high"])
     number = lambda x: "-" if math.isnan(x) else f"{x:.{d}f}"  # noqa: E731
-    lines = [f"evaluated on {told['judged']['words']}", ""]
+    lines = [f"evaluated on {dict(grounds(told))['evaluated on']}", ""]
     lines.append(f"{first['title']}: {told['estimand']['words']}; {PERCENT} intervals")
     for name, value, low, high in zip(names, first["value"], first["low"], first["high"]):
         lines.append(f"  {name:<{width}}  {number(value):>{MANY_DIGITS}} [{number(low)}, {number(high)}]")
