@@ -2648,12 +2648,12 @@ MUTANTS = (
         ("tasks/test_battery.py::test_probabilities_that_are_none_are_refused",),
     ),
     Mutant(
-        "changes-of-rows-in-clusters", "ope/over_time.py", "    number = np.unique(cluster, return_inverse=True)[1]",
+        "changes-of-rows-in-clusters", "stats/products.py", "    number = np.unique(cluster, return_inverse=True)[1]",
         "    number = np.arange(len(cluster))", "the users of a log are a change along it, because rows count and not clusters",
         ("ope/test_over_time.py::test_clusters_and_not_rows_count",),
     ),
     Mutant(
-        "changes-in-many-tests", "ope/over_time.py", "min(min(found) * max(len(found) - 1, 1), 1.0)", "min(found)",
+        "changes-in-many-tests", "stats/products.py", "min(min(found) * max(len(found) - 1, 1), 1.0)", "min(found)",
         "tests of changes along the log have no correction for their number",
         ("ope/test_over_time.py::test_the_p_value_is_that_of_a_regression_with_robust_errors",),
     ),
@@ -2665,7 +2665,7 @@ MUTANTS = (
         ("ope/test_over_time.py::test_the_p_value_is_that_of_a_regression_with_robust_errors",),
     ),
     Mutant(
-        "changes-with-many-regressors", "ope/over_time.py", "    freedom = 1 - given.shape[1] / rows", "    freedom = 1",
+        "changes-with-many-regressors", "ope/over_time.py", "freedom=1 - given.shape[1] / rows", "freedom=1.0",
         "the errors of a test along the log do not count what its regressions have fitted",
         ("ope/test_over_time.py::test_the_p_value_is_that_of_a_regression_with_robust_errors",),
     ),
@@ -2772,6 +2772,27 @@ MUTANTS = (
         "neighbours-in-any-order", "data/neighbours.py", "(rank[1:] * rank[:-1]).sum(0)", "(rank[1:] * rank[1:]).sum(0)",
         "episodes in random order are taken for those of users",
         ("data/test_info.py::test_users_whose_rows_follow_each_other_are_told_if_no_column_names_them",),
+    ),
+    Mutant(
+        "order-in-sample", "mbo/over_time.py", "/ np.maximum(1.0 - np.square(vectors) @ kept, 1e-9)[:, None]", "",
+        "whether a table changed is asked of rows that inputs were fitted to",
+        ("mbo/test_over_time.py::test_errors_of_left_out_rows_are_those_of_fits_to_the_others",),
+    ),
+    Mutant(
+        "order-of-scores", "mbo/over_time.py", "abs(spearman(data.y, np.arange(float(len(data))))) > SORTED", "False",
+        "a table in the order of its scores is said to have changed",
+        ("mbo/test_over_time.py::test_tables_in_the_order_of_their_scores_or_of_inputs_say_nothing_of_time",),
+    ),
+    Mutant(
+        "order-by-chance", "mbo/over_time.py", "(p_value := p_of_change(data)) >= LEVEL",
+        "(p_value := p_of_change(data)) >= 1.0",
+        "any table whose inputs changed along its rows is said to have changed",
+        ("mbo/test_over_time.py::test_other_tables_give_no_message",),
+    ),
+    Mutant(
+        "order-unmoved", "mbo/over_time.py", "if abs(each[1]) > limit", "if abs(each[1]) > 0",
+        "a drift is told that no input changed along with",
+        ("mbo/test_over_time.py::test_a_drift_without_a_change_of_inputs_biases_nothing",),
     ),
     Mutant(
         "groups-kept", "ope/case.py",

@@ -463,7 +463,7 @@ def test_numbers_of_runs_are_told():
     (line,) = told(Designs.from_frame, numbers, "y")[1]
     assert line == (
         "frame: column run has each whole number from 1 to 18 once, and is taken for an input; if it is the number of the run, "
-        "leave it out (--ignore run)"
+        "leave it out (--ignore run) or, if the process drifts, fix it at its latest value (--fix run=18)"
     )
     low, high = {"bounds": {"run": (0, 40)}}, {"bounds": {"run": (1, 18)}}
     assert told(Designs.from_frame, numbers, "y", **low)[1] == []

@@ -34,6 +34,7 @@ from deadreckon.mbo.design_table import (
     whole_again,
 )
 from deadreckon.mbo.nn_distance import usual_distance
+from deadreckon.mbo.over_time import about_order
 from deadreckon.mbo.repair import Repair
 from deadreckon.mbo.replicates import errors_of, pooled, recipes, units, units_told
 from deadreckon.mbo.rules import NO_RULES, Rules
@@ -266,7 +267,8 @@ class Designs(Shown):
         slips = [*read, *unknown, *doubts.of_inputs(variables, x, rows, bounds, made.rules), *slips]
         warn(name, slips := [*slips, *doubts.of_outcomes(variables, x, target, raw)])
         unused = [f"not used: {', '.join(left)}"] if (left := [each for each in ignore if each not in targets]) else []
-        made = replace(made, noticed=(*noticed, *told, *slips, *unused))
+        warn(name, changed := about_order(made))
+        made = replace(made, noticed=(*noticed, *told, *slips, *changed, *unused))
         made = pooled(made) if pool else made
         warn(name, together := units_told(made, groups))
         return replace(made, noticed=(*made.noticed, *together)) if together else made

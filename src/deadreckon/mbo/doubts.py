@@ -67,7 +67,8 @@ def of_inputs(
         elif _run_number(v, x[:, column]) and _not_meant((bounds or {}).get(v.name), x[:, column]):
             ends = f"{x[:, column].min():g} to {x[:, column].max():g}"
             text = f"column {v.name} has each whole number from {ends} once, and is taken for an input"
-            lines.append(f"{text}; if it is the number of the run, leave it out (--ignore {shlex.quote(v.name)})")
+            text += f"; if it is the number of the run, leave it out (--ignore {shlex.quote(v.name)}) or, if the process "
+            lines.append(f"{text}drifts, fix it at its latest value (--fix {shlex.quote(f'{v.name}={ends.split()[-1]}')})")
     sums = unsaid_sums(variables, x, rules)
     for columns, whole in sums:
         said = sum_of([variables[column].name for column in columns], whole)

@@ -14,7 +14,6 @@ these (Frisch and Waugh, 1933); errors are by clusters of episodes.
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
@@ -23,6 +22,8 @@ from deadreckon.ope.case import OPEInput
 from deadreckon.ope.features import FAR, PRODUCTS, Table
 from deadreckon.ope.positions import waves
 from deadreckon.randomness import generator
+from deadreckon.stats.interval import p_in_words
+from deadreckon.stats.products import p_of_products
 
 LEVEL = 0.1  # error probability of the test: missing a change costs more than seeing one that is not there
 MOST, NUMBERS = 40_000, 40_000_000  # most rows that are tested, and most numbers in their observations
@@ -76,11 +77,6 @@ def adjusted(case: OPEInput, stationary: bool = False) -> OPEInput:
 def change_of(case: OPEInput) -> Change | None:
     """The test on all episodes of a case's log; made once. None if there are fewer than `UNITS` clusters."""
     return case.once("change", lambda: _change(case))
-
-
-def p_in_words(p_value: float) -> str:
-    """A p-value as text."""
-    return f"p = {p_value:.2g}" if p_value >= 0.001 else "p < 0.001"
 
 
 def _change(case: OPEInput) -> Change | None:
@@ -139,12 +135,4 @@ def p_value(given: np.ndarray, time: np.ndarray, columns: np.ndarray, cluster: n
     both = both - given @ np.linalg.solve(gram, given.T @ both)
     waved, left = both[:, : time.shape[1]], both[:, time.shape[1] :]
     left = left[:, left.std(0) > 1e3 * RIDGE * columns.std(0)]
-    number = np.unique(cluster, return_inverse=True)[1]
-    count, found = int(number.max()) + 1, [1.0]
-    freedom = 1 - given.shape[1] / rows  # residuals of the fitted rows are too small
-    for wave in waved.T:
-        for own in left.T:
-            sums = np.bincount(number, wave * own, count)
-            if (error := np.sqrt(np.square(sums).sum() / max(freedom, 1 / rows))) > 0:
-                found.append(float(2 * stats.t.sf(abs(sums.sum()) / error, count - 1)))
-    return min(min(found) * max(len(found) - 1, 1), 1.0)
+    return p_of_products(waved, left, cluster, freedom=1 - given.shape[1] / rows)  # residuals of fitted rows are too small

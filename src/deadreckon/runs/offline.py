@@ -22,7 +22,7 @@ from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.groups import Groups
-from deadreckon.ope.over_time import adjusted, p_in_words
+from deadreckon.ope.over_time import adjusted
 from deadreckon.ope.registry import Function, as_estimators, fits_name, titled
 from deadreckon.ope.select import Choice, doubted, gains
 from deadreckon.ope.settings import DecisionSettings, EstimateSettings
@@ -32,7 +32,7 @@ from deadreckon.runs.evaluate import evaluate
 from deadreckon.runs.gather import Gathered, check_encodings, for_case, fresh, gather
 from deadreckon.runs.looks import Look, look
 from deadreckon.runs.settings import JudgeOptions, JudgeSettings
-from deadreckon.stats.interval import ALPHA, decimals, fixed, level_in_words
+from deadreckon.stats.interval import ALPHA, decimals, fixed, level_in_words, p_in_words
 from deadreckon.tasks.registry import task as find_task
 from deadreckon.tasks.task import Task
 from deadreckon.training.hyperparameters import described

@@ -53,3 +53,8 @@ def level_in_words(level: float) -> str:
     """A level in words, with enough digits not to show 100 %, to which levels of late looks would be rounded."""
     digits = next((d for d in range(3, 17) if float(f"{100 * level:.{d}g}") < 100), 17)
     return f"{100 * level:.{digits}g} %"
+
+
+def p_in_words(p_value: float) -> str:
+    """A p-value as text."""
+    return f"p = {p_value:.2g}" if p_value >= 0.001 else "p < 0.001"
