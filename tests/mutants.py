@@ -2795,6 +2795,11 @@ MUTANTS = (
         ("mbo/test_over_time.py::test_a_drift_without_a_change_of_inputs_biases_nothing",),
     ),
     Mutant(
+        "weights-of-rows-ignored", "ope/decide.py", "if (weights := weights_of(case.given)) is not None:", "if False:",
+        "policies are deployed by rows whose weights say that they are no sample of the population",
+        ("ope/test_decide.py::test_rows_of_different_weights_deploy_nothing",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

@@ -490,6 +490,24 @@ def test_cross_fitted_estimates_are_unbiased_and_cover_on_generated_bandits():
     assert stats.binom.cdf(hits, logs, 0.95) > 0.01, hits
 
 
+@pytest.mark.parametrize("differ", [True, False])
+def test_rows_of_different_weights_deploy_nothing(differ):
+    """Successes were recorded always, and failures one time in ten: rates of the rows are not those of the population."""
+    rng = np.random.default_rng(0)
+    actions, rewards = np.tile([0, 1], 200), np.repeat([0.0, 1.0], 200)
+    rewards[1::2] = 1.0
+    columns = {"x": rng.normal(size=400), "action": actions, "reward": rewards, "propensity": np.full(400, 0.5)}
+    columns["w"] = np.where(rewards > 0, 1.0, 10.0) if differ else np.full(400, 3.0)
+    log = Dataset.from_frame(
+        columns, action="action", reward="reward", observations=["x"], propensity="propensity", weight="w"
+    )  # fmt: skip
+    found = decide(OPEInput(log, constant([0.2, 0.8]), discount=0.0, logged=True), stationary=True)
+    assert found.choice.low > 0
+    assert found.choice.deploy is not differ
+    told = "the weights in column w are not used: keep each episode with a probability proportional to its weight"
+    assert (told in found.choice.reason) is differ
+
+
 def test_gains_of_nothing_are_above_zero_as_often_as_promised():
     """Scores of noise of three policies and the log's own, 25 units each: the level of 5 % is that of both ends together."""
     rng, above, logs = np.random.default_rng(0), 0, 1000

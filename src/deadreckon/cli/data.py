@@ -97,7 +97,7 @@ class Mapping(Reading):
     """column that lists the legal actions (a|b), or one 0/1 column per action: `legal` stands for legal_a, legal_b and so on"""
     next_legal: Annotated[tuple[str, ...] | None, _COLUMNS] = None
     """columns of the legal actions of the next observations, in the same form as --legal"""
-    weight: Annotated[str | None, _COLUMN] = None  # column of weights, which are stored with the log and not used
+    weight: Annotated[str | None, _COLUMN] = None  # column of the weights of rows, which are only stored
     kinds: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="COLUMN=KIND [COLUMN=KIND ...]")] = None
     """kinds of columns whose values suggest another: number, integer, category or flag, such as dose=number"""
 

@@ -87,7 +87,7 @@ def frame_columns(
               action (or their beginning: legal for legal_a, legal_b), or, in `Dataset.from_frame`, a function of the
               observations (rows, numbers) that gives (rows, actions) truth values in the order of the actions' levels.
             - next_legal: likewise in the next observations; without it, that of the following row.
-            - weight: column of numbers that is kept as an extra.
+            - weight: column of the weights of rows, kept as an extra; no policy is deployed by rows of different weights.
             - kinds: {column: "number", "integer", "category" or "flag"} if the kind found from the values is wrong.
 
     Raises:

@@ -70,6 +70,15 @@ def schema_of(log: Dataset) -> Schema | None:
     return None if found is None else Schema.from_json(found, log.name)
 
 
+def weights_of(log: Dataset) -> str | None:
+    """The column of weights of a log that was read from a table; None if there is none, or if all weights are the same."""
+    schema = schema_of(log)
+    found = None if schema is None else schema.one("weight")
+    if found is None or found.name not in log.extras:
+        return None
+    return found.name if np.ptp(np.asarray(log.extras[found.name])) > 0 else None
+
+
 def columns_of(log: Dataset) -> tuple[Told, ...]:
     """Every column of the table that the log was read from; its dimensions and extras where it was no table."""
     schema = schema_of(log)

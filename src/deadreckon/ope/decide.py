@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
+from deadreckon.data.told import weights_of
 from deadreckon.errors import UserError
 from deadreckon.ope.basis import MANY, SHARE
 from deadreckon.ope.behavior_model import PROPENSITIES, BehaviorModel
@@ -94,6 +95,12 @@ def decide(
     against = [[told for each in costs if (told := each.objection(i, 1 - alpha))] for i in range(len(case.policies))]
     for own, lucky in zip(against, without_losses(case, estimates[0], checked, model, alpha)):
         own += [lucky] if lucky else []
+    if (weights := weights_of(case.given)) is not None:
+        for own in against:
+            own.append(
+                f"its estimate is of the log's rows and not of the population, as the weights in column {weights} are not "
+                "used: keep each episode with a probability proportional to its weight, and ignore the column"
+            )
     choice = select(estimates, checked, seen=seen, against=against, accept_model_based=accept_model_based, alpha=alpha)
     which = case.names.index(choice.name)
     more: dict[str, Any] = {"costs": as_json(costs)} if costs else {}
