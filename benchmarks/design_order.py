@@ -2,11 +2,12 @@
 
     python -m benchmarks.design_order [TABLES]
 
-Of tables of 40, 80 and 200 rows, at a signal-to-noise ratio (of standard deviations) of two unless said otherwise:
-noise of one input that rises along the table and others at random; the same with a score that rises, too ("drift"), or
-with one that follows that input ("effect"); Hartmann's function of six inputs at random, in the order of one input, and in a
-search that stays near the best row so far; and Branin's function on a grid, row by row, with noise and without. Printed are the
-shares of tables with a message.
+Of tables of 40, 80 and 200 rows, at a signal-to-noise ratio (of standard deviations) of two unless said otherwise: one input
+that rises along the table and three at random, with a score that rises, too ("drift"), that is noise, or that follows the
+input; the drift with a quarter of the rows at one centre, and with a catalyst that takes the place of another; fifty inputs of
+which the score follows a wave of one that rises; noise rounded to five values, in its order; Hartmann's function of six inputs
+at random, in the order of one input, and in a search that stays near the best row so far; and Branin's function on a grid, row
+by row, with noise and without. Printed are the shares of tables with a message.
 """
 
 import sys
@@ -94,17 +95,51 @@ def _exact(rng, rows):
     return x, branin(15 * x - np.array([5, 0]))
 
 
+def _centred(rng, rows):
+    x, y = _drift(rng, rows)
+    x[::4] = 0.5
+    return x, y
+
+
+def _catalyst(rng, rows):
+    x, time = rising(rng, rows)
+    x[:, 0] = rng.random(rows) < time
+    return x, noisy(time, rng)
+
+
+def _wide(rng, rows):
+    x = np.column_stack([rising(rng, rows)[0][:, 0], rng.random((rows, 49))])
+    return x, noisy(np.cos(2 * np.pi * x[:, 0]), rng)
+
+
+def _by_score(rng, rows):
+    x, _ = rising(rng, rows)
+    return x, np.sort(np.round(rng.standard_normal(rows)))
+
+
 TABLES: dict[str, Callable[[np.random.Generator, int], tuple[np.ndarray, np.ndarray]]] = {
-    "drift": _drift, "noise": _noise, "effect": _effect, "at random": _random, "in the order of an input": _ordered,
-    "a search": _searched, "a grid": _grid, "a grid, no noise": _exact,
-}  # fmt: skip
+    "drift": _drift,
+    "drift, with a centre": _centred,
+    "drift, another catalyst": _catalyst,
+    "noise": _noise,
+    "effect": _effect,
+    "fifty inputs": _wide,
+    "in the order of rounded scores": _by_score,
+    "at random": _random,
+    "in the order of an input": _ordered,
+    "a search": _searched,
+    "a grid": _grid,
+    "a grid, no noise": _exact,
+}
 
 
 def told(name: str, seed: int, rows: int) -> bool:
     """Whether one table gives a message."""
     x, y = TABLES[name](np.random.default_rng([seed, rows]), rows)
-    variables = tuple(Variable(f"x{i}", low=0.0, high=1.0) for i in range(x.shape[1]))
-    return bool(about_order(Designs(x, y, variables)))
+    variables = [Variable(f"x{i}", low=0.0, high=1.0) for i in range(x.shape[1])]
+    if "catalyst" in name:
+        variables[0] = Variable("x0", kind="categorical", levels=("A", "B"))
+    return bool(about_order(Designs(x, y, tuple(variables))))
 
 
 def main(tables: int) -> None:

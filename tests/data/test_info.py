@@ -15,7 +15,7 @@ def test_the_numbers(log):
     np.testing.assert_allclose(info.mean_return, log.returns().mean())
     np.testing.assert_allclose(info.returns[0], log.returns().min())
     assert info.constant_observations == ()
-    assert info.duplicate_rows == 0
+    assert info.repeats.many == 0
     assert info.fingerprint == log.fingerprint
     text = render(info, warnings_for(log, info))
     assert "13 in 4 episodes" in text
@@ -90,7 +90,7 @@ def test_a_table_that_was_stored_twice_is_told_and_equal_people_are_not():
     order = rng.permutation(400)
     mixed = {name: values[order] for name, values in twice.items()}
     told = [line for line in warnings_for(Dataset.from_frame(mixed, action="act", reward="reward")) if "repeat" in line]
-    assert "completely, although nearly all others differ in x: if the table was stored twice, leave the copies out" in told[0]
+    assert "completely, although nearly all others differ: if the table was stored twice, leave the copies out" in told[0]
     rounded = {"age": rng.integers(20, 60, 900), "gain": rng.integers(0, 40, 900) / 2}
     rounded |= {"act": rng.integers(0, 2, 900), "reward": rng.integers(0, 9, 900)}
     overlap = {name: np.append(values, values[-100:]) for name, values in rounded.items()}
@@ -113,10 +113,27 @@ def test_users_whose_rows_follow_each_other_are_told_if_no_column_names_them():
     )  # fmt: skip
     told = [line for line in warnings_for(read(np.arange(400))) if "episode before" in line]
     assert len(told) == 1
-    assert "episodes begin like the episode before (correlation of age: 0." in told[0]
+    assert "episodes begin like the episode before (rank correlation of age: 0." in told[0]
     assert "name its column (--group)" in told[0]
     assert "episode before" not in str(warnings_for(read(np.arange(400), group="user")))
     assert "episode before" not in str(warnings_for(read(rng.permutation(400))))
+
+
+def test_users_with_the_same_features_in_all_their_rows_are_told():
+    """They come and go, so that neighbours are not alike."""
+    rng = np.random.default_rng(0)
+    user = rng.integers(0, 200, 800)
+    columns = {"income": rng.normal(size=200)[user], "act": rng.integers(0, 2, 800), "reward": rng.integers(0, 2, 800)}
+    columns |= {"user": user}
+    read = lambda **how: Dataset.from_frame(  # noqa: E731
+        columns | how.pop("more", {}), action="act", reward="reward", observations=["income"], **how
+    )  # fmt: skip
+    told = [line for line in warnings_for(read()) if "of one user" in line]
+    assert len(told) == 1
+    assert told[0].startswith("76% of the episodes begin exactly as an earlier one: if these are of one user or machine")
+    assert "of one user" not in str(warnings_for(read(group="user")))
+    for others in ({"income": rng.normal(size=800)}, {"income": rng.integers(0, 200, 800)}):
+        assert "of one user" not in str(warnings_for(read(more=others)))
 
 
 @pytest.mark.parametrize("seed", range(3))

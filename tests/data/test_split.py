@@ -1,5 +1,7 @@
 """Holding episodes out: shares, whole clusters, folds, and what cannot be held out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -140,8 +142,57 @@ def test_episodes_that_are_equal_by_chance_are_not_copies():
         terminals=np.ones(300, bool),
     )  # fmt: skip
     np.testing.assert_array_equal(clusters(log), np.arange(300))
+    many = Dataset.from_arrays(  # of 150 contexts, some have been seen with one action and one reward alone
+        observations=rng.integers(0, 150, (300, 1)), actions=rng.integers(0, 2, 300), rewards=rng.integers(0, 2, 300),
+        terminals=np.ones(300, bool),
+    )  # fmt: skip
+    np.testing.assert_array_equal(clusters(many), np.arange(300))
     few, _ = stored_again(make_log((1,) * 400, terminal=(True,), finals=False), 2, np.r_[:400, 400:404])
     np.testing.assert_array_equal(clusters(few), np.arange(404))  # 1 % is neglected
+
+
+def test_rows_of_empty_cells_are_not_copies():
+    """Visitors of whom nothing is known have the values that stand for empty cells; the others differ."""
+    rng = np.random.default_rng(0)
+    seen = rng.normal(size=(1000, 3)) * (rng.random((1000, 1)) > 0.3)
+    log = Dataset.from_arrays(
+        observations=seen, actions=rng.integers(0, 2, 1000), rewards=rng.random(1000) < 0.2, terminals=np.ones(1000, bool)
+    )  # fmt: skip
+    np.testing.assert_array_equal(clusters(log), np.arange(1000))
+    twice, which = stored_again(log, 2, rng.permutation(2000))
+    found = clusters(twice)
+    known = (log.observations[which] != 0).any(1)
+    assert len(np.unique(found[known])) == known.sum() / 2
+    assert len(np.unique(found[~known])) == (~known).sum()  # which of them are copies is not known
+
+
+def test_contexts_that_take_turns_are_not_copies():
+    """The hour of the day, an action that is rare and a reward that is rare."""
+    rng = np.random.default_rng(0)
+    log = Dataset.from_arrays(
+        observations=(np.arange(2400.0) % 24)[:, None], actions=(rng.random(2400) < 0.05).astype(int),
+        rewards=rng.random(2400) < 0.05, terminals=np.ones(2400, bool),
+    )  # fmt: skip
+    np.testing.assert_array_equal(clusters(log), np.arange(2400))
+
+
+def test_copies_of_very_different_numbers_leave_no_fold_empty():
+    once = make_log((1,) * 200, terminal=(True,), finals=False, discrete=True)
+    log, which = stored_again(once, 1, np.append(np.arange(200), np.full(800, 199)))
+    for by in ("random", "time"):
+        fold = folds(log, 5, by)
+        assert (np.bincount(fold, minlength=5) > 0).all()
+        held = Holdout(0.2, by).parts(log).held
+        assert len(held) in ((199,) if by == "random" else (801,))  # the latest is the one that was stored 801 times
+        assert (199 in which[held]) == (by == "time")
+
+
+def test_the_latest_of_a_memory_mapped_log_are_one_part(tmp_path):
+    once = make_log((1,) * 60, terminal=(True,), finals=False, discrete=True)
+    log, _ = stored_again(once, 3, np.arange(180))
+    np.save(tmp_path / "seen.npy", log.observations)
+    log = replace(log, observations=np.load(tmp_path / "seen.npy", mmap_mode="r"))
+    np.testing.assert_array_equal(Holdout(0.2, "time").parts(log).held, np.arange(144, 180))
 
 
 def test_what_cannot_be_held_out():

@@ -31,7 +31,7 @@ def read(columns, **options):
 def test_a_drift_is_told_with_the_inputs_that_changed_along_with_it():
     data, lines = read(table())
     assert len(lines) == 1
-    assert "yield changed along the table beyond what the inputs explain (p < 0.001), and so did heat (rank" in lines[0]
+    assert "yield changed along the table beyond what the inputs explain (p < 0.001), and so did heat: if" in lines[0]
     assert "acid" not in lines[0]
     assert "fix it at its latest value (--fix COLUMN=VALUE)" in lines[0]
     assert any("changed along the table" in each for each in data.noticed)  # on the page
@@ -52,7 +52,12 @@ def test_the_number_of_the_run_as_a_fixed_input_takes_the_drift_away():
     assert abs(effect[1]) < 0.3
 
 
-@pytest.mark.parametrize("name", [name for name in TABLES if name != "drift"])
+@pytest.mark.parametrize("name", [name for name in TABLES if "drift" in name])
+def test_drifts_of_other_tables_are_told(name):
+    assert sum(told(name, seed, 80) for seed in range(4)) >= 3
+
+
+@pytest.mark.parametrize("name", [name for name in TABLES if "drift" not in name])
 def test_other_tables_give_no_message(name):
     assert sum(told(name, seed, 80) for seed in range(8)) <= 1
 
@@ -66,10 +71,34 @@ def test_tables_in_the_order_of_their_scores_or_of_inputs_say_nothing_of_time():
     assert not read({name: values[:29] for name, values in columns.items()})[1]  # too few rows
 
 
+def test_replicates_do_not_hide_a_drift():
+    """Each recipe twice in a row: one tells the time of the other."""
+    columns = table()
+    for name in ("heat", "acid", "speed"):
+        columns[name] = np.repeat(columns[name][::2], 2)
+    assert len(read(columns)[1]) == 1
+
+
 def test_a_drift_without_a_change_of_inputs_biases_nothing():
     columns = table()
     columns["heat"] = np.random.default_rng(1).permutation(columns["heat"])
     assert not read(columns)[1]
+
+
+def test_a_category_is_named():
+    rng = np.random.default_rng(0)
+    columns = table()
+    columns["heat"] = rng.permutation(columns["heat"])
+    columns["catalyst"] = np.where(rng.random(80) < np.arange(80) / 80, "B", "A")
+    (line,) = read(columns)[1]
+    assert "and so did catalyst: if" in line
+
+
+def test_few_groups_say_nothing_and_many_do():
+    """Rows of a group are not independent."""
+    for count, lines in ((5, 0), (20, 1)):
+        columns = table(batch=np.arange(80) * count // 80)
+        assert len(read(columns, groups="batch")[1]) == lines
 
 
 def test_long_tables_are_tested_by_a_part():
@@ -77,8 +106,10 @@ def test_long_tables_are_tested_by_a_part():
     assert len(read(columns)[1]) == 1
 
 
-def test_errors_of_left_out_rows_are_those_of_fits_to_the_others(monkeypatch):
+@pytest.mark.parametrize("several", [1, 3])
+def test_errors_of_left_out_units_are_those_of_fits_to_the_others(several):
     rng = np.random.default_rng(0)
+    units = np.arange(25) // several
     z, y = rng.standard_normal((25, 2)), rng.standard_normal((25, 2))
     y[:, 0] += 3.0 * np.sin(2.0 * z[:, 0])
     apart = np.square(z[:, None] - z).sum(-1)
@@ -89,13 +120,13 @@ def test_errors_of_left_out_rows_are_those_of_fits_to_the_others(monkeypatch):
         kernel = np.exp(-apart / (2 * scale**2 * usual)) + linear
         for ridge in over_time._RIDGES:
             own = np.empty_like(y)
-            for i in range(25):
-                rest = np.arange(25) != i
-                weights = np.linalg.solve(kernel[np.ix_(rest, rest)] + 25 * ridge * np.eye(24), y[rest])
-                own[i] = y[i] - kernel[i, rest] @ weights
+            for unit in range(units.max() + 1):
+                rest = units != unit
+                weights = np.linalg.solve(kernel[np.ix_(rest, rest)] + 25 * ridge * np.eye(rest.sum()), y[rest])
+                own[~rest] = y[~rest] - kernel[np.ix_(~rest, rest)] @ weights
             errors[scale, ridge] = own
-    means = np.stack([y[:, k] - (y[:, k].sum() - y[:, k]) / 24 for k in range(2)], 1)
-    found = left_out(z, y)
+    means = np.stack([y[i] - y[units != units[i]].mean(0) for i in range(25)])
+    found = left_out([z], y, units)
     for k in range(2):
         best = min([means[:, k], *(own[:, k] for own in errors.values())], key=lambda each: np.square(each).mean())
         np.testing.assert_allclose(found[:, k], best, atol=1e-6)
@@ -108,4 +139,6 @@ def test_products_by_hand():
     np.testing.assert_allclose(p_of_products(one, other, np.array([5, 5, 7])), expected)
     twice = p_of_products(one, np.repeat(other, 2, 1), np.array([5, 5, 7]))
     np.testing.assert_allclose(twice, 2 * expected)
+    centred = p_of_products(one, other, np.array([5, 5, 7]), centred=True)  # t = 2 / (sqrt(2) / sqrt(2))
+    np.testing.assert_allclose(centred, 1 - 2 / np.pi * np.arctan(2.0))
     assert p_of_products(0 * one, other, np.array([5, 5, 7])) == 1.0

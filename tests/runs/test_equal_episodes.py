@@ -11,6 +11,7 @@ from deadreckon.errors import UserError
 from deadreckon.ope import OPEInput
 from deadreckon.policies import BlackBoxPolicy
 from deadreckon.runs.gather import Gathered, for_case, fresh
+from deadreckon.runs.holdout import divided
 from deadreckon.runs.looks import look
 from deadreckon.runs.reading import Read
 from deadreckon.runs.seen import seen
@@ -50,6 +51,44 @@ def test_a_part_of_a_log_with_equal_episodes_is_not_taken_for_held_out():
     assert fresh([policy], log.select(np.arange(150, 250)), False).held.tolist() == list(range(50, 100))  # in this process
     with pytest.raises(UserError, match=r"200 of 200 episodes of .* equal several of the log that p was trained on, so only"):
         fresh([policy], reread(log, training), False)
+
+
+def stored_twice(rows=100):
+    """A log with decimals whose table was stored twice."""
+    rng = np.random.default_rng(0)
+    which = np.tile(np.arange(rows), 2)
+    return Dataset.from_arrays(
+        observations=rng.normal(size=(rows, 2))[which], actions=rng.integers(0, 2, rows)[which],
+        terminals=np.ones(2 * rows, bool), rewards=rng.normal(size=rows)[which],
+        behavior_log_probs=np.full(2 * rows, np.log(0.5)),
+    )  # fmt: skip
+
+
+def test_copies_of_training_episodes_are_not_fresh():
+    """As where an older version, or a column, has divided them."""
+    log = stored_twice()
+    read = Read({}, None, log.episode_ids)
+    policy = Gathered(takes(0), "p", None, log.episode_ids[:150], read=read)
+    assert fresh([policy], log.select(np.arange(200)), False).held.tolist() == list(
+        range(200)
+    )  # none is left, and that is told
+    policy = Gathered(takes(0), "p", None, log.episode_ids[:80], read=read)
+    assert fresh([policy], log, False).held.tolist() == [*range(80, 100), *range(180, 200)]
+    fits = Fits(log)
+    fits.runs[0].held, fits.runs[1].held = log.episode_ids[:110], log.episode_ids[110:]  # 100 .. 109 are copies of 0 .. 9
+    given = Gathered(None, "c", 0, None, cross=fits, read=read)
+    held = fresh([given], log, False).held
+    assert set(held) == set(range(200)) - set(range(10, 100)) - set(range(110, 200))
+
+
+def test_an_older_run_is_not_continued_on_copies_of_its_held_out_episodes():
+    log = stored_twice()
+    told = divided(log, None, None, None).told
+    assert told["different"] == 100
+    before = {"data": {"holdout": told}}
+    assert divided(log, None, None, before).told == told
+    with pytest.raises(UserError, match="begun before copies of an episode were held out together"):
+        divided(log, None, None, {"data": {"holdout": {key: told[key] for key in told if key != "different"}}})
 
 
 class Fits:

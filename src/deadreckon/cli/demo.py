@@ -44,7 +44,7 @@ def _demonstrate(options: Demo, out: Path) -> None:
     from deadreckon.data.formats.hdf5 import write_hdf5
     from deadreckon.data.formats.io import read
     from deadreckon.report import table, write
-    from deadreckon.runs.offline import checked, judge, supports
+    from deadreckon.runs.offline import checked, grounds, judge, supports
     from deadreckon.runs.train import train
     from deadreckon.tasks.battery import TASK
 
@@ -76,6 +76,6 @@ def _demonstrate(options: Demo, out: Path) -> None:
         )  # fmt: skip
     page = write(folders, out / "report.html", title="From a log to a decision", estimates=out / "ope")
     print(f"in the simulator:\n\n{table(folders)}\n")
-    held = judged.results["judged"]["words"]
+    held = dict(grounds(judged.results))["evaluated on"]
     print(f"from the log alone, on {held}:\n\n{judged.estimates[0]}\n\n{supports(judged.results)}\n")
     print(f"{judged.choice}\n\nchecked: {checked(judged.results)}\n\nreport: {page}")

@@ -3,8 +3,8 @@
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.repeats import SHARE, Copies, copied, telling_apart
-from deadreckon.data.told import action_names, observation_names
+from deadreckon.data.repeats import SHARE, Copies, copied
+from deadreckon.data.split import group_of
 
 
 def copies(log: Dataset, rows: int) -> Copies:
@@ -21,9 +21,8 @@ def copies(log: Dataset, rows: int) -> Copies:
 def about_copies(log: Dataset, found: Copies, rows: int) -> list[str]:
     """Advice on copies, if there are many.
 
-    Where each row is an episode, equal rows may be people of whom the same is known. They are told if they come in stretches,
-    as where a table was stored twice, or if a column tells rows apart: numbers with decimals that hardly any two rows share,
-    but for the copies.
+    Where each row is an episode, equal rows may be people of whom the same is known; they are told if they are copies
+    (`data.repeats.copied`).
 
     Args:
         log: the log.
@@ -34,14 +33,13 @@ def about_copies(log: Dataset, found: Copies, rows: int) -> list[str]:
         return []
     text = f"{found.many:,} of {rows:,} rows repeat an earlier one"
     advice = "leave the copies out"
-    if whole := copied(log) is not None:
+    whole = copied(log) is not None
+    if whole and group_of(log) is None:
         advice += "; until then, equal episodes are held out together and counted as one"
     if found.in_order:
         return [f"{text}, in the same order: if a part of the table was stored twice, {advice}"]
     if log.lengths.max() > 1:
         return [f"{text}: {advice if whole else 'a split by rows would leak; split by episodes'}"]
-    if (column := telling_apart(log, slice(rows), rows - found.many)) is not None:
-        names = {"observation": observation_names, "action": action_names, "reward": lambda _: ["the reward"]}
-        text = f"{text} completely, although nearly all others differ in {names[column[0]](log)[column[1]]}"
-        return [f"{text}: if the table was stored twice, {advice}"]
+    if whole:
+        return [f"{text} completely, although nearly all others differ: if the table was stored twice, {advice}"]
     return []

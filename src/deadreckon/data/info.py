@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deadreckon.data.copies import Copies, about_copies, copies
+from deadreckon.data.copies import about_copies, copies
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.neighbours import about_neighbours
 from deadreckon.data.propensities import about_propensities
+from deadreckon.data.repeats import Copies
 from deadreckon.data.sizes import about_observations, about_rewards, reward_scale
 from deadreckon.data.spec import Box
 from deadreckon.data.told import action_names, observation_names
@@ -47,8 +48,7 @@ class Info:
         unused_actions: discrete actions that never occur.
         constant_observations: dimensions (of the flattened observation, without masks of actions) that never change.
         observation_scales: smallest and largest standard deviation among those that do.
-        duplicate_rows: rows that repeat an earlier one (observation, action, reward), in a sample if the log is long.
-        duplicates_together: share of these that follow one another as the earlier ones do.
+        repeats: rows that repeat an earlier one (observation, action, reward), in a sample if the log is long.
         sampled: rows that were checked for duplicates and distinct rewards.
         own_successors: rows inside an episode whose next observation differs from the following row's.
         fingerprint: of the log.
@@ -78,8 +78,7 @@ class Info:
     unused_actions: int
     constant_observations: tuple[int, ...]
     observation_scales: tuple[float, float]
-    duplicate_rows: int
-    duplicates_together: float
+    repeats: Copies
     sampled: int
     own_successors: int
     fingerprint: str
@@ -94,7 +93,6 @@ def describe(log: Dataset) -> Info:
     constant = (spec.observation.min == spec.observation.max).ravel()
     moving = std[~constant] if not constant.all() else np.zeros(1)
     sample = slice(0, min(len(log), _SAMPLE))
-    repeated = copies(log, sample.stop)
     return Info(
         name=log.name,
         source=log.provenance.source,
@@ -121,8 +119,7 @@ def describe(log: Dataset) -> Info:
         # What is legal everywhere carries nothing either, and cannot be left out.
         constant_observations=tuple(np.flatnonzero(constant[: len(constant) - spec.mask_size]).tolist()),
         observation_scales=(float(moving.min()), float(moving.max())),
-        duplicate_rows=repeated.many,
-        duplicates_together=repeated.together,
+        repeats=copies(log, sample.stop),
         sampled=sample.stop,
         own_successors=int(log.apart.sum()),
         fingerprint=log.fingerprint,
@@ -222,8 +219,7 @@ def _columns(log: Dataset, info: Info) -> list[str]:
         never = "never occurs" if len(unused) == 1 else "never occur"
         text = f"{len(unused)} of {len(names)} actions {never} in the log ({_shortened(unused)})"
         out.append(f"{text}: their effects are not known")
-    repeated = Copies(info.duplicate_rows, info.duplicates_together)
-    return [*out, *about_propensities(log), *about_copies(log, repeated, info.sampled), *about_neighbours(log)]
+    return [*out, *about_propensities(log), *about_copies(log, info.repeats, info.sampled), *about_neighbours(log)]
 
 
 def _shortened(names: Sequence[str]) -> str:

@@ -1,18 +1,23 @@
-"""Whether episodes that follow each other in a log are alike, as those of one user are."""
+"""Whether episodes of a log are alike, as those of one user are, although no column tells which belong together."""
 
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.repeats import copied
 from deadreckon.data.split import group_of
 from deadreckon.data.told import observation_names
+from deadreckon.stats.ranks import spearman
 
 _LEAST = 100  # episodes below which nothing is said
 _ROWS = 20_000  # episodes that are looked at
 _ALIKE, _ERRORS = 0.2, 5.0  # by which a rank correlation must be above 0: in itself, and in standard errors
+_RARE = 0.98  # probability that two values are equal, from which on a column has too few others
+_AGAIN = 0.2  # share of the episodes that begin with the observation of an earlier one
 
 
 def about_neighbours(log: Dataset) -> list[str]:
-    """Advice on a log without a group column whose episodes begin like the episode before.
+    """Advice on a log without a group column whose episodes begin like the episode before, or, if observations have decimals,
+    exactly as earlier ones.
 
     Episodes of one user, machine or day are alike. A policy that is trained on some of them has an advantage on the others, so
     that its estimate is not valid for new users.
@@ -20,17 +25,25 @@ def about_neighbours(log: Dataset) -> list[str]:
     if log.episodes < _LEAST or len(log.spec.observation_shape) > 1 or group_of(log) is not None:
         return []
     first = np.asarray(log.observations[log.starts[:_ROWS]], np.float64)
-    rank = np.stack([np.unique(column, return_inverse=True)[1].ravel() for column in first.T], 1).astype(np.float64)
-    rank -= rank.mean(0)
-    spread = np.square(rank).sum(0)
-    moving = spread > 0
-    alike = np.where(moving, (rank[1:] * rank[:-1]).sum(0) / np.where(moving, spread, 1.0), 0.0)
-    which = int(np.argmax(alike))
-    if alike[which] <= max(_ALIKE, _ERRORS / np.sqrt(len(first))):
+    if not first.shape[1] or copied(log) is not None:
         return []
-    name = observation_names(log)[which]
-    return [
-        f"episodes begin like the episode before (correlation of {name}: {alike[which]:.2f}): if several are of one user, "
-        "machine or day, name its column (--group), so that they are held out together; if conditions change slowly, hold out "
-        "the latest episodes (--holdout-by time)"
-    ]
+    alike = [spearman(column[:-1], column[1:]) if _several(column) else 0.0 for column in first.T]
+    which = int(np.argmax(alike))
+    name = "name its column (--group), so that they are held out together"
+    if alike[which] > max(_ALIKE, _ERRORS / np.sqrt(len(first))):
+        return [
+            f"episodes begin like the episode before (rank correlation of {observation_names(log)[which]}: {alike[which]:.2f})"
+            f": if several are of one user, machine or day, {name}; if conditions change slowly, hold out the latest "
+            "episodes (--holdout-by time)"
+        ]
+    _, often = np.unique(first, axis=0, return_counts=True)
+    again = 1.0 - len(often) / len(first)
+    if again > _AGAIN and len(often) >= _LEAST and (first != np.floor(first)).any():
+        return [f"{again:.0%} of the episodes begin exactly as an earlier one: if these are of one user or machine, {name}"]
+    return []
+
+
+def _several(column: np.ndarray) -> bool:
+    """Whether a column has enough different values for a correlation: of a rare one, two rows that are alike suffice."""
+    shares = np.unique(column, return_counts=True)[1] / len(column)
+    return bool(np.square(shares).sum() <= _RARE)

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 
 SHARE = 0.01  # of the rows or episodes, up to which copies are neglected
 _STRETCH, _TOGETHER = 20, 0.5  # so many copies, and such a share of them, follow each other where a part was stored twice
-_OWN = 0.9  # of the rows that are no copies: so many have a value of their own in a column that tells rows apart
-_ROWS = 100_000  # in which such a column is looked for
+_OFTEN = 4  # more copies of each, on average, follow each other where few different rows repeat by themselves
+_LEAST, _OWN = 20, 0.9  # so many different episodes at least, and such a share of them, differ in what tells episodes apart
 
 
 class Copies(NamedTuple):
@@ -24,10 +24,12 @@ class Copies(NamedTuple):
 
     Attributes:
         many: how many.
+        different: of how many.
         together: share of them that follow another one as the rows that they repeat follow each other.
     """
 
     many: int
+    different: int
     together: float
 
     @classmethod
@@ -35,51 +37,51 @@ class Copies(NamedTuple):
         """The copies among n things, of each of which the first that is equal is given: (n,) indices."""
         again = first < np.arange(len(first))
         together = again[1:] & again[:-1] & (first[1:] == first[:-1] + 1)
-        return cls(int(again.sum()), float(together.sum() / max(again.sum(), 1)))
+        return cls(int(again.sum()), len(np.unique(first[again])), float(together.sum() / max(again.sum(), 1)))
 
     @property
     def in_order(self) -> bool:
-        """Whether they come in stretches, as where a part was stored twice."""
-        return self.many >= _STRETCH and self.together >= _TOGETHER
+        """Whether they come in stretches, as where a part was stored twice, and not as where few contexts take turns."""
+        return self.many >= _STRETCH and self.together >= _TOGETHER and self.many <= _OFTEN * self.different
 
 
 def copied(log: "Dataset") -> np.ndarray | None:
-    """(episodes,) number 0, 1, ... of each episode, the same for copies of one; None if there are none or hardly any.
+    """(episodes,) number of each episode, the same for copies of one; None if there are none or hardly any.
 
-    Equal episodes are copies if they come in stretches, or if a column tells rows apart; otherwise, as where little is known of
-    a context, they may be equal by chance.
+    Equal episodes are copies if they come in stretches, or if no other episode has their last observation (or its reward or
+    continuous action, if these have decimals), and hardly any different episodes share one. Others may be equal by chance, as
+    where little is known of a context, or where cells were empty. Episodes that this package collected are never copies.
     """
     _, first, which = np.unique(log.episode_contents, return_index=True, return_inverse=True)
-    which = which.ravel()
-    found = Copies.of(first[which])
-    if found.many <= SHARE * log.episodes:
+    first = first[which.ravel()]  # (episodes,) the first that is equal
+    found = Copies.of(first)
+    if found.many <= SHARE * log.episodes or log.provenance.source == "collected":
         return None
     if not found.in_order:
-        once = np.zeros(log.episodes, bool)
-        once[first] = True
-        rows = np.flatnonzero(once[log.episode_of])[:_ROWS]
-        if telling_apart(log, rows, len(rows)) is None:
+        every = np.arange(log.episodes)
+        once = every[first == every]
+        own = np.zeros(log.episodes, bool)
+        own[once] = _alone(log, once)
+        first = np.where(own[first], first, every)
+        if Copies.of(first).many <= SHARE * log.episodes:
             return None
-    return which
+    return np.unique(first, return_inverse=True)[1].ravel()
 
 
-def telling_apart(log: "Dataset", rows: np.ndarray | slice, different: int) -> tuple[str, int] | None:
-    """A column of numbers with decimals that nearly always has another one, but for copies: "observation", "action" (if these
-    are continuous) or "reward", and its number among these; None if there is none.
-
-    Args:
-        log: the log.
-        rows: (n,) indices of rows.
-        different: number of these that are no copies.
-    """
-    columns = {"reward": np.asarray(log.rewards[rows])[:, None]}
+def _alone(log: "Dataset", episodes: np.ndarray) -> np.ndarray:
+    """(n,) bool: which of these different episodes have something for themselves that nearly all of them do."""
+    if len(episodes) < _LEAST:
+        return np.zeros(len(episodes), bool)
+    rows = log.ends[episodes]
+    seen = np.asarray(log.observations[rows]).reshape(len(rows), -1)
+    # Different observations have different projections.
+    keys = [seen @ np.random.default_rng(0).standard_normal(seen.shape[1])]
+    others = [np.asarray(log.rewards[rows])]
     if isinstance(log.action_space, Box):
-        columns = {"action": np.asarray(log.actions[rows]).reshape(len(columns["reward"]), -1)} | columns
-    if len(log.spec.observation_shape) == 1:
-        columns = {"observation": np.asarray(log.observations[rows])} | columns
-    for role, column in columns.items():
-        for i, values in enumerate(column.T):
-            kinds = np.unique(values)
-            if len(kinds) >= _OWN * different and (kinds != np.floor(kinds)).any():
-                return role, i
-    return None
+        others += list(np.asarray(log.actions[rows]).reshape(len(rows), -1).T)
+    keys += [values for values in others if (values != np.floor(values)).any()]
+    for values in keys:
+        kinds, which, often = np.unique(values, return_inverse=True, return_counts=True)
+        if len(kinds) >= _OWN * len(episodes):
+            return often[which.ravel()] == 1
+    return np.zeros(len(episodes), bool)

@@ -34,7 +34,8 @@ class Holdout:
     Attributes:
         share: of the episodes, between 0 and 1.
         by: "random", "time" (the latest: rows are in the order of time), or a column of the log's extras, such as a user or a
-            site, each value of which is held out as a whole or not at all. Copies of an episode are always held out together.
+            site, each value of which is held out as a whole or not at all. Without a column, copies of an episode are held out
+            together, but not by time from a memory-mapped log, which would be copied into memory.
         seed: of the draw.
     """
 
@@ -54,12 +55,11 @@ class Holdout:
         cluster = clusters(log, self.by)
         _enough(log, cluster, self.by, 2)
         sizes = np.bincount(cluster)
-        if self.by in (RANDOM, TIME):
-            count = len(sizes)
-            order = _latest_last(cluster) if self.by == TIME else np.random.default_rng(self.seed).permutation(count)
-            before = np.cumsum(sizes[order]) - sizes[order]  # episodes of the clusters ahead of each in this order
-            first = int(np.searchsorted(before, min(max(round((1 - self.share) * log.episodes), 1), log.episodes - 1)))
-            held = np.isin(cluster, order[min(max(first, 1), count - 1) :])
+        if self.by == TIME:
+            held = np.isin(cluster, self._latest(cluster, sizes))
+        elif self.by == RANDOM and len(sizes) == log.episodes:
+            order = np.random.default_rng(self.seed).permutation(log.episodes)
+            held = np.isin(cluster, order[min(max(round((1 - self.share) * log.episodes), 1), log.episodes - 1) :])
         else:
             held = np.isin(cluster, self._drawn(sizes))
         return Parts(np.flatnonzero(~held), np.flatnonzero(held))
@@ -67,6 +67,12 @@ class Holdout:
     def told(self) -> dict[str, Any]:
         """As JSON values."""
         return {"share": self.share, "by": self.by, "seed": self.seed}
+
+    def _latest(self, cluster: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+        """The clusters that end latest, as many as bring their episodes nearest to the share; one at least, never all."""
+        order = _latest_last(cluster)
+        learning = np.cumsum(sizes[order])[:-1]  # episodes of the first one, two, ... clusters
+        return order[int(np.argmin(np.abs(learning - round((1 - self.share) * len(cluster))))) + 1 :]
 
     def _drawn(self, sizes: np.ndarray) -> list[int]:
         """Clusters in random order, each taken if that brings their episodes nearer to the share; one at least, never all."""
@@ -113,15 +119,16 @@ def group_of(log: "Dataset") -> str | None:
 
 
 def clusters(log: "Dataset", by: str = RANDOM) -> np.ndarray:
-    """(episodes,) number 0, 1, ... of the cluster that each episode belongs to: for "random" and "time" its own, or one for all
-    copies of an episode (`data.repeats.copied`), else one for each value of the column `by`.
+    """(episodes,) number 0, 1, ... of the cluster that each episode belongs to: for "random" and "time" its own, or that of its
+    copies (`data.repeats.copied`; see `Holdout`), else one for each value of the column `by`.
 
     Raises:
         UserError: the log has no such column, or it changes within an episode.
     """
     if by not in (RANDOM, TIME):
         return groups(log, by)[1]
-    return np.arange(log.episodes) if (found := copied(log)) is None else found
+    whole = by == TIME and isinstance(log.observations, np.memmap)
+    return np.arange(log.episodes) if whole or (found := copied(log)) is None else found
 
 
 def units_of(log: "Dataset") -> np.ndarray:
@@ -133,9 +140,11 @@ def units_of(log: "Dataset") -> np.ndarray:
     return clusters(log, group_of(log) or RANDOM)
 
 
-def units_in_words(by: str) -> str:
-    """What clusters by `by` are, for messages."""
-    return "episodes" if by in (RANDOM, TIME) else f"values of {by}"
+def units_in_words(log: "Dataset", by: str) -> str:
+    """What the clusters of a log by `by` are, for messages."""
+    if by not in (RANDOM, TIME):
+        return f"values of {by}"
+    return "episodes" if len(np.unique(clusters(log, by))) == log.episodes else "different episodes"
 
 
 def groups(log: "Dataset", by: str) -> tuple[np.ndarray, np.ndarray]:
@@ -171,8 +180,8 @@ def folds(log: "Dataset", k: int, by: str = RANDOM, seed: int = 0) -> np.ndarray
     _enough(log, cluster, by, k)
     sizes = np.bincount(cluster)
     if by == TIME:
-        order, fold = _latest_last(cluster), np.empty(len(sizes), np.int64)
-        fold[order] = (np.cumsum(sizes[order]) - sizes[order]) * k // log.episodes
+        fold = np.empty(len(sizes), np.int64)
+        fold[_latest_last(cluster)] = np.arange(len(sizes)) * k // len(sizes)
         return fold[cluster]
     rng = np.random.default_rng(seed)
     if by == RANDOM and len(sizes) == log.episodes:
@@ -195,4 +204,4 @@ def _latest_last(cluster: np.ndarray) -> np.ndarray:
 def _enough(log: "Dataset", cluster: np.ndarray, by: str, needed: int) -> None:
     count = int(cluster.max()) + 1
     if count < needed:
-        raise UserError(f"{log.name}: {count} {units_in_words(by)}, at least {needed} are needed to hold some out")
+        raise UserError(f"{log.name}: {count} {units_in_words(log, by)}, at least {needed} are needed to hold some out")

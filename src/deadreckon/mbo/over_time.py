@@ -2,11 +2,13 @@
 
 In a campaign whose settings move from run to run, a drift of the process or of the instrument seems to be the effect of these
 settings. The test asks whether scores go with slow waves of the row's number beyond what the inputs explain: both sides are
-predicted from the inputs, each row by the others, and the residuals should not go together (the partially linear model of
+predicted from the inputs, each recipe by the others, and the residuals should not go together (the partially linear model of
 Robinson 1988; Chernozhukov et al. 2018). Predictions are by kernel ridge regression, whose residuals of left-out rows have a
 closed form.
 """
 
+from collections.abc import Sequence
+from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,9 +24,11 @@ if TYPE_CHECKING:
 
 LEVEL = 0.01  # probability of a message if nothing changed
 LEAST, MOST = 30, 500  # fewest rows for a test, and most that are tested
+GROUPS = 8  # fewest groups, whose rows are not independent
 WAVES = 2  # half a period over the table, and one: with few rows, more would cost power
-SORTED = 0.98  # rank correlation with the row's number above which a table is in the order of its scores
+SORTED = 0.9  # share of the changes from row to row in one direction, from which on a table is in the order of its scores
 EXPLAINED = 0.95  # share of a wave that inputs explain, above which the table is in their order
+MOVED = 0.01  # error probability of the tests whether any input changed along the table (Bonferroni)
 NAMED = 3  # inputs named
 _SCALES = (0.5, 1.0, 2.0, 4.0)  # length scales of the kernel, in median distances
 _RIDGES = np.geomspace(1e-5, 1.0, 11)  # for each row
@@ -36,12 +40,14 @@ def about_order(data: "Designs") -> list[str]:
     Args:
         data: designs in the order of their table, replicates not pooled.
     """
-    if len(data) < LEAST or abs(spearman(data.y, np.arange(float(len(data))))) > SORTED:
+    steps = np.sign(np.diff(data.y))
+    if len(data) < LEAST or max((steps > 0).sum(), (steps < 0).sum()) >= SORTED * max((steps != 0).sum(), 1):
         return []
     moved = _moved(data)
-    if not moved or (p_value := p_of_change(data)) >= LEVEL:
+    if not len(moved) or (p_value := p_of_change(data)) >= LEVEL:
         return []
-    which = ", ".join(f"{name} (rank correlation with the row {one:.2f})" for name, one in moved)
+    names = [data.variables[i].name for i in moved[:NAMED]]
+    which = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
     return [
         f"{data.target} changed along the table beyond what the inputs explain ({p_in_words(p_value)}), and so did {which}: if "
         "rows are in the order of time, such an input may only seem to matter; give the number or time of the run as another "
@@ -50,51 +56,81 @@ def about_order(data: "Designs") -> list[str]:
 
 
 def p_of_change(data: "Designs") -> float:
-    """The p-value of no change of the scores along the table beyond what inputs explain; 1 if the inputs tell the order."""
+    """The p-value of no change of the scores along the table beyond what inputs explain; 1 if the inputs tell the order, or if
+    there are too few groups."""
     rows = np.arange(len(data))
     if len(data) > MOST:
         rows = np.sort(generator(0, "order").choice(len(data), MOST, replace=False))
     z = data.coordinates.place(data.x[rows])
     z = (z - z.mean(0)) / np.where(z.std(0) > 0, z.std(0), 1.0)
-    waves = np.cos(np.pi * ((rows + 0.5) / len(data))[:, None] * np.arange(1, WAVES + 1))
-    left = left_out(z, np.column_stack([data.y[rows] / max(float(data.y[rows].std()), 1e-300), waves]))
-    unexplained = np.square(left[:, 1:]).mean(0) / waves.var(0)
-    return p_of_products(left[:, :1], left[:, 1:][:, unexplained > 1.0 - EXPLAINED], data.units[rows])
+    units = np.unique(data.units[rows], return_inverse=True)[1]
+    # Errors of replicates in a row are alike, as predictions leave them all out.
+    cluster = np.cumsum(np.append(0, np.diff(units) != 0)) if data.groups is None else data.groups[rows]
+    if len(np.unique(cluster)) < GROUPS:
+        return 1.0
+    # With many inputs, distances hardly depend on those that changed along the table: these count more in further kernels.
+    moved = np.isin(_owners(data), _moved(data))
+    views = [z]
+    if 0 < moved.sum() < len(moved):
+        alike = np.sqrt((~moved).sum() / moved.sum())
+        views += [z * np.where(moved, factor * alike, 1.0) for factor in (1.0, 3.0)]
+    left = left_out(views, np.column_stack([data.y[rows] / max(float(data.y[rows].std()), 1e-300), _waves(data)[rows]]), units)
+    unexplained = np.square(left[:, 1:]).mean(0) / _waves(data)[rows].var(0)
+    return p_of_products(left[:, :1], left[:, 1:][:, unexplained > 1.0 - EXPLAINED], cluster, centred=True)
 
 
-def left_out(z: np.ndarray, targets: np.ndarray) -> np.ndarray:
-    """(rows, k) errors of predictions of each row from all others, by the kernel and ridge with the least errors of a target.
+def _waves(data: "Designs") -> np.ndarray:
+    """(rows, WAVES) cosines along the table."""
+    return np.cos(np.pi * ((np.arange(len(data)) + 0.5) / len(data))[:, None] * np.arange(1, WAVES + 1))
+
+
+def left_out(views: Sequence[np.ndarray], targets: np.ndarray, units: np.ndarray) -> np.ndarray:
+    """(rows, k) errors of predictions of the rows of each unit, such as replicates, from all others: by the mean, or by the
+    kernel and ridge with the least errors of a target.
 
     Args:
-        z: (rows, features), standardised.
+        views: (rows, features) each, of which distances are measured.
         targets: (rows, k).
+        units: (rows,) 0, 1, ..., the unit of each row; two at least.
     """
-    count = len(z)
-    best = (targets - targets.mean(0)) * count / (count - 1)  # of the mean of the others
+    count, size = len(targets), np.bincount(units)[:, None]
+    own = np.stack([np.bincount(units, each) for each in targets.T], 1)
+    best = targets - ((targets.sum(0) - own) / (count - size))[units]
     least = np.square(best).mean(0)
-    apart = pdist(z, "sqeuclidean")
-    square, usual = squareform(apart), float(np.median(apart)) or 1.0
-    linear = 1.0 + 0.3 * z @ z.T / max(float(np.square(z).sum(1).mean()), 1e-300)
-    for scale in _SCALES:
-        values, vectors = np.linalg.eigh(np.exp(-square / (2.0 * scale**2 * usual)) + linear)
-        values, turned = np.maximum(values, 0.0), vectors.T @ targets
-        for ridge in _RIDGES:
-            kept = values / (values + ridge * count)
-            errors = (targets - vectors @ (kept[:, None] * turned)) / np.maximum(1.0 - np.square(vectors) @ kept, 1e-9)[:, None]
-            found = np.square(errors).mean(0)
-            better = found < least
-            least = np.where(better, found, least)
-            best[:, better] = errors[:, better]
+    several = [np.flatnonzero(units == each) for each in np.flatnonzero(size[:, 0] > 1)]
+    for view in views:
+        apart = pdist(view, "sqeuclidean")
+        square, usual = squareform(apart), float(np.median(apart)) or 1.0
+        linear = 1.0 + 0.3 * view @ view.T / max(float(np.square(view).sum(1).mean()), 1e-300)
+        for scale in _SCALES:
+            values, vectors = np.linalg.eigh(np.exp(-square / (2.0 * scale**2 * usual)) + linear)
+            values, turned = np.maximum(values, 0.0), vectors.T @ targets
+            for ridge in _RIDGES:
+                kept = values / (values + ridge * count)
+                fitted = targets - vectors @ (kept[:, None] * turned)
+                errors = fitted / np.maximum(1.0 - np.square(vectors) @ kept, 1e-9)[:, None]
+                for rows in several:
+                    part = np.eye(len(rows)) - (vectors[rows] * kept) @ vectors[rows].T
+                    errors[rows] = np.linalg.solve(part, fitted[rows])
+                found = np.square(errors).mean(0)
+                better = found < least
+                least = np.where(better, found, least)
+                best[:, better] = errors[:, better]
     return best
 
 
-def _moved(data: "Designs") -> list[tuple[str, float]]:
-    """Inputs that changed along the table, and their rank correlations with the row's number; the largest first."""
-    found = []
-    for v, values in zip(data.variables, data.x.T):
-        if v.kind != "categorical" and np.ptp(values) > 0:
-            found.append((v.name, spearman(values.astype(float), np.arange(float(len(data))))))
-    # A normal approximation, by Bonferroni; the alternative that matters is far away.
-    limit = 3.0 / np.sqrt(len(data) - 3)
-    moved = sorted((each for each in found if abs(each[1]) > limit), key=lambda each: -abs(each[1]))
-    return moved[:NAMED]
+def _owners(data: "Designs") -> np.ndarray:
+    """(features,) the variable of each feature of `Coordinates.place`."""
+    made = data.coordinates
+    return np.concatenate([made.numeric, *(np.repeat(columns, n) for columns, n in made.groups)]).astype(int)
+
+
+def _moved(data: "Designs") -> np.ndarray:
+    """Variables that changed along the table: a feature of theirs goes with a wave, by ranks; the most related first."""
+    z, waves, owners = data.coordinates.place(data.x), _waves(data), _owners(data)
+    found = np.zeros(len(data.variables))
+    for owner, feature in zip(owners, z.T):
+        found[owner] = max(found[owner], *(abs(spearman(feature, wave)) for wave in waves.T))
+    limit = NormalDist().inv_cdf(1 - MOVED / (2 * WAVES * z.shape[1])) / np.sqrt(len(data) - 3)
+    order = np.argsort(-found, kind="stable")
+    return order[found[order] > limit]

@@ -183,8 +183,8 @@ class Attempt:
         share = f"{len(parts.held):,} of them ({100 * len(parts.held) / log.episodes:.0f} %)"
         self.send("line", f"{log.name}: {manner}; {share} are held out for the card, {by}")
         if (count := len(np.unique(clusters(log, holdout.by)[parts.held]))) < UNITS:
-            told = f"only {count} {units_in_words(holdout.by)} are held out, and no policy is recommended on fewer than {UNITS}"
-            self.send("line", f"{told}: hold out a larger share (--holdout), or record more")
+            told = f"only {count} {units_in_words(log, holdout.by)} are held out, and no policy is recommended on fewer than"
+            self.send("line", f"{told} {UNITS}: hold out a larger share (--holdout), or record more")
         self._warn(log)
         return log, judge_in, holdout
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.episodes import alike_in
+from deadreckon.data.split import clusters
 from deadreckon.errors import UserError
 from deadreckon.ope.case import CrossFitted
 from deadreckon.policies import library, store
@@ -173,8 +174,11 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
     left = np.ones(data.episodes, bool)
     for each in {id(g.cross): g for g in found if g.cross is not None}.values():
         if (fold := _folds(each, data, unseen)) is not None:
-            left &= fold >= 0
-    known = unseen_by([g.taught for g in found if g.cross is None], data)
+            left &= (fold >= 0) & _together(data, fold)
+    # Copies of training episodes are no fresh ones, as where older runs or a column have divided them.
+    taught_of = ~unseen_by([g.taught for g in found if g.cross is None], data)
+    alike = clusters(data)
+    known = ~np.isin(alike, alike[taught_of])
     unknown = [g.cross is None and g.taught is None for g in found]
     taught = int((~known).sum())
     against: list[str | None] = [None] * len(found)
@@ -227,6 +231,15 @@ def _covers(episodes: np.ndarray | None, data: Dataset) -> bool:
     if data.selected or len(np.unique(episodes)) == data.episodes:
         return True
     return bool(data.lengths.max() > 1 and alike_in(data, episodes).mean() < 0.5)
+
+
+def _together(data: Dataset, fold: np.ndarray) -> np.ndarray:
+    """(episodes,) bool: whether all copies of an episode are in one of the folds (episodes,)."""
+    alike = clusters(data)
+    least, most = np.full(len(alike), fold.max()), np.full(len(alike), fold.min())
+    np.minimum.at(least, alike, fold)
+    np.maximum.at(most, alike, fold)
+    return (least == most)[alike]
 
 
 def _folds(g: Gathered, data: Dataset, unseen: bool) -> np.ndarray | None:

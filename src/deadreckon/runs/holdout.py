@@ -7,6 +7,7 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.split import RANDOM, TIME, Fold, Holdout, clusters, group_of, units_in_words
+from deadreckon.errors import UserError
 from deadreckon.tasks.task import Task
 
 FEWEST = 10  # fewest episodes or clusters of which some are held out
@@ -38,10 +39,12 @@ def divided(log: Dataset, given: Holdout | Fold | float | None, judge: Task | No
         before: `run.json` of a run that is continued, which keeps its held-out episodes unless others are requested.
 
     Raises:
-        UserError: the requested episodes cannot be held out of this log.
+        UserError: the requested episodes cannot be held out of this log, or those of the continued run were held out in another
+            way.
     """
+    known = None if given is not None or before is None else before.get("data", {}).get("holdout")
     if given is None and before is not None:
-        asked = _read(before.get("data", {}).get("holdout"))
+        asked = _read(known)
     elif given is None:
         asked = None if judge is not None else usual(log)
     elif isinstance(given, Holdout | Fold):
@@ -55,6 +58,13 @@ def divided(log: Dataset, given: Holdout | Fold | float | None, judge: Task | No
         return Divided(log, log.episode_ids, np.zeros(0, np.uint64), None)
     parts = asked.parts(log)
     told = asked.told() | {"learning": len(parts.learning), "held": len(parts.held)}
+    if (different := len(np.unique(clusters(log, asked.by)))) < log.episodes and asked.by in (RANDOM, TIME):
+        told["different"] = different
+        if known is not None and known.get("different") != different:
+            raise UserError(
+                f"{log.name}: this run was begun before copies of an episode were held out together, so it cannot be "
+                "continued; train it again"
+            )
     return Divided(log.select(parts.learning), log.episode_ids[parts.learning], log.episode_ids[parts.held], told)
 
 
@@ -62,7 +72,7 @@ def too_few(log: Dataset, asked: Holdout) -> str | None:
     """A message that there are too few episodes or clusters to hold some out; None if there are enough."""
     if (count := int(clusters(log, asked.by).max()) + 1) >= FEWEST:
         return None
-    return f"{log.name}: {count} {units_in_words(asked.by)} are too few to hold some out ({FEWEST} are needed)"
+    return f"{log.name}: {count} {units_in_words(log, asked.by)} are too few to hold some out ({FEWEST} are needed)"
 
 
 def trial_parts(log: Dataset) -> tuple[Dataset, Dataset]:
