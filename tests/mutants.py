@@ -2738,12 +2738,14 @@ MUTANTS = (
         ("ope/test_over_time.py::test_an_action_of_good_times_is_not_praised",),
     ),
     Mutant(
-        "copies-split", "data/split.py", "if whole or (found := copied(log)) is None else found", "if True else found",
+        "copies-split", "data/split.py", "if (found := log.copied) is None:", "if (found := log.copied) is not False:",
         "copies of an episode are in training and in held-out data",
         ("data/test_split.py::test_copies_are_held_out_together",),
     ),
     Mutant(
-        "copies-by-chance", "data/repeats.py", "if len(kinds) >= _OWN * len(episodes):", "if len(kinds) > 0:",
+        "copies-by-chance", "data/repeats.py",
+        "if len(often) >= _OWN * len(episodes) and (often > 1)[which].sum() <= _SHARED * many:",
+        "if len(often) > 0:",
         "episodes that are equal by chance are one cluster",
         ("data/test_split.py::test_episodes_that_are_equal_by_chance_are_not_copies",),
     ),
@@ -2785,8 +2787,8 @@ MUTANTS = (
         ("mbo/test_over_time.py::test_other_tables_give_no_message",),
     ),
     Mutant(
-        "order-by-chance", "mbo/over_time.py", "(p_value := p_of_change(data)) >= LEVEL",
-        "(p_value := p_of_change(data)) >= 1.0",
+        "order-by-chance", "mbo/over_time.py", "(p_value := p_of_change(data, moved)) >= LEVEL",
+        "(p_value := p_of_change(data, moved)) >= 1.0",
         "any table whose inputs changed along its rows is said to have changed",
         ("mbo/test_over_time.py::test_other_tables_give_no_message",),
     ),
@@ -2806,7 +2808,7 @@ MUTANTS = (
         ("mbo/test_over_time.py::test_errors_of_left_out_units_are_those_of_fits_to_the_others",),
     ),
     Mutant(
-        "copies-of-empty-cells", "data/repeats.py", "return often[which.ravel()] == 1", "return often[which.ravel()] > 0",
+        "copies-of-empty-cells", "data/repeats.py", "return often[which] == 1", "return often[which] > 0",
         "episodes without known values are copies of each other",
         ("data/test_split.py::test_rows_of_empty_cells_are_not_copies",),
     ),
@@ -2816,7 +2818,7 @@ MUTANTS = (
         ("data/test_split.py::test_contexts_that_take_turns_are_not_copies",),
     ),
     Mutant(
-        "copies-of-training-are-fresh", "runs/gather.py", "known = ~np.isin(alike, alike[taught_of])", "known = ~taught_of",
+        "copies-of-training-are-fresh", "runs/gather.py", "return ~np.isin(alike, alike[~unseen])", "return unseen",
         "policies are evaluated on copies of their training episodes",
         ("runs/test_equal_episodes.py::test_copies_of_training_episodes_are_not_fresh",),
     ),
@@ -2831,17 +2833,17 @@ MUTANTS = (
         ("runs/test_equal_episodes.py::test_an_older_run_is_not_continued_on_copies_of_its_held_out_episodes",),
     ),
     Mutant(
-        "order-by-one-distance", "mbo/over_time.py", "if 0 < moved.sum() < len(moved):", "if False:",
+        "order-by-one-distance", "mbo/over_time.py", "if 0 < counts.sum() < len(counts):", "if False:",
         "with many inputs, a change with one of them is a change of the process",
         ("mbo/test_over_time.py::test_other_tables_give_no_message",),
     ),
     Mutant(
-        "order-of-numbers-alone", "mbo/over_time.py", "*(np.repeat(columns, n) for columns, n in made.groups)",
-        "*(0 * np.repeat(columns, n) for columns, n in made.groups)", "a drift is blamed on another input than the category",
+        "order-of-numbers-alone", "mbo/coordinates.py", "*(np.repeat(columns, n) for columns, n in self.groups)",
+        "*(0 * np.repeat(columns, n) for columns, n in self.groups)", "a drift is blamed on another input than the category",
         ("mbo/test_over_time.py::test_a_category_is_named",),
     ),
     Mutant(
-        "order-of-few-groups", "mbo/over_time.py", "if len(np.unique(cluster)) < GROUPS:", "if False:",
+        "order-of-few-groups", "mbo/over_time.py", "if len(np.unique(cluster)) < GROUPS or units", "if units",
         "five groups tell a drift", ("mbo/test_over_time.py::test_few_groups_say_nothing_and_many_do",),
     ),
     Mutant(
@@ -2853,6 +2855,48 @@ MUTANTS = (
         "neighbours-exactly", "data/neighbours.py", "if again > _AGAIN and", "if False and",
         "users whose rows are mixed are not reported",
         ("data/test_info.py::test_users_with_the_same_features_in_all_their_rows_are_told",),
+    ),
+    Mutant(
+        "copies-of-who-comes-again", "data/repeats.py", " and (often > 1)[which].sum() <= _SHARED * many:", ":",
+        "visitors who come again are copies where they do the same",
+        ("data/test_split.py::test_visitors_who_come_again_are_not_copies",),
+    ),
+    Mutant(
+        "balance-untested", "ope/decide.py", "doubts = [None if doubt is None else doubt.words,", "doubts = [None,",
+        "noise is deployed if the model of the behaviour policy has not learned a confounder",
+        ("ope/test_balance.py::test_a_confounder_that_the_model_has_not_learned_deploys_nothing",),
+    ),
+    Mutant(
+        "balance-of-few-events", "ope/balance.py", "np.sqrt(np.maximum(count * sums.var(0, ddof=1), known))",
+        "np.sqrt(count * sums.var(0, ddof=1))",
+        "propensities near one are said to be wrong where by chance all rows have the action",
+        ("ope/test_balance.py::test_the_statistics_by_hand",),
+    ),
+    Mutant(
+        "balance-of-impossible-actions", "ope/balance.py", "p_values += stdtr(count - 1, -t).tolist()",
+        "p_values += stdtr(count - 1, -np.abs(t)).tolist()", "propensities are said to be wrong where an action is impossible",
+        ("ope/test_balance.py::test_the_statistics_by_hand",),
+    ),
+    Mutant(
+        "balance-however-weak", "ope/balance.py", "np.where(found[..., 1] >= WEAK, found[..., 0], 1.0)", "found[..., 0]",
+        "a dependence that is too weak to matter is an objection where there are many rows",
+        ("ope/test_balance.py::test_a_weak_dependence_is_no_objection_however_many_rows_show_it",),
+    ),
+    Mutant(
+        "balance-of-one-row", "ope/balance.py",
+        "np.maximum(np.square(sums).sum(0), np.bincount(part, chance * (1.0 - chance)))",
+        "np.square(sums).sum(0)", "learned probabilities of rare actions are said to be wrong for few events",
+        ("ope/test_balance.py::test_rare_actions_are_not_accused",),
+    ),
+    Mutant(
+        "dependence-untested", "ope/decide.py", "doubt.words, dependent(case, model)]", "doubt.words, None]",
+        "rows of users are independent if no column names them",
+        ("ope/test_balance.py::test_rows_of_users_without_a_column_are_an_objection",),
+    ),
+    Mutant(
+        "dependence-on-conditions", "ope/balance.py", "((taken == often) - chances[:, often].astype(np.float64)) *",
+        "(taken == often) *",
+        "conditions that change slowly are dependence", ("ope/test_balance.py::test_independent_rows_are_none",),
     ),
     Mutant(
         "groups-kept", "ope/case.py",
@@ -3376,7 +3420,7 @@ MUTANTS = (
         "a next value that is empty in last rows passes for a column of earlier values", ("data/test_leaks.py",),
     ),
     Mutant(
-        "copies-of-people", "data/repeats.py", "own[once] = _alone(log, once)", "own[once] = True",
+        "copies-of-people", "data/repeats.py", "own[once] = _alone(log, once, found.many)", "own[once] = True",
         "equal people are taken for a table that was stored twice", ("data/test_info.py",),
     ),
     Mutant(

@@ -187,12 +187,25 @@ def test_copies_of_very_different_numbers_leave_no_fold_empty():
         assert (199 in which[held]) == (by == "time")
 
 
-def test_the_latest_of_a_memory_mapped_log_are_one_part(tmp_path):
+def test_the_latest_of_a_memory_mapped_log_with_copies_are_refused(tmp_path):
+    """Both parts would be copied into memory."""
     once = make_log((1,) * 60, terminal=(True,), finals=False, discrete=True)
     log, _ = stored_again(once, 3, np.arange(180))
     np.save(tmp_path / "seen.npy", log.observations)
     log = replace(log, observations=np.load(tmp_path / "seen.npy", mmap_mode="r"))
-    np.testing.assert_array_equal(Holdout(0.2, "time").parts(log).held, np.arange(144, 180))
+    with pytest.raises(UserError, match="120 of 180 episodes repeat an earlier one, and the latest of a memory-mapped log"):
+        Holdout(0.2, "time").parts(log)
+
+
+def test_visitors_who_come_again_are_not_copies():
+    """Some do the same with the same success, and others do not."""
+    rng = np.random.default_rng(0)
+    visitor = rng.integers(0, 3000, 1000)
+    log = Dataset.from_arrays(
+        observations=rng.normal(size=(3000, 3))[visitor], actions=rng.integers(0, 2, 1000), rewards=rng.random(1000) < 0.05,
+        terminals=np.ones(1000, bool),
+    )  # fmt: skip
+    assert log.copied is None
 
 
 def test_what_cannot_be_held_out():

@@ -3,19 +3,16 @@
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.repeats import SHARE, Copies, copied
+from deadreckon.data.repeats import SHARE, Copies, first_equal
 from deadreckon.data.split import group_of
 
 
 def copies(log: Dataset, rows: int) -> Copies:
-    """Rows among the first `rows` that repeat an earlier one (observation, action and reward)."""
-    parts = [np.ascontiguousarray(column[:rows]).reshape(rows, -1).view(np.uint8).reshape(rows, -1)
-             for column in (log.observations, log.actions, log.rewards)]  # fmt: skip
-    packed = np.ascontiguousarray(np.concatenate(parts, 1))
-    _, first, which = np.unique(
-        packed.view(np.dtype((np.void, packed.shape[1]))).ravel(), return_index=True, return_inverse=True
-    )
-    return Copies.of(first[which.ravel()])
+    """Rows among the first `rows` that repeat an earlier one (observation, action and reward); of a log of single steps whose
+    episodes are copies, all of it is looked at."""
+    if log.copied is not None and log.episodes == len(log):
+        return Copies.of(np.unique(log.copied, return_index=True)[1][log.copied])
+    return Copies.of(first_equal(log.observations[:rows], log.actions[:rows], log.rewards[:rows]))
 
 
 def about_copies(log: Dataset, found: Copies, rows: int) -> list[str]:
@@ -29,12 +26,13 @@ def about_copies(log: Dataset, found: Copies, rows: int) -> list[str]:
         found: copies among the rows.
         rows: that were looked at.
     """
+    whole = log.copied is not None
+    rows = len(log) if whole and log.episodes == len(log) else rows
     if found.many <= SHARE * rows:
         return []
     text = f"{found.many:,} of {rows:,} rows repeat an earlier one"
     advice = "leave the copies out"
-    whole = copied(log) is not None
-    if whole and group_of(log) is None:
+    if whole and group_of(log) is None and not isinstance(log.observations, np.memmap):
         advice += "; until then, equal episodes are held out together and counted as one"
     if found.in_order:
         return [f"{text}, in the same order: if a part of the table was stored twice, {advice}"]

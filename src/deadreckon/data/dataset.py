@@ -12,6 +12,7 @@ from deadreckon.data.columns import given_columns, in_memory, unmarked
 from deadreckon.data.episodes import content_ids, contents, episode_returns, fingerprint, index_type, returns_to_go, rows_of
 from deadreckon.data.legal import check_masks, joined_masks
 from deadreckon.data.provenance import Provenance
+from deadreckon.data.repeats import copied
 from deadreckon.data.spec import Box, Discrete, Spec, spec_of
 from deadreckon.data.split import Holdout
 from deadreckon.errors import UserError
@@ -223,6 +224,11 @@ class Dataset(Shown):
     def episode_contents(self) -> np.ndarray:
         """(episodes,) uint64, the same for equal episodes, in any log."""
         return contents(self)
+
+    @cached_property
+    def copied(self) -> np.ndarray | None:
+        """(episodes,) number of each episode, the same for copies of one; None if there are none; see `repeats.copied`."""
+        return copied(self)
 
     @cached_property
     def usable(self) -> np.ndarray:

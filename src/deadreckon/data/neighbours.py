@@ -3,7 +3,6 @@
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.repeats import copied
 from deadreckon.data.split import group_of
 from deadreckon.data.told import observation_names
 from deadreckon.stats.ranks import spearman
@@ -22,10 +21,11 @@ def about_neighbours(log: Dataset) -> list[str]:
     Episodes of one user, machine or day are alike. A policy that is trained on some of them has an advantage on the others, so
     that its estimate is not valid for new users.
     """
-    if log.episodes < _LEAST or len(log.spec.observation_shape) > 1 or group_of(log) is not None:
+    if len(log.spec.observation_shape) > 1 or group_of(log) is not None:
         return []
-    first = np.asarray(log.observations[log.starts[:_ROWS]], np.float64)
-    if not first.shape[1] or copied(log) is not None:
+    different = np.arange(log.episodes) if log.copied is None else np.sort(np.unique(log.copied, return_index=True)[1])
+    first = np.asarray(log.observations[log.starts[different[:_ROWS]]], np.float64)
+    if len(first) < _LEAST or not first.shape[1]:
         return []
     alike = [spearman(column[:-1], column[1:]) if _several(column) else 0.0 for column in first.T]
     which = int(np.argmax(alike))

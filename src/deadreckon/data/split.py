@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from deadreckon.data.repeats import copied
 from deadreckon.data.scratch import BLOCK
 from deadreckon.errors import UserError, unknown
 
@@ -35,7 +34,7 @@ class Holdout:
         share: of the episodes, between 0 and 1.
         by: "random", "time" (the latest: rows are in the order of time), or a column of the log's extras, such as a user or a
             site, each value of which is held out as a whole or not at all. Without a column, copies of an episode are held out
-            together, but not by time from a memory-mapped log, which would be copied into memory.
+            together.
         seed: of the draw.
     """
 
@@ -120,15 +119,20 @@ def group_of(log: "Dataset") -> str | None:
 
 def clusters(log: "Dataset", by: str = RANDOM) -> np.ndarray:
     """(episodes,) number 0, 1, ... of the cluster that each episode belongs to: for "random" and "time" its own, or that of its
-    copies (`data.repeats.copied`; see `Holdout`), else one for each value of the column `by`.
+    copies (`Dataset.copied`), else one for each value of the column `by`.
 
     Raises:
-        UserError: the log has no such column, or it changes within an episode.
+        UserError: the log has no such column, or it changes within an episode; or the latest episodes of a memory-mapped log
+            have copies, so that both parts would be copied into memory.
     """
     if by not in (RANDOM, TIME):
         return groups(log, by)[1]
-    whole = by == TIME and isinstance(log.observations, np.memmap)
-    return np.arange(log.episodes) if whole or (found := copied(log)) is None else found
+    if (found := log.copied) is None:
+        return np.arange(log.episodes)
+    if by == TIME and isinstance(log.observations, np.memmap):
+        told = f"{log.name}: {log.episodes - len(np.unique(found)):,} of {log.episodes:,} episodes repeat an earlier one"
+        raise UserError(f"{told}, and the latest of a memory-mapped log are not held out with copies; leave the copies out")
+    return found
 
 
 def units_of(log: "Dataset") -> np.ndarray:
@@ -180,8 +184,10 @@ def folds(log: "Dataset", k: int, by: str = RANDOM, seed: int = 0) -> np.ndarray
     _enough(log, cluster, by, k)
     sizes = np.bincount(cluster)
     if by == TIME:
-        fold = np.empty(len(sizes), np.int64)
-        fold[_latest_last(cluster)] = np.arange(len(sizes)) * k // len(sizes)
+        order, fold = _latest_last(cluster), np.empty(len(sizes), np.int64)
+        fold[order] = (np.cumsum(sizes[order]) - sizes[order]) * k // log.episodes
+        if len(np.unique(fold)) < k:  # one episode has very many copies
+            fold[order] = np.arange(len(sizes)) * k // len(sizes)
         return fold[cluster]
     rng = np.random.default_rng(seed)
     if by == RANDOM and len(sizes) == log.episodes:

@@ -82,6 +82,11 @@ class Coordinates:
         return np.concatenate([self.numeric, *(np.repeat(columns, n - 1) for columns, n in self.groups)]).astype(int)
 
     @property
+    def place_owners(self) -> np.ndarray:
+        """(features,) the same for each feature of `place`."""
+        return np.concatenate([self.numeric, *(np.repeat(columns, n) for columns, n in self.groups)]).astype(int)
+
+    @property
     def discrete(self) -> bool:
         """Whether most variables are categorical."""
         return len(self.numeric) < len(self.designs.variables) / 2

@@ -17,7 +17,7 @@ from scipy.spatial.distance import pdist, squareform
 from deadreckon.randomness import generator
 from deadreckon.stats.interval import p_in_words
 from deadreckon.stats.products import p_of_products
-from deadreckon.stats.ranks import spearman
+from deadreckon.stats.ranks import spearman_of_each
 
 if TYPE_CHECKING:
     from deadreckon.mbo.designs import Designs
@@ -44,7 +44,7 @@ def about_order(data: "Designs") -> list[str]:
     if len(data) < LEAST or max((steps > 0).sum(), (steps < 0).sum()) >= SORTED * max((steps != 0).sum(), 1):
         return []
     moved = _moved(data)
-    if not len(moved) or (p_value := p_of_change(data)) >= LEVEL:
+    if not len(moved) or (p_value := p_of_change(data, moved)) >= LEVEL:
         return []
     names = [data.variables[i].name for i in moved[:NAMED]]
     which = names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
@@ -55,9 +55,14 @@ def about_order(data: "Designs") -> list[str]:
     ]
 
 
-def p_of_change(data: "Designs") -> float:
+def p_of_change(data: "Designs", moved: np.ndarray) -> float:
     """The p-value of no change of the scores along the table beyond what inputs explain; 1 if the inputs tell the order, or if
-    there are too few groups."""
+    there are too few groups.
+
+    Args:
+        data: designs in the order of their table.
+        moved: indices of the variables that changed along it.
+    """
     rows = np.arange(len(data))
     if len(data) > MOST:
         rows = np.sort(generator(0, "order").choice(len(data), MOST, replace=False))
@@ -66,16 +71,18 @@ def p_of_change(data: "Designs") -> float:
     units = np.unique(data.units[rows], return_inverse=True)[1]
     # Errors of replicates in a row are alike, as predictions leave them all out.
     cluster = np.cumsum(np.append(0, np.diff(units) != 0)) if data.groups is None else data.groups[rows]
-    if len(np.unique(cluster)) < GROUPS:
+    y = data.y[rows] - data.y[rows].mean()
+    if len(np.unique(cluster)) < GROUPS or units.max() < 1 or not y.std():
         return 1.0
     # With many inputs, distances hardly depend on those that changed along the table: these count more in further kernels.
-    moved = np.isin(_owners(data), _moved(data))
+    counts = np.isin(data.coordinates.place_owners, moved)
     views = [z]
-    if 0 < moved.sum() < len(moved):
-        alike = np.sqrt((~moved).sum() / moved.sum())
-        views += [z * np.where(moved, factor * alike, 1.0) for factor in (1.0, 3.0)]
-    left = left_out(views, np.column_stack([data.y[rows] / max(float(data.y[rows].std()), 1e-300), _waves(data)[rows]]), units)
-    unexplained = np.square(left[:, 1:]).mean(0) / _waves(data)[rows].var(0)
+    if 0 < counts.sum() < len(counts):
+        alike = np.sqrt((~counts).sum() / counts.sum())
+        views += [z * np.where(counts, factor * alike, 1.0) for factor in (1.0, 3.0)]
+    waves = _waves(data)[rows]
+    left = left_out(views, np.column_stack([y / y.std(), waves]), units)
+    unexplained = np.square(left[:, 1:]).mean(0) / waves.var(0)
     return p_of_products(left[:, :1], left[:, 1:][:, unexplained > 1.0 - EXPLAINED], cluster, centred=True)
 
 
@@ -119,18 +126,12 @@ def left_out(views: Sequence[np.ndarray], targets: np.ndarray, units: np.ndarray
     return best
 
 
-def _owners(data: "Designs") -> np.ndarray:
-    """(features,) the variable of each feature of `Coordinates.place`."""
-    made = data.coordinates
-    return np.concatenate([made.numeric, *(np.repeat(columns, n) for columns, n in made.groups)]).astype(int)
-
-
 def _moved(data: "Designs") -> np.ndarray:
     """Variables that changed along the table: a feature of theirs goes with a wave, by ranks; the most related first."""
-    z, waves, owners = data.coordinates.place(data.x), _waves(data), _owners(data)
-    found = np.zeros(len(data.variables))
-    for owner, feature in zip(owners, z.T):
-        found[owner] = max(found[owner], *(abs(spearman(feature, wave)) for wave in waves.T))
-    limit = NormalDist().inv_cdf(1 - MOVED / (2 * WAVES * z.shape[1])) / np.sqrt(len(data) - 3)
+    features, found = data.coordinates.place(data.x).T, np.zeros(len(data.variables))
+    for wave in _waves(data).T:
+        related = spearman_of_each(features, np.broadcast_to(wave, features.shape))
+        np.maximum.at(found, data.coordinates.place_owners, np.abs(np.nan_to_num(related)))
+    limit = NormalDist().inv_cdf(1 - MOVED / (2 * WAVES * len(features))) / np.sqrt(len(data) - 3)
     order = np.argsort(-found, kind="stable")
     return order[found[order] > limit]

@@ -43,9 +43,7 @@ class Features:
     @classmethod
     def of(cls, data: Designs) -> "Features":
         """The features for some designs: numbers standardised, categories one-hot and divided by the square root of two."""
-        view = data.coordinates
-        owner = [view.numeric, *(np.repeat(columns, n) for columns, n in view.groups)]
-        return cls(data, np.concatenate(owner).astype(int))
+        return cls(data, data.coordinates.place_owners)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         """(rows, features) of (rows, variables) designs."""

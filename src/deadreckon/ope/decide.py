@@ -8,6 +8,7 @@ import numpy as np
 
 from deadreckon.data.told import weights_of
 from deadreckon.errors import UserError
+from deadreckon.ope.balance import dependent, unbalanced
 from deadreckon.ope.basis import MANY, SHARE
 from deadreckon.ope.behavior_model import PROPENSITIES, BehaviorModel
 from deadreckon.ope.case import OPEInput
@@ -95,6 +96,10 @@ def decide(
     against = [[told for each in costs if (told := each.objection(i, 1 - alpha))] for i in range(len(case.policies))]
     for own, lucky in zip(against, without_losses(case, estimates[0], checked, model, alpha)):
         own += [lucky] if lucky else []
+    doubt = unbalanced(case, model)
+    doubts = [None if doubt is None else doubt.words, dependent(case, model)]
+    for own in against:
+        own += [each for each in doubts if each is not None]
     if (weights := weights_of(case.given)) is not None:
         for own in against:
             own.append(

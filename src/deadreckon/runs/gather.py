@@ -175,10 +175,7 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
     for each in {id(g.cross): g for g in found if g.cross is not None}.values():
         if (fold := _folds(each, data, unseen)) is not None:
             left &= (fold >= 0) & _together(data, fold)
-    # Copies of training episodes are no fresh ones, as where older runs or a column have divided them.
-    taught_of = ~unseen_by([g.taught for g in found if g.cross is None], data)
-    alike = clusters(data)
-    known = ~np.isin(alike, alike[taught_of])
+    known = _fresh_of([g.taught for g in found if g.cross is None], data)
     unknown = [g.cross is None and g.taught is None for g in found]
     taught = int((~known).sum())
     against: list[str | None] = [None] * len(found)
@@ -187,7 +184,7 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
             raise UserError("no episode is left that all of these cross-fits have held out; evaluate each by itself")
         # If a policy's file lists all of these episodes, the log is its training log, and its training episodes are known.
         own = [g for g in found if g.taught is not None and g.cross is None and _covers(g.read.episodes, data)]
-        fresh_too = left & unseen_by([g.taught for g in own], data)
+        fresh_too = left & _fresh_of([g.taught for g in own], data)
         if not fresh_too.any():
             against = [LEARNED if any(g is each for each in own) else None for g in found]
             told = f"{int(left.sum()):,} episodes, on which policies were trained: their estimates are optimistic"
@@ -200,7 +197,8 @@ def fresh(found: Sequence[Gathered], data: Dataset, unseen: bool) -> Fresh:
     crossed = not left.all()
     left &= known
     if not left.any() and crossed:
-        raise UserError("no episode is left on which all of these policies can be evaluated; evaluate the cross-fit by itself")
+        told = "no episode is left on which all of these policies can be evaluated: evaluate the cross-fit by itself"
+        raise UserError(told if data.copied is None else f"{told}, or train it again, if its folds divide copies of episodes")
     if not left.any():
         everything = np.arange(data.episodes)
         against = [NOBODY if nobody else LEARNED for nobody in unknown]
@@ -231,6 +229,12 @@ def _covers(episodes: np.ndarray | None, data: Dataset) -> bool:
     if data.selected or len(np.unique(episodes)) == data.episodes:
         return True
     return bool(data.lengths.max() > 1 and alike_in(data, episodes).mean() < 0.5)
+
+
+def _fresh_of(taught: Sequence[np.ndarray | None], data: Dataset) -> np.ndarray:
+    """(episodes,) bool: `unseen_by`, and no copy of a training episode, as where an older run or a column has divided them."""
+    unseen, alike = unseen_by(taught, data), clusters(data)
+    return ~np.isin(alike, alike[~unseen])
 
 
 def _together(data: Dataset, fold: np.ndarray) -> np.ndarray:

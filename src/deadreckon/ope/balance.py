@@ -1,0 +1,205 @@
+"""Whether propensities fit the log: given them, actions must not depend on any column of the observations.
+
+A column by which the behaviour policy acted, and which also goes with rewards, is a confounder. Logged propensities account
+for it, and so do learned ones if the model of the behaviour policy has learned how actions depend on it. With the right
+propensities 1{A = a} - p(a|x), and 1{A = a} / p(a|x) - 1 where action a is possible, have mean zero in any part of the log that
+observations define (the balancing property, Rosenbaum and Rubin 1983). The parts that are tested are levels or tenths of single
+columns. Actions that depend on a column beyond logged propensities may also be its cause, if it was measured after them.
+
+Nor must episodes go together that follow each other in the log, as those of one user do who has always the same action and good
+or bad outcomes: they are not independent, and intervals are too narrow.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtrc, stdtr
+
+from deadreckon.data.columns import LOG_PROBS
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.told import action_names, observation_names
+from deadreckon.ope.basis import UNITS
+from deadreckon.ope.behavior import out_of_fold
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.case import OPEInput
+from deadreckon.ope.importance import learns
+from deadreckon.randomness import generator
+from deadreckon.stats.interval import p_in_words
+
+LEVEL = 0.001  # error probability of all tests of a log together (Bonferroni)
+# Below, a dependence is too weak to matter, however many rows show it: the share of an action's variance that the parts of a
+# column tell beyond learned propensities, as a correlation, and by how much more often than logged ones say it is taken.
+WEAK = 0.1
+MOST = 40_000  # rows that are looked at
+COLUMNS, ACTIONS = 200, 5  # columns that are looked at, and most frequent actions
+PARTS = 10  # most parts of a column
+ROWS = 20  # least number of clusters for each part, and of rows with an action
+LAGS, CLOSE = 3, 0.001  # episodes after each that it is compared with, and the error probability of that test
+
+
+class Unbalanced(NamedTuple):
+    """The column that actions depend on most beyond the propensities.
+
+    Attributes:
+        column: its name.
+        action: the name of the action.
+        p_value: of no dependence, for all columns and actions together.
+        logged: whether the propensities are logged.
+    """
+
+    column: str
+    action: str
+    p_value: float
+    logged: bool
+
+    @property
+    def words(self) -> str:
+        """Why no policy is deployed, as a phrase."""
+        p = p_in_words(self.p_value)
+        if self.logged:
+            return (
+                f"given {self.column}, action {self.action} is taken more often than the logged propensities say ({p}): the "
+                f"propensities are wrong, or {self.column} was measured after the action (leave it out, --ignore)"
+            )
+        return (
+            f"actions depend on {self.column} in a way that the learned propensities do not show ({p}), so a gain may be an "
+            f"effect of {self.column}: record propensities, or add columns in which the dependence is simpler, such as levels"
+        )
+
+
+def unbalanced(case: OPEInput, model: BehaviorModel, folds: int = 5) -> Unbalanced | None:
+    """The column that actions depend on beyond the propensities, if there is one; of discrete actions. Computed once.
+
+    Args:
+        case: log and policies.
+        model: settings of the behaviour model, whose propensities are tested if the log has none.
+        folds: number of parts of the evaluated episodes.
+    """
+    if not case.data.spec.discrete or case.degenerate.all():
+        return None
+    return case.once(("balance", model, folds), lambda: _unbalanced(case, model, folds))
+
+
+def dependent(case: OPEInput, model: BehaviorModel, folds: int = 5) -> str | None:
+    """Why intervals are too narrow for episodes of single steps that follow each other in the log, as a phrase; None if they
+    are independent, or if clusters say which are not. Computed once.
+
+    Args:
+        case, model, folds: as for `unbalanced`; of discrete actions.
+    """
+    if not case.data.spec.discrete or case.clustered or case.data.lengths.max() > 1 or len(case.data) < UNITS * LAGS:
+        return None
+    p_value = case.once(("neighbours", model, folds), lambda: _dependence(case, model, folds))
+    if p_value >= CLOSE:
+        return None
+    return (
+        f"episodes that follow each other in the log go together ({p_in_words(p_value)}), as those of one user or day, so its "
+        "interval is too narrow: name the column that tells which belong together (--cluster)"
+    )
+
+
+def _dependence(case: OPEInput, model: BehaviorModel, folds: int) -> float:
+    """The p-value of no correlation of the products of action and reward, both without what is expected, with those of the next
+    episodes; 1 if the correlation is weak."""
+    chances = out_of_fold(case, model, folds).chances
+    assert chances is not None
+    taken, rewards = np.asarray(case.data.actions), np.asarray(case.data.rewards, np.float64)
+    often = int(np.bincount(taken).argmax())
+    score = ((taken == often) - chances[:, often].astype(np.float64)) * (rewards - rewards.mean())
+    after = sum(np.append(score[lag:], np.zeros(lag)) for lag in range(1, LAGS + 1))
+    product = score * after
+    if product.sum() < WEAK * np.square(score).sum():
+        return 1.0
+    return float(stdtr(len(product) - 1, -product.sum() / np.sqrt(np.square(product).sum())))
+
+
+def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced | None:
+    logged = not learns(case, "auto")
+    # Logged propensities can be tested on all rows, learned ones on those that their models have not seen.
+    log, cluster = (case.plain, case.clusters) if logged else (case.data, case.cluster)
+    rows = np.arange(len(log))
+    if len(log) > MOST:
+        rows = np.sort(generator(case.seed, "balance").choice(len(log), MOST, replace=False))
+    unit = np.unique(cluster[log.episode_at(rows)], return_inverse=True)[1]
+    if unit.max() + 1 < UNITS:
+        return None
+    size = case.plain.spec.observation_size  # positions stand before them
+    seen = np.asarray(log.observations[rows])[:, -size:][:, :COLUMNS]
+    parts = [_parts(column, int(unit.max()) + 1) for column in seen.T]
+    taken = np.asarray(log.actions[rows])
+    counts = np.bincount(taken, minlength=log.spec.action_size)
+    frequent = [a for a in np.argsort(-counts, kind="stable")[:ACTIONS].tolist() if counts[a] >= ROWS]
+    if not frequent or not parts:
+        return None
+    if logged:
+        weight = np.exp(-np.asarray(log.extras[LOG_PROBS][rows], np.float64))
+        test = lambda part, a: _above(np.where(taken == a, weight, 0.0), part, unit)  # noqa: E731
+    else:
+        chances = out_of_fold(case, model, folds).chances
+        assert chances is not None
+        frequent = frequent[: 1 if log.spec.action_size == 2 else ACTIONS]
+        test = lambda part, a: _apart(taken == a, chances[rows, a].astype(np.float64), part, unit)  # noqa: E731
+    found = np.array([[test(part, a) for a in frequent] for part in parts])  # (columns, actions, 2): p-values and strengths
+    p_values = np.where(found[..., 1] >= WEAK, found[..., 0], 1.0)
+    column, action = np.unravel_index(int(np.argmin(p_values)), p_values.shape)
+    p_value = min(float(p_values[column, action]) * p_values.size, 1.0)
+    if p_value >= LEVEL:
+        return None
+    return Unbalanced(_name(case.plain, int(column)), action_names(log)[frequent[action]], p_value, logged)
+
+
+def _name(log: Dataset, column: int) -> str:
+    names = observation_names(log)
+    return names[column] if len(names) == log.spec.observation_size else f"observation {column}"
+
+
+def _parts(column: np.ndarray, units: int) -> np.ndarray | None:
+    """(rows,) the part of each row, 0, 1, ...: its level, or its quantile; None for a column that never changes."""
+    most = min(PARTS, units // ROWS)
+    values, part = np.unique(column, return_inverse=True)
+    if len(values) > most:
+        part = np.searchsorted(np.unique(np.quantile(column, np.arange(1, most) / most)), column, side="left")
+    part = np.unique(part, return_inverse=True)[1]
+    return part if part.max() > 0 else None
+
+
+def _sums(residual: np.ndarray, part: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """(units, parts) sums of the residuals."""
+    units, parts = int(unit.max()) + 1, int(part.max()) + 1
+    return np.bincount(unit * parts + part, residual, units * parts).reshape(units, parts)
+
+
+def _apart(taken: np.ndarray, chance: np.ndarray, part: np.ndarray | None, unit: np.ndarray) -> tuple[float, float]:
+    """The p-value of the learned probabilities (rows,) of an action in all parts, and how much these tell beyond them: a
+    correlation, less what chance explains."""
+    if part is None:
+        return 1.0, 0.0
+    sums = _sums(taken - chance, part, unit)
+    # Where an action is rare, few events say little of the variance, which the probabilities know.
+    variance = np.maximum(np.square(sums).sum(0), np.bincount(part, chance * (1.0 - chance)))
+    total, rows, share = sums.sum(0), np.bincount(part), taken.mean()
+    excess = float(((np.square(total) - variance) / np.maximum(rows, 1)).sum()) / len(taken)
+    square = np.divide(np.square(total), variance, out=np.zeros(len(total)), where=variance > 0).sum()
+    return float(chdtrc(len(total), square)), float(np.sqrt(max(excess, 0.0) / max(share * (1.0 - share), 1e-12)))
+
+
+def _above(weight: np.ndarray, part: np.ndarray | None, unit: np.ndarray) -> tuple[float, float]:
+    """The p-value of means of an action's weights (rows,), 0 in rows without it, that are not above one in any part, and by how
+    much they are.
+
+    Means below one are no evidence: an action may be impossible for some rows, and then no propensity is known.
+    """
+    if part is None:
+        return 1.0, 0.0
+    p_values, means = [], []
+    for each in (part, (part > part.max() / 2).astype(int)):
+        sums = _sums(weight - 1.0, each, unit)
+        count = len(sums)
+        # The variance of 1{A = a} / p is w - 1, of which w 1{A = a} (w - 1) is an unbiased estimate.
+        known = np.bincount(each, weight * (weight - 1.0))
+        error = np.sqrt(np.maximum(count * sums.var(0, ddof=1), known))
+        t = np.divide(sums.sum(0), error, out=np.zeros(sums.shape[1]), where=error > 0)
+        p_values += stdtr(count - 1, -t).tolist()
+        means += (sums.sum(0) / np.bincount(each)).tolist()
+    best = int(np.argmin(p_values))
+    return min(p_values[best] * len(p_values), 1.0), means[best]
