@@ -9,6 +9,7 @@ case in which the policy still brings what was estimated.
 """
 
 import argparse
+import sys
 import tempfile
 import time
 import warnings
@@ -23,6 +24,9 @@ from deadreckon.files import write_json
 from deadreckon.runs.monitor import monitor
 from deadreckon.runs.realised import Realised
 from deadreckon.stats.confidence_sequence import refuted_at
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+from tests.recorded import decision
 
 TRUE = {"rows": 0.4, "episodes": 4.0}  # mean returns
 SIZES = {"rows": (500, 320), "episodes": (100, 160)}  # episodes of the reference and of the new log
@@ -134,9 +138,9 @@ def main():
         for kind in options.kinds:
             log = MAKE[kind](64, np.random.default_rng(0))
             dr.train(dr.agents.BC(hidden=(4,), batch_size=8), log, steps=1, task=False, out=folder / kind, holdout=0)
-            value = {"method": "truth", "value": [TRUE[kind]], "low": [TRUE[kind]], "high": [TRUE[kind]]}
-            told = {"estimand": {"discount": 1.0, "horizon": None, "greedy": True},
-                    "policies": [{"name": kind, "run": kind, "seed": 0}], "results": [value]}  # fmt: skip
+            value = {"method": "truth", **{name: [TRUE[kind]] * 2 for name in ("value", "low", "high")}}
+            told = decision([{"name": kind, "run": kind, "seed": 0}], [value])
+            told["estimand"] |= {"discount": 1.0, "horizon": None, "greedy": True}
             write_json(folder / "estimates" / "estimates.json", told)
             for change in options.changes:
                 begun = time.perf_counter()

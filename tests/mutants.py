@@ -2862,7 +2862,7 @@ MUTANTS = (
         ("data/test_split.py::test_visitors_who_come_again_are_not_copies",),
     ),
     Mutant(
-        "balance-untested", "ope/decide.py", "doubts = [None if doubt is None else doubt.words,", "doubts = [None,",
+        "balance-untested", "ope/decide.py", "if (doubt := unbalanced(case, model)) is not None:", "if False:",
         "noise is deployed if the model of the behaviour policy has not learned a confounder",
         ("ope/test_balance.py::test_a_confounder_that_the_model_has_not_learned_deploys_nothing",),
     ),
@@ -2889,14 +2889,19 @@ MUTANTS = (
         ("ope/test_balance.py::test_rare_actions_are_not_accused",),
     ),
     Mutant(
-        "dependence-untested", "ope/decide.py", "doubt.words, dependent(case, model)]", "doubt.words, None]",
+        "dependence-untested", "ope/decide.py", "if (together := dependent(case, model)) is not None:", "if False:",
         "rows of users are independent if no column names them",
-        ("ope/test_balance.py::test_rows_of_users_without_a_column_are_an_objection",),
+        ("ope/test_balance.py::test_rows_of_users_without_a_column_are_told",),
     ),
     Mutant(
         "dependence-on-conditions", "ope/balance.py", "((taken == often) - chances[:, often].astype(np.float64)) *",
         "(taken == often) *",
         "conditions that change slowly are dependence", ("ope/test_balance.py::test_independent_rows_are_none",),
+    ),
+    Mutant(
+        "monitored-neighbours", "runs/monitor.py", "bound = alike(old)", "bound = None",
+        "rows of a slowly changing system are tested for drift as if they were independent",
+        ("runs/test_monitor.py::test_rows_of_a_slowly_changing_system_are_not_tested",),
     ),
     Mutant(
         "groups-kept", "ope/case.py",

@@ -68,17 +68,17 @@ def users(seed=0, mixed=False):
     return rng.normal(size=(1_500, 2)), actions, effect + rng.normal(size=1_500), user
 
 
-def test_rows_of_users_without_a_column_are_an_objection():
+def test_rows_of_users_without_a_column_are_told():
     missed = 0
     for seed in (0, 10):
         seen, actions, rewards, user = users(seed)
         found = decide(case_of(seen, actions, rewards, np.full(1_500, 0.5), seed=seed), model=SMALL, stationary=True)
-        assert "episodes that follow each other in the log go together" in str(found.choice.objections)
+        assert "episodes that follow each other in the log go together (p < 0.001)" in str(found.choice.warnings)
         missed += bool((found.choice.gains[:, 1] > 0).any() or (found.choice.gains[:, 2] < 0).any())
         case = case_of(seen, actions, rewards, np.full(1_500, 0.5), seed=seed)
         grouped = OPEInput(case.given, case.policies, discount=0.0, logged=True, clusters=user)
         assert dependent(grouped, SMALL) is None
-    assert missed  # of gains of zero, or the objection would not be needed
+    assert missed  # of gains of zero, or the warning would not be needed
 
 
 def test_independent_rows_are_none():
@@ -87,8 +87,12 @@ def test_independent_rows_are_none():
         seen = np.cumsum(rng.normal(size=(1_000, 2)), 0) / 10  # conditions change slowly, actions and rewards follow them
         chance = 1 / (1 + np.exp(-seen[:, 0]))
         actions = (rng.random(1_000) < chance).astype(int)
-        case = case_of(seen, actions, seen[:, 0] + rng.normal(size=1_000), chance, seed=seed)
-        assert dependent(case, BehaviorModel(hidden=(16,), steps=2_000, lr=3e-3)) is None
+        rewards = np.round(seen[:, 0] + rng.normal(size=1_000))
+        case = case_of(seen, actions, rewards, chance, seed=seed)
+        model = BehaviorModel(hidden=(16,), steps=2_000, lr=3e-3)
+        assert dependent(case, model) is None
+        order = np.argsort(rewards) if seed % 2 else np.argsort(actions, kind="stable")
+        assert dependent(case_of(seen[order], actions[order], rewards[order], chance[order], seed=seed), model) is None
 
 
 @pytest.mark.parametrize("logged", [False, True])

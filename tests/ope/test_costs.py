@@ -166,6 +166,7 @@ def test_warnings_of_costs_are_on_the_card(monkeypatch):
     monkeypatch.setattr("deadreckon.ope.decide.costs_of", lambda *given: [cost])
     monkeypatch.setattr("deadreckon.ope.decide.support", lambda case, model: _support(case))
     monkeypatch.setattr("deadreckon.ope.decide._confounded", lambda case, choice, *given: ({}, choice))
+    monkeypatch.setattr("deadreckon.ope.decide.dependent", lambda *given: None)
     told = decide(case(), [_Warning()], model=SMALL).choice.warnings
     assert told == ("known", "cost: the critics of policy 0 diverge")
 

@@ -21,26 +21,40 @@ def about_neighbours(log: Dataset) -> list[str]:
     Episodes of one user, machine or day are alike. A policy that is trained on some of them has an advantage on the others, so
     that its estimate is not valid for new users.
     """
-    if len(log.spec.observation_shape) > 1 or group_of(log) is not None:
+    if (first := _first(log)) is None:
         return []
-    different = np.arange(log.episodes) if log.copied is None else np.sort(np.unique(log.copied, return_index=True)[1])
-    first = np.asarray(log.observations[log.starts[different[:_ROWS]]], np.float64)
-    if len(first) < _LEAST or not first.shape[1]:
-        return []
-    alike = [spearman(column[:-1], column[1:]) if _several(column) else 0.0 for column in first.T]
-    which = int(np.argmax(alike))
     name = "name its column (--group), so that they are held out together"
-    if alike[which] > max(_ALIKE, _ERRORS / np.sqrt(len(first))):
+    if (found := alike(log)) is not None:
         return [
-            f"episodes begin like the episode before (rank correlation of {observation_names(log)[which]}: {alike[which]:.2f})"
-            f": if several are of one user, machine or day, {name}; if conditions change slowly, hold out the latest "
-            "episodes (--holdout-by time)"
+            f"episodes begin like the episode before (rank correlation of {found[0]}: {found[1]:.2f}): if several are of one "
+            f"user, machine or day, {name}; if conditions change slowly, hold out the latest episodes (--holdout-by time)"
         ]
     _, often = np.unique(first, axis=0, return_counts=True)
     again = 1.0 - len(often) / len(first)
     if again > _AGAIN and len(often) >= _LEAST and (first != np.floor(first)).any():
         return [f"{again:.0%} of the episodes begin exactly as an earlier one: if these are of one user or machine, {name}"]
     return []
+
+
+def alike(log: Dataset) -> tuple[str, float] | None:
+    """The column in which episodes begin most like the episode before, and its rank correlation; None if they hardly do, if
+    there are few episodes, or if observations are images or a group column tells which belong together."""
+    if (first := _first(log)) is None:
+        return None
+    found = [spearman(column[:-1], column[1:]) if _several(column) else 0.0 for column in first.T]
+    which = int(np.argmax(found))
+    if found[which] <= max(_ALIKE, _ERRORS / np.sqrt(len(first))):
+        return None
+    return observation_names(log)[which], found[which]
+
+
+def _first(log: Dataset) -> np.ndarray | None:
+    """(n, numbers) first observations of different episodes; None for images, few episodes, and logs with a group column."""
+    if len(log.spec.observation_shape) > 1 or not log.spec.observation_size or group_of(log) is not None:
+        return None
+    different = np.arange(log.episodes) if log.copied is None else np.sort(np.unique(log.copied, return_index=True)[1])
+    rows = log.starts[different[:_ROWS]]
+    return None if len(rows) < _LEAST else np.asarray(log.observations[rows], np.float64)
 
 
 def _several(column: np.ndarray) -> bool:

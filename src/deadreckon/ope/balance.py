@@ -81,8 +81,8 @@ def unbalanced(case: OPEInput, model: BehaviorModel, folds: int = 5) -> Unbalanc
 
 
 def dependent(case: OPEInput, model: BehaviorModel, folds: int = 5) -> str | None:
-    """Why intervals are too narrow for episodes of single steps that follow each other in the log, as a phrase; None if they
-    are independent, or if clusters say which are not. Computed once.
+    """A warning that episodes of single steps that follow each other in the log are not independent; None if they are, or if
+    clusters say which are not. Computed once.
 
     Args:
         case, model, folds: as for `unbalanced`; of discrete actions.
@@ -93,19 +93,24 @@ def dependent(case: OPEInput, model: BehaviorModel, folds: int = 5) -> str | Non
     if p_value >= CLOSE:
         return None
     return (
-        f"episodes that follow each other in the log go together ({p_in_words(p_value)}), as those of one user or day, so its "
-        "interval is too narrow: name the column that tells which belong together (--cluster)"
+        f"episodes that follow each other in the log go together ({p_in_words(p_value)}), as those of one user or day, so that "
+        "intervals are too narrow; name the column that tells which belong together (--cluster), unless the log is sorted"
     )
 
 
 def _dependence(case: OPEInput, model: BehaviorModel, folds: int) -> float:
-    """The p-value of no correlation of the products of action and reward, both without what is expected, with those of the next
-    episodes; 1 if the correlation is weak."""
+    """The p-value of no correlation of products of action and reward, both without what observations tell, with those of the
+    next episodes; 1 if the correlation is weak, or if the log is in the order of its actions or rewards."""
     chances = out_of_fold(case, model, folds).chances
     assert chances is not None
     taken, rewards = np.asarray(case.data.actions), np.asarray(case.data.rewards, np.float64)
     often = int(np.bincount(taken).argmax())
-    score = ((taken == often) - chances[:, often].astype(np.float64)) * (rewards - rewards.mean())
+    if any((np.diff(column) != 0).sum() < len(column) / 50 for column in (taken == often, rewards)):
+        return 1.0
+    seen = np.asarray(case.data.observations[:], np.float64)[:, : len(rewards) // 10]
+    seen = np.column_stack([np.ones(len(rewards)), (seen - seen.mean(0)) / np.where(seen.std(0) > 0, seen.std(0), 1.0)])
+    rewards = rewards - seen @ np.linalg.lstsq(seen, rewards, rcond=None)[0]
+    score = ((taken == often) - chances[:, often].astype(np.float64)) * rewards
     after = sum(np.append(score[lag:], np.zeros(lag)) for lag in range(1, LAGS + 1))
     product = score * after
     if product.sum() < WEAK * np.square(score).sum():

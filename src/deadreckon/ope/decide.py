@@ -96,10 +96,9 @@ def decide(
     against = [[told for each in costs if (told := each.objection(i, 1 - alpha))] for i in range(len(case.policies))]
     for own, lucky in zip(against, without_losses(case, estimates[0], checked, model, alpha)):
         own += [lucky] if lucky else []
-    doubt = unbalanced(case, model)
-    doubts = [None if doubt is None else doubt.words, dependent(case, model)]
-    for own in against:
-        own += [each for each in doubts if each is not None]
+    if (doubt := unbalanced(case, model)) is not None:
+        for own in against:
+            own.append(doubt.words)
     if (weights := weights_of(case.given)) is not None:
         for own in against:
             own.append(
@@ -112,6 +111,8 @@ def decide(
     change = None if settings.stationary else change_of(case)
     p_value = None if change is None else change.p_value
     more["over_time"] = {"stationary": settings.stationary, "p_value": p_value, "adjusted": case.positions}
+    if (together := dependent(case, model)) is not None:
+        choice = replace(choice, warnings=(*choice.warnings, together))
     if case.positions and change is not None and change.found:
         choice = replace(choice, warnings=(*choice.warnings, change.words))
     for each in costs:

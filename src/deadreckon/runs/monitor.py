@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.neighbours import alike
 from deadreckon.data.split import units_of
 from deadreckon.errors import UserError
 from deadreckon.policies.deployed import first_actions
@@ -35,7 +36,7 @@ class Finding(NamedTuple):
     """One line of the report.
 
     Attributes:
-        about: "observation", "action", "outside" or "value".
+        about: "observation", "action", "outside", "value", or "drift" of all columns, which is not tested.
         name: of the column; for the value, its description.
         alarm: whether it makes the exit code 1.
         text: the finding.
@@ -157,7 +158,8 @@ def monitor(
         sides = [[what for what in which if (what.about == "action") == acting] for acting in (False, True)]
         parts = [(each, side) for each, side in zip((before, acts), sides) if side]
     columns, tests = [], 0
-    for each, side in parts:
+    bound = alike(old)
+    for each, side in parts if bound is None else ():
         found, made = compared.drifts(each, new, side, first, DRIFT * alpha * len(side) / len(which))
         columns, tests = [*columns, *found], tests + made
     outside = compared.outside(old, new, which, first, OUTSIDE * alpha)
@@ -167,8 +169,13 @@ def monitor(
         value = f"not compared: the policy's {used} actions are in use, and its {judged} ones were estimated"
     elif made_by != "reference":
         value = realised(new, old, told, return_range, VALUE * alpha)
-    untested = "" if tests else _untested(len(before.starts), new)
+    untested = "" if tests else _untested(len(before.starts), new) if bound is None else (
+        f"not tested: episodes of the reference begin like the episode before (rank correlation of {bound[0]}: "
+        f"{bound[1]:.2f}), and the tests need independent ones; name the column that tells which belong together (--group, "
+        "when the table is read)"
+    )
     findings = [*_of_value(value, alpha), *_of_columns(columns, untested), *_of_outside(outside, columns, len(new))]
+    findings += [] if bound is None else [Finding("drift", "of all columns", False, untested)]
     findings.sort(key=lambda each: not each.alarm)
     words = _words(by_policy, first, greedy, fresh)
     return Monitored(
