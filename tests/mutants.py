@@ -2894,9 +2894,13 @@ MUTANTS = (
         ("ope/test_balance.py::test_rows_of_users_without_a_column_are_told",),
     ),
     Mutant(
-        "dependence-on-conditions", "ope/balance.py", "((taken == often) - chances[:, often].astype(np.float64)) *",
-        "(taken == often) *",
-        "conditions that change slowly are dependence", ("ope/test_balance.py::test_independent_rows_are_none",),
+        "dependence-on-effects", "ope/balance.py", "score -= score.mean()", "score -= 0.0",
+        "an effect of the action is dependence", ("ope/test_balance.py::test_independent_rows_are_none",),
+    ),
+    Mutant(
+        "dependence-of-sorted-rows", "ope/balance.py",
+        "if any((np.diff(column) != 0).sum() < len(column) / 50 for column in (taken == often, rewards)):", "if False:",
+        "rows that were sorted by their rewards are dependent", ("ope/test_balance.py::test_independent_rows_are_none",),
     ),
     Mutant(
         "monitored-neighbours", "runs/monitor.py", "bound = alike(old)", "bound = None",

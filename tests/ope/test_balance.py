@@ -87,7 +87,7 @@ def test_independent_rows_are_none():
         seen = np.cumsum(rng.normal(size=(1_000, 2)), 0) / 10  # conditions change slowly, actions and rewards follow them
         chance = 1 / (1 + np.exp(-seen[:, 0]))
         actions = (rng.random(1_000) < chance).astype(int)
-        rewards = np.round(seen[:, 0] + rng.normal(size=1_000))
+        rewards = np.round(seen[:, 0] + actions + rng.normal(size=1_000))
         case = case_of(seen, actions, rewards, chance, seed=seed)
         model = BehaviorModel(hidden=(16,), steps=2_000, lr=3e-3)
         assert dependent(case, model) is None

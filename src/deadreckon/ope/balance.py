@@ -111,6 +111,7 @@ def _dependence(case: OPEInput, model: BehaviorModel, folds: int) -> float:
     seen = np.column_stack([np.ones(len(rewards)), (seen - seen.mean(0)) / np.where(seen.std(0) > 0, seen.std(0), 1.0)])
     rewards = rewards - seen @ np.linalg.lstsq(seen, rewards, rcond=None)[0]
     score = ((taken == often) - chances[:, often].astype(np.float64)) * rewards
+    score -= score.mean()  # which is the effect of the action
     after = sum(np.append(score[lag:], np.zeros(lag)) for lag in range(1, LAGS + 1))
     product = score * after
     if product.sum() < WEAK * np.square(score).sum():
