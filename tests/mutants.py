@@ -2873,12 +2873,13 @@ MUTANTS = (
         ("ope/test_balance.py::test_the_statistics_by_hand",),
     ),
     Mutant(
-        "balance-of-impossible-actions", "ope/balance.py", "p_values += stdtr(count - 1, -t).tolist()",
+        "balance-of-impossible-actions", "ope/balance.py",
+        "p_values += np.where(mean >= WEAK, stdtr(count - 1, -t), 1.0).tolist()",
         "p_values += stdtr(count - 1, -np.abs(t)).tolist()", "propensities are said to be wrong where an action is impossible",
         ("ope/test_balance.py::test_the_statistics_by_hand",),
     ),
     Mutant(
-        "balance-however-weak", "ope/balance.py", "np.where(found[..., 1] >= WEAK, found[..., 0], 1.0)", "found[..., 0]",
+        "balance-however-weak", "ope/balance.py", "WEAK = 0.1\n", "WEAK = 0.0\n",
         "a dependence that is too weak to matter is an objection where there are many rows",
         ("ope/test_balance.py::test_a_weak_dependence_is_no_objection_however_many_rows_show_it",),
     ),
@@ -2899,11 +2900,12 @@ MUTANTS = (
     ),
     Mutant(
         "dependence-of-sorted-rows", "ope/balance.py",
-        "if any((np.diff(column) != 0).sum() < len(column) / 50 for column in (taken == often, rewards)):", "if False:",
+        "if changes < len(taken) / 50 or max((steps > 0).sum(), (steps < 0).sum()) >= SORTED * max((steps != 0).sum(), 1):\n",
+        "if False:\n",
         "rows that were sorted by their rewards are dependent", ("ope/test_balance.py::test_independent_rows_are_none",),
     ),
     Mutant(
-        "monitored-neighbours", "runs/monitor.py", "bound = alike(old)", "bound = None",
+        "monitored-neighbours", "runs/monitor.py", "bound = alike(old) | alike(new)", "bound = {}",
         "rows of a slowly changing system are tested for drift as if they were independent",
         ("runs/test_monitor.py::test_rows_of_a_slowly_changing_system_are_not_tested",),
     ),

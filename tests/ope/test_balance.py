@@ -163,3 +163,15 @@ def test_parts_are_levels_or_tenths():
     tenths = _parts(np.random.default_rng(0).permutation(1_000).astype(float), 1_000)
     assert np.bincount(tenths).tolist() == [100] * 10
     assert _parts(np.arange(60.0), 60).max() == 2  # twenty clusters for each
+    assert _parts(np.arange(30.0), 25).max() == 1  # two at least
+    capped = np.append(np.full(95, 9.0), np.arange(5.0))
+    np.testing.assert_array_equal(_parts(capped, 100), np.append(np.ones(95), np.zeros(5)))
+
+
+def test_propensities_that_are_wrong_everywhere_accuse_no_column():
+    rng = np.random.default_rng(0)
+    actions = rng.integers(0, 2, 1_000)
+    case = case_of(rng.normal(size=(1_000, 2)), actions, rng.normal(size=1_000), np.where(actions == 1, 0.4, 0.6))
+    found = unbalanced(case, SMALL)
+    assert found is not None
+    assert found.words.endswith("is taken more often than the logged propensities say (p < 0.001): they are wrong")

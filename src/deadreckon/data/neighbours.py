@@ -24,10 +24,12 @@ def about_neighbours(log: Dataset) -> list[str]:
     if (first := _first(log)) is None:
         return []
     name = "name its column (--group), so that they are held out together"
-    if (found := alike(log)) is not None:
+    if found := alike(log):
+        which = max(found, key=lambda i: found[i])
+        column = f"rank correlation of {observation_names(log)[which]}: {found[which]:.2f}"
         return [
-            f"episodes begin like the episode before (rank correlation of {found[0]}: {found[1]:.2f}): if several are of one "
-            f"user, machine or day, {name}; if conditions change slowly, hold out the latest episodes (--holdout-by time)"
+            f"episodes begin like the episode before ({column}): if several are of one user, machine or day, {name}; if "
+            "conditions change slowly, hold out the latest episodes (--holdout-by time)"
         ]
     _, often = np.unique(first, axis=0, return_counts=True)
     again = 1.0 - len(often) / len(first)
@@ -36,16 +38,13 @@ def about_neighbours(log: Dataset) -> list[str]:
     return []
 
 
-def alike(log: Dataset) -> tuple[str, float] | None:
-    """The column in which episodes begin most like the episode before, and its rank correlation; None if they hardly do, if
-    there are few episodes, or if observations are images or a group column tells which belong together."""
+def alike(log: Dataset) -> dict[int, float]:
+    """The numbers of an observation in which episodes begin like the episode before, and their rank correlations. There are
+    none if there are few episodes, or if observations are images or a group column tells which belong together."""
     if (first := _first(log)) is None:
-        return None
-    found = [spearman(column[:-1], column[1:]) if _several(column) else 0.0 for column in first.T]
-    which = int(np.argmax(found))
-    if found[which] <= max(_ALIKE, _ERRORS / np.sqrt(len(first))):
-        return None
-    return observation_names(log)[which], found[which]
+        return {}
+    found = {i: spearman(column[:-1], column[1:]) for i, column in enumerate(first.T) if _several(column)}
+    return {i: one for i, one in found.items() if one > max(_ALIKE, _ERRORS / np.sqrt(len(first)))}
 
 
 def _first(log: Dataset) -> np.ndarray | None:

@@ -17,6 +17,7 @@ from scipy.special import chdtrc, stdtr
 
 from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.split import clusters as clusters_of
 from deadreckon.data.told import action_names, observation_names
 from deadreckon.ope.basis import UNITS
 from deadreckon.ope.behavior import out_of_fold
@@ -34,6 +35,7 @@ MOST = 40_000  # rows that are looked at
 COLUMNS, ACTIONS = 200, 5  # columns that are looked at, and most frequent actions
 PARTS = 10  # most parts of a column
 ROWS = 20  # least number of clusters for each part, and of rows with an action
+SORTED = 0.9  # share of the changes of rewards from row to row in one direction, from which on a log is in their order
 LAGS, CLOSE = 3, 0.001  # episodes after each that it is compared with, and the error probability of that test
 
 
@@ -41,13 +43,13 @@ class Unbalanced(NamedTuple):
     """The column that actions depend on most beyond the propensities.
 
     Attributes:
-        column: its name.
+        column: its name; None: logged propensities are wrong in all rows.
         action: the name of the action.
         p_value: of no dependence, for all columns and actions together.
         logged: whether the propensities are logged.
     """
 
-    column: str
+    column: str | None
     action: str
     p_value: float
     logged: bool
@@ -56,6 +58,8 @@ class Unbalanced(NamedTuple):
     def words(self) -> str:
         """Why no policy is deployed, as a phrase."""
         p = p_in_words(self.p_value)
+        if self.column is None:
+            return f"action {self.action} is taken more often than the logged propensities say ({p}): they are wrong"
         if self.logged:
             return (
                 f"given {self.column}, action {self.action} is taken more often than the logged propensities say ({p}): the "
@@ -87,7 +91,8 @@ def dependent(case: OPEInput, model: BehaviorModel, folds: int = 5) -> str | Non
     Args:
         case, model, folds: as for `unbalanced`; of discrete actions.
     """
-    if not case.data.spec.discrete or case.clustered or case.data.lengths.max() > 1 or len(case.data) < UNITS * LAGS:
+    single = case.data.spec.discrete and case.data.lengths.max() == 1
+    if not single or len(case.data) < UNITS * LAGS or case.clusters.max() < clusters_of(case.given).max():
         return None
     p_value = case.once(("neighbours", model, folds), lambda: _dependence(case, model, folds))
     if p_value >= CLOSE:
@@ -103,14 +108,16 @@ def _dependence(case: OPEInput, model: BehaviorModel, folds: int) -> float:
     next episodes; 1 if the correlation is weak, or if the log is in the order of its actions or rewards."""
     chances = out_of_fold(case, model, folds).chances
     assert chances is not None
-    taken, rewards = np.asarray(case.data.actions), np.asarray(case.data.rewards, np.float64)
-    often = int(np.bincount(taken).argmax())
-    if any((np.diff(column) != 0).sum() < len(column) / 50 for column in (taken == often, rewards)):
+    taken, rewards = np.asarray(case.data.actions[:MOST]), np.asarray(case.data.rewards[:MOST], np.float64)
+    often, steps = int(np.bincount(taken).argmax()), np.sign(np.diff(rewards))
+    changes = (np.diff(taken == often) != 0).sum()
+    if changes < len(taken) / 50 or max((steps > 0).sum(), (steps < 0).sum()) >= SORTED * max((steps != 0).sum(), 1):
         return 1.0
-    seen = np.asarray(case.data.observations[:], np.float64)[:, : len(rewards) // 10]
-    seen = np.column_stack([np.ones(len(rewards)), (seen - seen.mean(0)) / np.where(seen.std(0) > 0, seen.std(0), 1.0)])
+    seen = np.asarray(case.data.observations[: len(taken)], np.float64)[:, -min(COLUMNS, len(taken) // 20) :]
+    seen = (seen - seen.mean(0)) / np.where(seen.std(0) > 0, seen.std(0), 1.0)
+    seen = np.column_stack([np.ones(len(taken)), seen, np.square(seen)])
     rewards = rewards - seen @ np.linalg.lstsq(seen, rewards, rcond=None)[0]
-    score = ((taken == often) - chances[:, often].astype(np.float64)) * rewards
+    score = ((taken == often) - chances[: len(taken), often].astype(np.float64)) * rewards
     score -= score.mean()  # which is the effect of the action
     after = sum(np.append(score[lag:], np.zeros(lag)) for lag in range(1, LAGS + 1))
     product = score * after
@@ -130,7 +137,7 @@ def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced 
     if unit.max() + 1 < UNITS:
         return None
     size = case.plain.spec.observation_size  # positions stand before them
-    seen = np.asarray(log.observations[rows])[:, -size:][:, :COLUMNS]
+    seen = np.asarray(log.observations[rows])[:, -min(size, COLUMNS) :]
     parts = [_parts(column, int(unit.max()) + 1) for column in seen.T]
     taken = np.asarray(log.actions[rows])
     counts = np.bincount(taken, minlength=log.spec.action_size)
@@ -138,7 +145,8 @@ def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced 
     if not frequent or not parts:
         return None
     if logged:
-        weight = np.exp(-np.asarray(log.extras[LOG_PROBS][rows], np.float64))
+        weight = np.exp(np.minimum(-np.asarray(log.extras[LOG_PROBS][rows], np.float64), 50.0))
+        parts = [np.zeros(len(rows), int), *parts]  # all rows together first
         test = lambda part, a: _above(np.where(taken == a, weight, 0.0), part, unit)  # noqa: E731
     else:
         chances = out_of_fold(case, model, folds).chances
@@ -146,11 +154,15 @@ def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced 
         frequent = frequent[: 1 if log.spec.action_size == 2 else ACTIONS]
         test = lambda part, a: _apart(taken == a, chances[rows, a].astype(np.float64), part, unit)  # noqa: E731
     found = np.array([[test(part, a) for a in frequent] for part in parts])  # (columns, actions, 2): p-values and strengths
-    p_values = np.where(found[..., 1] >= WEAK, found[..., 0], 1.0)
-    column, action = np.unravel_index(int(np.argmin(p_values)), p_values.shape)
-    p_value = min(float(p_values[column, action]) * p_values.size, 1.0)
+    p_values = np.where(found[..., 1] >= WEAK, found[..., 0], 1.0) * found[..., 0].size
+    if logged and p_values[0].min() < LEVEL:
+        return Unbalanced(None, action_names(log)[frequent[int(np.argmin(p_values[0]))]], float(p_values[0].min()), True)
+    # The strongest of those that are sure beyond what numbers can hold.
+    best = np.lexsort((-found[..., 1].ravel(), p_values.ravel()))[0]
+    (column, action), p_value = np.unravel_index(best, p_values.shape), min(float(p_values.ravel()[best]), 1.0)
     if p_value >= LEVEL:
         return None
+    column += size - len(seen.T) - logged
     return Unbalanced(_name(case.plain, int(column)), action_names(log)[frequent[action]], p_value, logged)
 
 
@@ -161,10 +173,11 @@ def _name(log: Dataset, column: int) -> str:
 
 def _parts(column: np.ndarray, units: int) -> np.ndarray | None:
     """(rows,) the part of each row, 0, 1, ...: its level, or its quantile; None for a column that never changes."""
-    most = min(PARTS, units // ROWS)
+    most = max(min(PARTS, units // ROWS), 2)
     values, part = np.unique(column, return_inverse=True)
     if len(values) > most:
-        part = np.searchsorted(np.unique(np.quantile(column, np.arange(1, most) / most)), column, side="left")
+        edges = np.unique(np.quantile(column, np.arange(1, most) / most))
+        part = np.searchsorted(edges, column, side="right" if edges[0] == values[-1] else "left")
     part = np.unique(part, return_inverse=True)[1]
     return part if part.max() > 0 else None
 
@@ -185,7 +198,9 @@ def _apart(taken: np.ndarray, chance: np.ndarray, part: np.ndarray | None, unit:
     variance = np.maximum(np.square(sums).sum(0), np.bincount(part, chance * (1.0 - chance)))
     total, rows, share = sums.sum(0), np.bincount(part), taken.mean()
     excess = float(((np.square(total) - variance) / np.maximum(rows, 1)).sum()) / len(taken)
-    square = np.divide(np.square(total), variance, out=np.zeros(len(total)), where=variance > 0).sum()
+    together = sums.T @ sums
+    np.fill_diagonal(together, variance)
+    square = float(total @ np.linalg.lstsq(together, total, rcond=None)[0])
     return float(chdtrc(len(total), square)), float(np.sqrt(max(excess, 0.0) / max(share * (1.0 - share), 1e-12)))
 
 
@@ -205,7 +220,8 @@ def _above(weight: np.ndarray, part: np.ndarray | None, unit: np.ndarray) -> tup
         known = np.bincount(each, weight * (weight - 1.0))
         error = np.sqrt(np.maximum(count * sums.var(0, ddof=1), known))
         t = np.divide(sums.sum(0), error, out=np.zeros(sums.shape[1]), where=error > 0)
-        p_values += stdtr(count - 1, -t).tolist()
-        means += (sums.sum(0) / np.bincount(each)).tolist()
+        mean = sums.sum(0) / np.bincount(each)
+        p_values += np.where(mean >= WEAK, stdtr(count - 1, -t), 1.0).tolist()
+        means += mean.tolist()
     best = int(np.argmin(p_values))
     return min(p_values[best] * len(p_values), 1.0), means[best]

@@ -28,6 +28,10 @@ from deadreckon.stats import drift
 from deadreckon.stats.interval import ALPHA, PERCENT, decimals, level_in_words
 
 VALUE, DRIFT, OUTSIDE = 0.5, 0.4, 0.1  # shares of alpha
+ALIKE = (
+    "episodes begin with nearly the value of the episode before, and the test needs independent ones; name the column that "
+    "tells which belong together (--group, when the table is read)"
+)
 SHOWN = 5  # most new levels that are named
 MadeBy = Literal["policy", "reference"]
 
@@ -36,7 +40,7 @@ class Finding(NamedTuple):
     """One line of the report.
 
     Attributes:
-        about: "observation", "action", "outside", "value", or "drift" of all columns, which is not tested.
+        about: "observation", "action", "outside" or "value".
         name: of the column; for the value, its description.
         alarm: whether it makes the exit code 1.
         text: the finding.
@@ -158,8 +162,9 @@ def monitor(
         sides = [[what for what in which if (what.about == "action") == acting] for acting in (False, True)]
         parts = [(each, side) for each, side in zip((before, acts), sides) if side]
     columns, tests = [], 0
-    bound = alike(old)
-    for each, side in parts if bound is None else ():
+    bound = alike(old) | alike(new)
+    for each, side in parts:
+        side = [what for what in side if what.about == "action" or not bound.keys() & set(what.dimensions)]
         found, made = compared.drifts(each, new, side, first, DRIFT * alpha * len(side) / len(which))
         columns, tests = [*columns, *found], tests + made
     outside = compared.outside(old, new, which, first, OUTSIDE * alpha)
@@ -169,17 +174,26 @@ def monitor(
         value = f"not compared: the policy's {used} actions are in use, and its {judged} ones were estimated"
     elif made_by != "reference":
         value = realised(new, old, told, return_range, VALUE * alpha)
-    untested = "" if tests else _untested(len(before.starts), new) if bound is None else (
-        f"not tested: episodes of the reference begin like the episode before (rank correlation of {bound[0]}: "
-        f"{bound[1]:.2f}), and the tests need independent ones; name the column that tells which belong together (--group, "
-        "when the table is read)"
-    )
+    untested = "" if tests else _untested(len(before.starts), new)
     findings = [*_of_value(value, alpha), *_of_columns(columns, untested), *_of_outside(outside, columns, len(new))]
-    findings += [] if bound is None else [Finding("drift", "of all columns", False, untested)]
+    findings += [
+        Finding("observation", what.name, False, f"not tested: {ALIKE}")
+        for what in which if what.about == "observation" and bound.keys() & set(what.dimensions)
+    ]  # fmt: skip
     findings.sort(key=lambda each: not each.alarm)
     words = _words(by_policy, first, greedy, fresh)
     return Monitored(
-        one.name, old.name, new.name, len(new), new.episodes, words, untested, alpha, tuple(columns), outside, value,
+        one.name,
+        old.name,
+        new.name,
+        len(new),
+        new.episodes,
+        words,
+        untested,
+        alpha,
+        tuple(columns),
+        outside,
+        value,
         tuple(findings),
     )
 
