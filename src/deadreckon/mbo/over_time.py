@@ -17,7 +17,7 @@ from scipy.spatial.distance import pdist, squareform
 from deadreckon.randomness import generator
 from deadreckon.stats.interval import p_in_words
 from deadreckon.stats.products import p_of_products
-from deadreckon.stats.ranks import spearman_of_each
+from deadreckon.stats.ranks import sorted_by, spearman_of_each
 
 if TYPE_CHECKING:
     from deadreckon.mbo.designs import Designs
@@ -26,7 +26,6 @@ LEVEL = 0.01  # probability of a message if nothing changed
 LEAST, MOST = 30, 500  # fewest rows for a test, and most that are tested
 GROUPS = 8  # fewest groups, whose rows are not independent
 WAVES = 2  # half a period over the table, and one: with few rows, more would cost power
-SORTED = 0.9  # share of the changes from row to row in one direction, from which on a table is in the order of its scores
 EXPLAINED = 0.95  # share of a wave that inputs explain, above which the table is in their order
 MOVED = 0.01  # error probability of the tests whether any input changed along the table (Bonferroni)
 NAMED = 3  # inputs named
@@ -40,8 +39,7 @@ def about_order(data: "Designs") -> list[str]:
     Args:
         data: designs in the order of their table, replicates not pooled.
     """
-    steps = np.sign(np.diff(data.y))
-    if len(data) < LEAST or max((steps > 0).sum(), (steps < 0).sum()) >= SORTED * max((steps != 0).sum(), 1):
+    if len(data) < LEAST or sorted_by(data.y):
         return []
     moved = _moved(data)
     if not len(moved) or (p_value := p_of_change(data, moved)) >= LEVEL:

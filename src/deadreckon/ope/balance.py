@@ -16,7 +16,6 @@ import numpy as np
 from scipy.special import chdtrc, stdtr
 
 from deadreckon.data.columns import LOG_PROBS
-from deadreckon.data.dataset import Dataset
 from deadreckon.data.split import clusters as clusters_of
 from deadreckon.data.told import action_names, observation_names
 from deadreckon.ope.basis import UNITS
@@ -26,6 +25,7 @@ from deadreckon.ope.case import OPEInput
 from deadreckon.ope.importance import learns
 from deadreckon.randomness import generator
 from deadreckon.stats.interval import p_in_words
+from deadreckon.stats.ranks import sorted_by
 
 LEVEL = 0.001  # error probability of all tests of a log together (Bonferroni)
 # Below, a dependence is too weak to matter, however many rows show it: the share of an action's variance that the parts of a
@@ -35,7 +35,6 @@ MOST = 40_000  # rows that are looked at
 COLUMNS, ACTIONS = 200, 5  # columns that are looked at, and most frequent actions
 PARTS = 10  # most parts of a column
 ROWS = 20  # least number of clusters for each part, and of rows with an action
-SORTED = 0.9  # share of the changes of rewards from row to row in one direction, from which on a log is in their order
 LAGS, CLOSE = 3, 0.001  # episodes after each that it is compared with, and the error probability of that test
 
 
@@ -109,9 +108,8 @@ def _dependence(case: OPEInput, model: BehaviorModel, folds: int) -> float:
     chances = out_of_fold(case, model, folds).chances
     assert chances is not None
     taken, rewards = np.asarray(case.data.actions[:MOST]), np.asarray(case.data.rewards[:MOST], np.float64)
-    often, steps = int(np.bincount(taken).argmax()), np.sign(np.diff(rewards))
-    changes = (np.diff(taken == often) != 0).sum()
-    if changes < len(taken) / 50 or max((steps > 0).sum(), (steps < 0).sum()) >= SORTED * max((steps != 0).sum(), 1):
+    often = int(np.bincount(taken).argmax())
+    if (np.diff(taken == often) != 0).sum() < len(taken) / 50 or sorted_by(rewards):
         return 1.0
     seen = np.asarray(case.data.observations[: len(taken)], np.float64)[:, -min(COLUMNS, len(taken) // 20) :]
     seen = (seen - seen.mean(0)) / np.where(seen.std(0) > 0, seen.std(0), 1.0)
@@ -163,12 +161,7 @@ def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced 
     if p_value >= LEVEL:
         return None
     column += size - len(seen.T) - logged
-    return Unbalanced(_name(case.plain, int(column)), action_names(log)[frequent[action]], p_value, logged)
-
-
-def _name(log: Dataset, column: int) -> str:
-    names = observation_names(log)
-    return names[column] if len(names) == log.spec.observation_size else f"observation {column}"
+    return Unbalanced(observation_names(case.plain)[int(column)], action_names(log)[frequent[action]], p_value, logged)
 
 
 def _parts(column: np.ndarray, units: int) -> np.ndarray | None:

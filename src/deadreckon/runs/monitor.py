@@ -163,8 +163,9 @@ def monitor(
         parts = [(each, side) for each, side in zip((before, acts), sides) if side]
     columns, tests = [], 0
     bound = alike(old) | alike(new)
+    apart = [what for what in which if what.about == "observation" and bound.keys() & set(what.dimensions)]
     for each, side in parts:
-        side = [what for what in side if what.about == "action" or not bound.keys() & set(what.dimensions)]
+        side = [what for what in side if what not in apart]
         found, made = compared.drifts(each, new, side, first, DRIFT * alpha * len(side) / len(which))
         columns, tests = [*columns, *found], tests + made
     outside = compared.outside(old, new, which, first, OUTSIDE * alpha)
@@ -176,26 +177,13 @@ def monitor(
         value = realised(new, old, told, return_range, VALUE * alpha)
     untested = "" if tests else _untested(len(before.starts), new)
     findings = [*_of_value(value, alpha), *_of_columns(columns, untested), *_of_outside(outside, columns, len(new))]
-    findings += [
-        Finding("observation", what.name, False, f"not tested: {ALIKE}")
-        for what in which if what.about == "observation" and bound.keys() & set(what.dimensions)
-    ]  # fmt: skip
+    findings += [Finding("observation", what.name, False, f"not tested: {ALIKE}") for what in apart]
     findings.sort(key=lambda each: not each.alarm)
     words = _words(by_policy, first, greedy, fresh)
     return Monitored(
-        one.name,
-        old.name,
-        new.name,
-        len(new),
-        new.episodes,
-        words,
-        untested,
-        alpha,
-        tuple(columns),
-        outside,
-        value,
+        one.name, old.name, new.name, len(new), new.episodes, words, untested, alpha, tuple(columns), outside, value,
         tuple(findings),
-    )
+    )  # fmt: skip
 
 
 def _acts(one: Subject, old: Dataset, first: bool, greedy: bool) -> tuple[compared.Sample, bool]:

@@ -3,6 +3,8 @@
 import numpy as np
 from jaxtyping import Float
 
+SORTED = 0.9  # share of the changes from row to row in one direction, from which on rows are in the order of a column
+
 
 def spearman(a: np.ndarray, b: np.ndarray) -> float:
     """The rank correlation of two (rows,) lists, ties at their mean rank; 0 if one of them is constant."""
@@ -17,3 +19,9 @@ def spearman_of_each(a: Float[np.ndarray, "n rows"], b: Float[np.ndarray, "n row
     x, y = (ranks - ranks.mean(1, keepdims=True) for ranks in (rankdata(each, axis=1) for each in (a, b)))
     spread = np.sqrt(np.square(x).sum(1) * np.square(y).sum(1))
     return np.divide((x * y).sum(1), spread, out=np.full(len(a), np.nan), where=spread > 0.0)
+
+
+def sorted_by(values: np.ndarray) -> bool:
+    """Whether rows are in the order of these (rows,) values: nearly all changes from row to row have one direction."""
+    steps = np.sign(np.diff(values))
+    return max((steps > 0).sum(), (steps < 0).sum()) >= SORTED * max((steps != 0).sum(), 1)
