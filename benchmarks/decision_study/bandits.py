@@ -13,6 +13,7 @@ from decision_study.problem import BETTER, LOG, TRUTH, WORLD, Choices, Estimand,
 
 BLOCK, MOST = 20_000, 60  # contexts at a time, and blocks, of the truth
 ONE = Estimand(0.0, 1)
+LATE = 2 / 3  # where the latest third of a log begins
 NEAR = 0.3  # share of the logs whose own policy is all but the best
 
 
@@ -88,7 +89,7 @@ def problem(
         observations=seen, actions=actions, rewards=got, terminals=np.ones(rows, bool), next_observations=seen,
         action_space=Discrete(chances.shape[1]), name=name, **columns,
     )  # fmt: skip
-    return Problem(log, ONE, world, candidates, {"mean": mean, "chances": chances}, **facts)
+    return Problem(log, ONE, world, candidates, {"mean": mean, "chances": chances, "unseen": unseen}, **facts)
 
 
 def linear(rng: np.random.Generator, size: int, actions: int) -> np.ndarray:
@@ -393,6 +394,46 @@ def drifting(null: bool, constant: bool) -> Callable[[int, int], Problem]:
     return make
 
 
+def fate(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
+    """What becomes of an effect over time in [0, 1]: it stays, reverses, wears off or grows."""
+    kind, when, rest = rng.integers(4), rng.uniform(0.4, 0.65), rng.uniform(0.3, 1.0)
+    if kind == 0:
+        return np.ones_like
+    if kind == 1:
+        return lambda t: np.where(t < when, 1.0, -rest)
+    return (lambda t: np.exp(-t / (0.5 * when))) if kind == 2 else (lambda t: t)
+
+
+class Latest(Bandit):
+    """A world whose unseen part is the time, and in which what is true is so in the latest third of the log."""
+
+    def scores(self, policy: Any, log: Dataset, hidden: Any) -> np.ndarray:
+        """Of the latest third alone."""
+        late = hidden["unseen"][:, 0] >= LATE
+        return np.where(late, super().scores(policy, log, hidden) / max(late.mean(), 1e-12), 0.0)
+
+
+def reversing(seed: int, rows: int) -> Problem:
+    """Effects of actions that change along the log. What is true of a policy is so in the latest third of the log."""
+    rng = np.random.default_rng([seed, WORLD])
+    size, actions = ((2, 2), (5, 3), (5, 5))[rng.integers(3)]
+    effect, time, known = rng.choice([0.3, 1.0]), fate(rng), bool(rng.random() < 0.5)
+    turn, weights = linear(rng, size, actions), linear(rng, size, actions)
+    chances = lambda seen: 0.1 / actions + 0.9 * softmax(seen @ turn)  # noqa: E731
+    world = Latest(
+        lambda rng, n: (rng.standard_normal((n, size), np.float32), rng.uniform(LATE, 1.0, (n, 1))),
+        lambda seen, t: effect * time(t) * (seen @ weights), chances, seed,
+    )  # fmt: skip
+    by = float(rng.uniform(0.3, 1.0))
+    candidates = {
+        "early": Choices(lambda seen: tilted(chances(seen), seen @ weights, by)),
+        "other": Choices(lambda seen: tilted(chances(seen), seen @ weights, -by)),
+    }
+    drawn, _ = world.contexts(np.random.default_rng([seed, LOG]), rows)
+    place = ((np.arange(rows) + 0.5) / rows)[:, None]
+    return problem(world, rows, NOISES["normal"], candidates, "reversing", (drawn, place), known=known)
+
+
 NEVER = "none: all policies have the same value"
 FAMILIES = (
     Family("null-bandit", null(True), NEVER),
@@ -412,4 +453,5 @@ FAMILIES = (
     Family("drifting-null", drifting(True, False), NEVER),
     Family("drifting", drifting(False, False), "in nearly all logs (`better`)"),
     Family("drifting-constant", drifting(False, True), "as in `drifting`, of which it is a variant with constant rewards"),
+    Family("reversing", reversing, "in all logs, judged by the latest third: `early`, or `other` where effects have reversed"),
 )

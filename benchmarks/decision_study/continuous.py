@@ -1,6 +1,6 @@
 """Continuous actions: a linear world with quadratic costs, a pendulum, and prices."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -359,38 +359,44 @@ class Prices:
         return known + (ratio - 1.0) * (log.rewards - self.mean(seen, taken))
 
 
-def prices(seed: int, rows: int) -> Problem:
-    """Prices about a linear rule of what is known of the customer."""
-    rng = np.random.default_rng([seed, WORLD])
-    size = 3
-    keen, wary, rule = rng.standard_normal((3, size)) / np.sqrt(size)
-    std, off, near = rng.uniform(0.15, 0.4), rng.choice([-0.5, 0.6]) * rng.uniform(0.3, 1.0), rng.random() < NEAR
-    world = Prices(keen, wary, Normal(lambda seen: (seen, None)), seed)
-    some = np.random.default_rng([seed, WORLD, 1]).standard_normal((2_000, size))
-    aim = np.linalg.lstsq(np.column_stack([np.ones(2_000), some]), world.best(some), rcond=None)[0][:, 0]
-    rule = aim if near else np.append(aim[0] + off, 0.3 * rule)
+def prices(known: bool) -> Callable[[int, int], Problem]:
+    """Prices about a linear rule of what is known of the customer; the log tells their densities, or not even bounds."""
 
-    def policy(weights: np.ndarray) -> Normal:
-        return Normal(lambda seen: ((weights[0] + seen @ weights[1:])[:, None], np.full((len(seen), 1), std)))
+    def make(seed: int, rows: int) -> Problem:
+        rng = np.random.default_rng([seed, WORLD])
+        size = 3
+        keen, wary, rule = rng.standard_normal((3, size)) / np.sqrt(size)
+        std, off, near = rng.uniform(0.15, 0.4), rng.choice([-0.5, 0.6]) * rng.uniform(0.3, 1.0), rng.random() < NEAR
+        world = Prices(keen, wary, Normal(lambda seen: (seen, None)), seed)
+        some = np.random.default_rng([seed, WORLD, 1]).standard_normal((2_000, size))
+        aim = np.linalg.lstsq(np.column_stack([np.ones(2_000), some]), world.best(some), rcond=None)[0][:, 0]
+        rule = aim if near else np.append(aim[0] + off, 0.3 * rule)
 
-    world = Prices(keen, wary, policy(rule), seed)
-    by = rng.uniform(0.1, 0.4, 2)
-    away = rule - by[1] * (aim - rule) + (np.array([by[1], 0, 0, 0]) if near else 0.0)
-    candidates = {"better": policy(rule + by[0] * (aim - rule)), "worse": policy(away)}
-    draws = np.random.default_rng([seed, LOG])
-    seen = draws.standard_normal((rows, size)).astype(np.float32)
-    taken = world.own.at(seen, draws.standard_normal((rows, 1))).astype(np.float32)
-    asked = np.maximum(taken[:, 0], 0.0)
-    buys = draws.random(rows) < np.divide(world.mean(seen, taken), asked, out=np.zeros(rows), where=asked > 0)
-    log = Dataset.from_arrays(
-        observations=seen, actions=taken, rewards=asked * buys, terminals=np.ones(rows, bool), next_observations=seen,
-        behavior_log_probs=world.own.log_prob(seen, taken), action_space=around(taken), name="pricing",
-    )  # fmt: skip
-    return Problem(log, Estimand(0.0, 1), world, candidates)
+        def policy(weights: np.ndarray) -> Normal:
+            return Normal(lambda seen: ((weights[0] + seen @ weights[1:])[:, None], np.full((len(seen), 1), std)))
+
+        world = Prices(keen, wary, policy(rule), seed)
+        by = rng.uniform(0.1, 0.4, 2)
+        away = rule - by[1] * (aim - rule) + (np.array([by[1], 0, 0, 0]) if near else 0.0)
+        candidates = {"better": policy(rule + by[0] * (aim - rule)), "worse": policy(away)}
+        draws = np.random.default_rng([seed, LOG])
+        seen = draws.standard_normal((rows, size)).astype(np.float32)
+        taken = world.own.at(seen, draws.standard_normal((rows, 1))).astype(np.float32)
+        asked = np.maximum(taken[:, 0], 0.0)
+        buys = draws.random(rows) < np.divide(world.mean(seen, taken), asked, out=np.zeros(rows), where=asked > 0)
+        told = {"behavior_log_probs": world.own.log_prob(seen, taken), "action_space": around(taken)} if known else {}
+        log = Dataset.from_arrays(
+            observations=seen, actions=taken, rewards=asked * buys, terminals=np.ones(rows, bool), next_observations=seen,
+            name="pricing", **told,
+        )  # fmt: skip
+        return Problem(log, Estimand(0.0, 1), world, candidates, known=known)
+
+    return make
 
 
 FAMILIES = (
     Family("linear-quadratic", regulator, BETTER),
     Family("pendulum", pendulum, "where the behaviour policy applies less torque than is optimal (`more`)"),
-    Family("pricing", prices, BETTER, split="confirmatory"),
+    Family("pricing", prices(True), BETTER, split="confirmatory"),
+    Family("pricing-unknown", prices(False), BETTER),
 )

@@ -23,8 +23,13 @@ def versions() -> dict[str, Any]:
         "python": platform.python_version(),
         "platform": f"{sys.platform} {platform.machine()}",
         "device": f"{device.platform} {device.device_kind}",
-        "threads": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "threads": len(cores()),
     }
+
+
+def cores() -> list[int]:
+    """The cores that this process may use, where the system says so (Linux); otherwise all."""
+    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
 
 
 def cpu_model() -> str:

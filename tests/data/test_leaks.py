@@ -203,3 +203,40 @@ def test_long_logs_are_sampled():
         assert "observation 1 may be the reward" in line
         count = int(line.split(" in all ")[1].split()[0].replace(",", ""))
         assert 5_000 <= count <= 10_000
+
+
+def single(rewards):
+    """One-step log with these rewards."""
+    rng, rows = np.random.default_rng(1), len(rewards)
+    columns = {"observations": rng.normal(size=(rows, 2)), "actions": rng.integers(0, 2, rows), "rewards": rewards}
+    return Dataset.from_arrays(**columns, terminals=np.ones(rows))
+
+
+def arriving(late, rows=600, rare=0.3):
+    """Successes, of which the `late` latest are not known yet and are stored as 0."""
+    rewards = (np.random.default_rng(0).random(rows) < rare).astype(float)
+    rewards[rows - late :] = 0.0
+    return rewards
+
+
+def test_rewards_that_are_not_known_yet_are_told():
+    [line] = leaks(single(arriving(60)))
+    assert re.fullmatch(
+        r"the latest 6\d episodes have a return of 0, and 7\d% of the 5[34]\d before: if their rewards are not known yet, "
+        "leave these episodes out", line,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "rewards",
+    [
+        arriving(0), arriving(20), arriving(600), arriving(40, rare=0.05),  # as long as other series of zeros
+        np.r_[np.arange(594) % 2, np.zeros(6)],
+        np.maximum(np.arange(300, -300, -1), 0), np.minimum(np.arange(-300, 300), 0),  # in the order of the rewards
+        np.random.default_rng(0).permutation(arriving(60)),
+        np.repeat(np.r_[np.arange(18) % 2, 1, 0], 30),  # rewards of a user are alike, and the last of them has none
+    ],
+    ids=["none", "few", "all", "rare", "six", "falling", "rising", "shuffled", "users"],
+)  # fmt: skip
+def test_other_zeros_at_the_end_are_not_said_to_be_unknown(rewards):
+    assert not [line for line in leaks(single(rewards)) if "return of 0" in line]

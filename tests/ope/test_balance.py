@@ -10,6 +10,7 @@ from deadreckon.ope.balance import _above, _apart, _parts, dependent, unbalanced
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.decide import decide
 from tests.ope.test_decide import constant
+from tests.ope.worlds import Tanh
 
 SMALL = BehaviorModel(hidden=(16,), steps=300, lr=1e-2)
 
@@ -124,9 +125,15 @@ def test_propensities_near_one_are_not_accused_for_few_events():
         assert unbalanced(case_of(seen, actions, rng.normal(size=400), np.full(400, 0.85)), SMALL) is None
 
 
+def apart(taken, chance, part, unit):
+    """`_apart` of an action by its learned probabilities."""
+    share = taken.mean()
+    return _apart(taken - chance, chance * (1.0 - chance), share * (1.0 - share), part, unit)
+
+
 def test_rare_actions_are_not_accused():
     """No event where 0.2 are expected is no evidence, although nothing varies there."""
-    p_value, _ = _apart(np.zeros(40, bool), np.full(40, 0.005), np.repeat([0, 1], 20), np.arange(40))
+    p_value, _ = apart(np.zeros(40, bool), np.full(40, 0.005), np.repeat([0, 1], 20), np.arange(40))
     assert p_value > 0.5
 
 
@@ -134,7 +141,7 @@ def test_a_weak_dependence_is_no_objection_however_many_rows_show_it():
     rng = np.random.default_rng(0)
     x = rng.integers(0, 2, 40_000)
     actions = (rng.random(40_000) < np.where(x == 1, 0.53, 0.47)).astype(int)
-    p_value, strength = _apart(actions == 1, np.full(40_000, 0.5), x, np.arange(40_000))
+    p_value, strength = apart(actions == 1, np.full(40_000, 0.5), x, np.arange(40_000))
     assert p_value < 1e-20
     np.testing.assert_allclose(strength, 0.06, atol=0.01)
     case = case_of(np.stack([x, rng.normal(size=40_000)], 1), actions, rng.normal(size=40_000), np.full(40_000, 0.5))
@@ -146,7 +153,7 @@ def test_the_statistics_by_hand():
     part, taken, chance = np.array([0, 0, 1, 1]), np.array([True, True, False, True]), np.array([0.5, 0.5, 0.75, 0.75])
     variance = np.array([0.25 + 0.25, 0.75**2 + 0.25**2])  # the squares, which exceed 2 * 0.1875 in the second part
     square = (np.square([1.0, -0.5]) / variance).sum()
-    p_value, strength = _apart(taken, chance, part, np.arange(4))
+    p_value, strength = apart(taken, chance, part, np.arange(4))
     np.testing.assert_allclose(p_value, stats.chi2.sf(square, 2))
     excess = ((np.square([1.0, -0.5]) - variance) / 2).sum() / 4
     np.testing.assert_allclose(strength, np.sqrt(max(excess, 0) / (0.75 * 0.25)))
@@ -175,3 +182,40 @@ def test_propensities_that_are_wrong_everywhere_accuse_no_column():
     found = unbalanced(case, SMALL)
     assert found is not None
     assert found.words.endswith("is taken more often than the logged propensities say (p < 0.001): they are wrong")
+
+
+def continuous(seen, actions, rewards):
+    """Single steps of a continuous action, with two tanh-Gaussian policies whose means are within the logged actions."""
+    low, high = actions.min(), actions.max()
+    log = Dataset.from_frame(
+        {"hour": seen[:, 0], "noise": seen[:, 1], "dose": actions, "reward": rewards}, action="dose", reward="reward",
+        observations=["hour", "noise"],
+    )  # fmt: skip
+    means = [np.arctanh(2 * (mean - low) / (high - low) - 1) for mean in (0.5, 0.0)]
+    return OPEInput(log, [Tanh(mean, 0.25, low, high) for mean in means], discount=0.0, logged=True)
+
+
+def test_a_confounder_of_continuous_actions_is_named():
+    """The dose does nothing and is higher in two rush hours, when rewards are low."""
+    rng = np.random.default_rng(0)
+    hour = rng.uniform(0, 24, 1_000)
+    rush = np.exp(-0.5 * (hour - 8) ** 2) + np.exp(-0.5 * (hour - 17) ** 2)
+    seen = np.stack([hour, rng.normal(size=1_000)], 1)
+    case = continuous(seen, rush + 0.5 * rng.normal(size=1_000), -2 * rush + rng.normal(size=1_000))
+    found = unbalanced(case, SMALL)
+    assert (found.column, found.action) == ("hour", "dose")
+    assert found.p_value < 1e-6
+    decided = decide(case, model=SMALL).choice
+    assert not decided.deploy
+    assert "actions depend on hour in a way that the learned propensities do not show (p < 0.001)" in decided.reason
+
+
+@pytest.mark.parametrize("shape", ["skewed", "uniform", "scaled", "rounded"])
+def test_other_shapes_of_continuous_actions_are_no_dependence(shape):
+    rng, rows = np.random.default_rng(1), 6_000
+    seen = rng.normal(size=(rows, 2))
+    noise = {
+        "skewed": rng.exponential(size=rows) ** 1.5, "uniform": rng.uniform(-2, 2, rows),
+        "scaled": np.exp(0.4 * seen[:, 1]) * rng.normal(size=rows), "rounded": np.round(rng.normal(size=rows), 1),
+    }[shape]  # fmt: skip
+    assert unbalanced(continuous(seen, 0.5 * seen[:, 0] + noise, rng.normal(size=rows)), SMALL) is None

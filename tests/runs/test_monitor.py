@@ -153,6 +153,19 @@ def test_a_value_below_the_estimate_is_an_alarm_and_stays_one(place):
     assert at.alarm
 
 
+def test_rewards_that_are_not_known_yet_are_told(place):
+    log = table(250, 1)
+    log.loc[180:, "reward"] = 0
+    found = monitor(place / "run", log, estimates=place)
+    [line] = [each for each in found.findings if each.name == "latest"]
+    assert not line.alarm
+    assert "if their rewards are not known yet, leave these episodes out" in line.text
+    assert any(each.alarm for each in found.findings if each.name == "realised")
+    for other, made_by in ((log, "reference"), (log[:180], None)):
+        found = monitor(place / "run", other, estimates=place, made_by=made_by)
+        assert not any(each.name == "latest" for each in found.findings)
+
+
 @pytest.mark.slow
 def test_a_log_of_the_policy_in_use_needs_no_propensities_and_estimates_lie_beside(tmp_path):
     table(300, 0).assign(p=0.5, cost=1.0).to_csv(tmp_path / "log.csv", index=False)

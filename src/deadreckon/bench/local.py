@@ -17,14 +17,10 @@ from deadreckon.bench.idle import give_way, is_measured, stand_still
 from deadreckon.bench.jobs import Program
 from deadreckon.bench.work import perform
 from deadreckon.errors import UserError
+from deadreckon.versions import cores
 
 POLL = 1.0  # seconds between two looks whether somebody measures
 MERCY = 5.0  # seconds within which a process that is to end may bring its chunk to disk
-
-
-def cores() -> list[int]:
-    """The cores that this process may use."""
-    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
 
 
 def shares(workers: int | None, accelerator: bool) -> list[list[int]]:

@@ -56,7 +56,7 @@ def perform(
     spent.keep()
     for row in (row for found in results for row in found.rows):
         row["seconds"] = spent.seconds
-        row["versions"] = json.dumps(json.loads(row["versions"]) | {"cpu": cpu_model()})
+        row["versions"] = json.dumps(row.get("versions", versions()) | {"cpu": cpu_model()})
     return results
 
 
@@ -192,7 +192,7 @@ def _result(job: Job, run: Any) -> JobResult:
                 "episodes": [float(score) for score in table["score"][final]] if scored else [],
                 "log": run.config["data"]["fingerprint"],
                 "failure": "" if failure is None else f"{failure.metric} was not finite at update {failure.step}",
-                "versions": json.dumps(run.config["versions"]),
+                "versions": run.config["versions"],
             }
         )  # fmt: skip
     return JobResult(rows, curves)
@@ -226,7 +226,6 @@ def _design(job: Job, folder: Path, watch: Progress) -> JobResult:
             {
                 "seed": seed, "score": 100.0 * float(scores.percentile(100, True)), "raw": float(scores.percentile(100, False)),
                 "more": json.dumps(more), "steps": 0, "failure": "",
-                "versions": json.dumps(versions()),
             }
         )  # fmt: skip
     return JobResult(rows, [])
@@ -249,7 +248,7 @@ def _ope(job: Job, folder: Path, watch: Progress) -> JobResult:
             {
                 "seed": seed, "score": found["rank_correlation"] if sound else math.nan, "raw": None, "steps": 0,
                 "log": log.fingerprint,
-                "more": json.dumps(found | {"result": to_json(result)}), "versions": json.dumps(versions()),
+                "more": json.dumps(found | {"result": to_json(result)}),
                 "failure": "" if sound else _told(result.warnings),
             }
         )  # fmt: skip
@@ -270,7 +269,7 @@ def _study(job: Job, folder: Path, watch: Progress) -> JobResult:
         rows.append(
             {
                 "seed": seed, "score": numbers.get("score", math.nan), "raw": None, "steps": 0, "more": json.dumps(numbers),
-                "versions": json.dumps(versions()), "failure": f"{bad[0]} is not finite" if bad else "",
+                "failure": f"{bad[0]} is not finite" if bad else "",
             }
         )  # fmt: skip
     return JobResult(rows, [])

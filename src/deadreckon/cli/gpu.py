@@ -7,7 +7,7 @@ from deadreckon.bench.device import device_kind, required, shared
 from deadreckon.bench.executor import Event, Executor, run
 from deadreckon.bench.filling import Filling, Load, Planned, jobs_of, missing, schedule, use
 from deadreckon.bench.ledger import store_of
-from deadreckon.bench.local import Local, cores
+from deadreckon.bench.local import Local
 from deadreckon.bench.rates import Rates, assumed_device
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import queue
@@ -15,6 +15,7 @@ from deadreckon.cli.lines import Lines
 from deadreckon.errors import UserError
 from deadreckon.interrupts import resumable
 from deadreckon.runs.durations import in_words
+from deadreckon.versions import cores
 
 MOST = 8  # processes where nobody says how many: no more were measured side by side
 

@@ -1,4 +1,5 @@
-"""Whether rewards arrive later than their rows: earlier rows tell them better than their own, on held-out episodes."""
+"""Whether rewards arrive late: earlier rows tell them better than their own, on held-out episodes; or those of the latest
+episodes are zero, as if they were not known yet."""
 
 import math
 from statistics import NormalDist
@@ -13,6 +14,7 @@ _DIMENSIONS = 30  # of the observation that are used
 _LEVELS = 20  # discrete actions, or values of one observation, that get a number each
 _PRODUCTS = 100  # of an observation and an action, beyond which they are left out: the fit takes time
 _UNITS = 10  # held-out parts below which nothing is said
+_LONGER = 3  # times the longest series of zeros before, by which one at the end is more than that
 _RIDGE = 1e-3  # of a row, so that columns that repeat one another do no harm
 
 
@@ -60,6 +62,32 @@ def late_reward(log: Dataset, level: float) -> str | None:
     steps = f"{best[1]} row" + ("s" if best[1] > 1 else "")
     text = f"the reward may arrive {steps} late: the observation and action {steps} earlier explain {told[0]:.0%} of it"
     return f"{text}, those of its own row {max(told[1], 0):.0%} (R² on held-out rows); if so, move the column of the reward up"
+
+
+def rewards_to_come(log: Dataset, level: float) -> str | None:
+    """A line if the returns of all episodes at the end of a log are zero, and before there was nothing like it, or None.
+
+    A row whose reward is not known when the table is made often has 0 there, such as a purchase within thirty days. The number
+    of episodes must have a probability of at most `level` by the share of zeros before, and be `_LONGER` times the longest
+    series of zeros before, as returns of neighbouring episodes may be alike. Says nothing of tables in the order of the reward.
+
+    Args:
+        log: in the order of time.
+        level: probability of a false line where episodes are independent of each other.
+    """
+    returns = log.returns(1.0)
+    others = np.flatnonzero(returns != 0.0)
+    count = len(returns) - 1 - others[-1] if len(others) else len(returns)
+    before = returns[: len(returns) - count]
+    if len(before) < count or not count or (np.diff(before) >= 0).all() or (np.diff(before) <= 0).all():
+        return None
+    zero = before == 0.0
+    chance = count * math.log((zero.sum() + 1) / (len(before) + 1))
+    longest = int(np.diff(np.flatnonzero(~np.concatenate([[False], zero, [False]]))).max()) - 1
+    if chance > math.log(level) or count <= _LONGER * longest:
+        return None
+    text = f"the latest {count:,} episodes have a return of 0, and {zero.mean():.0%} of the {len(before):,} before"
+    return f"{text}: if their rewards are not known yet, leave these episodes out"
 
 
 def _features(log: Dataset) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 
 from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.late import late_reward
+from deadreckon.data.late import late_reward, rewards_to_come
 from deadreckon.data.relations import FEW, LEAST, relation
 from deadreckon.data.spec import Box
 from deadreckon.data.told import Told, action_names, columns_of, schema_of
@@ -44,8 +44,7 @@ def leaks(log: Dataset) -> tuple[str, ...]:
     part = _part(log)
     sample = _sample(part)
     out = [*_copies_of_reward(sample), *_copies_of_action(part, sample), *_leading(sample), *_unmoved(part, sample)]
-    late = late_reward(part, LEVEL)
-    return tuple([*out, late] if late else out)
+    return tuple([*out, *filter(None, (late_reward(part, LEVEL), rewards_to_come(log, LEVEL)))])
 
 
 def _part(log: Dataset) -> Dataset:

@@ -4,7 +4,9 @@ A column by which the behaviour policy acted, and which also goes with rewards, 
 for it, and so do learned ones if the model of the behaviour policy has learned how actions depend on it. With the right
 propensities 1{A = a} - p(a|x), and 1{A = a} / p(a|x) - 1 where action a is possible, have mean zero in any part of the log that
 observations define (the balancing property, Rosenbaum and Rubin 1983). The parts that are tested are levels or tenths of single
-columns. Actions that depend on a column beyond logged propensities may also be its cause, if it was measured after them.
+columns. Actions that depend on a column beyond logged propensities may also be its cause, if it was measured after them. A
+number of a continuous action is replaced by its rank in the learned distribution, which has the same mean in any part; logged
+densities are not tested.
 
 Nor must episodes go together that follow each other in the log, as those of one user do who has always the same action and good
 or bad outcomes: they are not independent, and intervals are too narrow.
@@ -19,7 +21,7 @@ from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.split import clusters as clusters_of
 from deadreckon.data.told import action_names, observation_names
 from deadreckon.ope.basis import UNITS
-from deadreckon.ope.behavior import out_of_fold
+from deadreckon.ope.behavior import Behavior, out_of_fold
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.importance import learns
@@ -35,6 +37,7 @@ MOST = 40_000  # rows that are looked at
 COLUMNS, ACTIONS = 200, 5  # columns that are looked at, and most frequent actions
 PARTS = 10  # most parts of a column
 ROWS = 20  # least number of clusters for each part, and of rows with an action
+UNIFORM = 1 / 12  # variance of ranks
 LAGS, CLOSE = 3, 0.001  # episodes after each that it is compared with, and the error probability of that test
 
 
@@ -71,14 +74,14 @@ class Unbalanced(NamedTuple):
 
 
 def unbalanced(case: OPEInput, model: BehaviorModel, folds: int = 5) -> Unbalanced | None:
-    """The column that actions depend on beyond the propensities, if there is one; of discrete actions. Computed once.
+    """The column that actions depend on beyond the propensities, if there is one; not of logged densities. Computed once.
 
     Args:
         case: log and policies.
         model: settings of the behaviour model, whose propensities are tested if the log has none.
         folds: number of parts of the evaluated episodes.
     """
-    if not case.data.spec.discrete or case.degenerate.all():
+    if case.degenerate.all() or not (case.data.spec.discrete or learns(case, "auto")):
         return None
     return case.once(("balance", model, folds), lambda: _unbalanced(case, model, folds))
 
@@ -138,8 +141,11 @@ def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced 
     seen = np.asarray(log.observations[rows])[:, -min(size, COLUMNS) :]
     parts = [_parts(column, int(unit.max()) + 1) for column in seen.T]
     taken = np.asarray(log.actions[rows])
-    counts = np.bincount(taken, minlength=log.spec.action_size)
-    frequent = [a for a in np.argsort(-counts, kind="stable")[:ACTIONS].tolist() if counts[a] >= ROWS]
+    if log.spec.discrete:
+        counts = np.bincount(taken, minlength=log.spec.action_size)
+        frequent = [a for a in np.argsort(-counts, kind="stable")[:ACTIONS].tolist() if counts[a] >= ROWS]
+    else:
+        frequent = list(range(min(log.spec.action_size, ACTIONS)))
     if not frequent or not parts:
         return None
     if logged:
@@ -147,10 +153,10 @@ def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced 
         parts = [np.zeros(len(rows), int), *parts]  # all rows together first
         test = lambda part, a: _above(np.where(taken == a, weight, 0.0), part, unit)  # noqa: E731
     else:
-        chances = out_of_fold(case, model, folds).chances
-        assert chances is not None
-        frequent = frequent[: 1 if log.spec.action_size == 2 else ACTIONS]
-        test = lambda part, a: _apart(taken == a, chances[rows, a].astype(np.float64), part, unit)  # noqa: E731
+        if log.spec.discrete and log.spec.action_size == 2:
+            frequent = frequent[:1]
+        beyond = _beyond(out_of_fold(case, model, folds), rows, taken, frequent)
+        test = lambda part, a: _apart(*beyond[a], part, unit)  # noqa: E731
     found = np.array([[test(part, a) for a in frequent] for part in parts])  # (columns, actions, 2): p-values and strengths
     p_values = np.where(found[..., 1] >= WEAK, found[..., 0], 1.0) * found[..., 0].size
     if logged and p_values[0].min() < LEVEL:
@@ -162,6 +168,30 @@ def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced 
         return None
     column += size - len(seen.T) - logged
     return Unbalanced(observation_names(case.plain)[int(column)], action_names(log)[frequent[action]], p_value, logged)
+
+
+def _beyond(
+    learned: Behavior, rows: np.ndarray, taken: np.ndarray, actions: list[int]
+) -> dict[int, tuple[np.ndarray, np.ndarray, float]]:
+    """What actions are beyond their learned propensities: for each (rows,) residuals, their variances by the propensities, and
+    the variance of the action.
+
+    Args:
+        learned: propensities of all evaluated rows.
+        rows: numbers of those that are tested.
+        taken: (rows, ...) their actions.
+        actions: discrete actions, or numbers of a continuous one.
+    """
+    out = {}
+    for a in actions:
+        if learned.chances is not None:
+            chance, share = learned.chances[rows, a].astype(np.float64), (taken == a).mean()
+            out[a] = (taken == a) - chance, chance * (1.0 - chance), share * (1.0 - share)
+        else:
+            assert learned.ranks is not None
+            rank = learned.ranks[rows, a]
+            out[a] = rank - rank.mean(), np.full(len(rows), UNIFORM), UNIFORM  # another shape is no dependence
+    return out
 
 
 def _parts(column: np.ndarray, units: int) -> np.ndarray | None:
@@ -181,20 +211,29 @@ def _sums(residual: np.ndarray, part: np.ndarray, unit: np.ndarray) -> np.ndarra
     return np.bincount(unit * parts + part, residual, units * parts).reshape(units, parts)
 
 
-def _apart(taken: np.ndarray, chance: np.ndarray, part: np.ndarray | None, unit: np.ndarray) -> tuple[float, float]:
-    """The p-value of the learned probabilities (rows,) of an action in all parts, and how much these tell beyond them: a
-    correlation, less what chance explains."""
+def _apart(
+    residual: np.ndarray, variance: np.ndarray, whole: float, part: np.ndarray | None, unit: np.ndarray
+) -> tuple[float, float]:
+    """The p-value of residuals that have mean zero in all parts, and how much the parts tell of the action: a correlation, less
+    what chance explains.
+
+    Args:
+        residual: (rows,) what actions are beyond the learned propensities.
+        variance: (rows,) of each, by these.
+        whole: variance of the action.
+        part, unit: (rows,) of each row.
+    """
     if part is None:
         return 1.0, 0.0
-    sums = _sums(taken - chance, part, unit)
-    # Where an action is rare, few events say little of the variance, which the probabilities know.
-    variance = np.maximum(np.square(sums).sum(0), np.bincount(part, chance * (1.0 - chance)))
-    total, rows, share = sums.sum(0), np.bincount(part), taken.mean()
-    excess = float(((np.square(total) - variance) / np.maximum(rows, 1)).sum()) / len(taken)
+    sums = _sums(residual, part, unit)
+    # Where an action is rare, few events say little of the variance, which the propensities know.
+    variance = np.maximum(np.square(sums).sum(0), np.bincount(part, variance))
+    total, rows = sums.sum(0), np.bincount(part)
+    excess = float(((np.square(total) - variance) / np.maximum(rows, 1)).sum()) / len(residual)
     together = sums.T @ sums
     np.fill_diagonal(together, variance)
     square = float(total @ np.linalg.lstsq(together, total, rcond=None)[0])
-    return float(chdtrc(len(total), square)), float(np.sqrt(max(excess, 0.0) / max(share * (1.0 - share), 1e-12)))
+    return float(chdtrc(len(total), square)), float(np.sqrt(max(excess, 0.0) / max(whole, 1e-12)))
 
 
 def _above(weight: np.ndarray, part: np.ndarray | None, unit: np.ndarray) -> tuple[float, float]:

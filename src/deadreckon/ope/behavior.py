@@ -2,35 +2,45 @@
 
 A model that was trained on a row overestimates the probability of its action, which makes the weights too small. So each fold
 has its own models, a network and a linear one. They are trained on the other folds and on all episodes that are not evaluated,
-except for a tenth of these, on which training stops where the loss is smallest. The model with the smaller loss is used,
-because a network needs more rows than a log often has. Its temperature is then fitted on that tenth as well (Guo et al. 2017),
-shifts give each action its logged frequency, and the probabilities are smoothed towards the actions' overall frequencies, which
-count as a few rows. The models of all folds are trained at once, in one vectorised program.
+except for a tenth of these, on which training stops where the loss is smallest. The models of all folds are trained at once, in
+one vectorised program.
+
+Of discrete actions the model with the smaller loss is used, because a network needs more rows than a log often has. Its
+temperature is then fitted on that tenth as well (Guo et al. 2017), shifts give each action its logged frequency, and the
+probabilities are smoothed towards the actions' overall frequencies, which count as a few rows. The densities of continuous
+actions are a mixture of both models, with shares that are fitted on that tenth (stacking; Yao et al. 2018), and of the overall
+density, which counts as a few rows: where a network extrapolates, it may find an action impossible.
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.special import softmax
+from scipy.special import logsumexp, ndtr, softmax
 
 from deadreckon.data.batch import Batch, BatchSpec, TransitionSource
+from deadreckon.data.dataset import Dataset
 from deadreckon.data.legal import legal_at
+from deadreckon.data.normalizer import Normalizer
+from deadreckon.nets import distributions as dist
 from deadreckon.nets.mlp import ensemble
 from deadreckon.nets.optim import apply_gradients, init_opt
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import Best, in_blocks
-from deadreckon.ope.propensities import shifts, temperature
+from deadreckon.ope.ends import within_bounds
+from deadreckon.ope.propensities import shifts, stacked, temperature
 from deadreckon.policies import behavior as models
 from deadreckon.policies.kinds import Categorical, create_actor
 from deadreckon.randomness import generator
 
 PRIOR = 10.0  # weight, in rows, of the prior that the temperature is one
 SHARES = 20.0  # weight, in rows, of the prior that an action is as likely everywhere as it is overall
+EQUAL = 1.0  # weight, in rows, of the prior that a network and a linear model have equal shares of a density
 LOOKED_AT = 4096  # most rows on which propensities are calibrated
 CHECKED = 0.1  # share of the episodes outside a fold that early stopping uses
 
@@ -84,10 +94,13 @@ class Behavior(NamedTuple):
     Attributes:
         log_probs: (rows,) log-probabilities of the logged actions, or log-densities.
         chances: (rows, actions) probabilities of all actions; None for continuous actions.
+        ranks: (rows, size) for continuous actions the probability that each number of an action is below the logged one, and
+            half of the probability that it is equal; uniform if the model is right. None for discrete actions.
     """
 
     log_probs: np.ndarray
     chances: np.ndarray | None
+    ranks: np.ndarray | None
 
 
 def out_of_fold(case: OPEInput, model: BehaviorModel, folds: int, *, clipped: bool = False) -> Behavior:
@@ -145,40 +158,68 @@ def _stopping(draw: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return out
 
 
+class Trained(NamedTuple):
+    """The models of all folds.
+
+    Attributes:
+        nets: networks and linear models, each (folds, ...).
+        which: (folds,) index of the better of both.
+        view: how they see observations and actions.
+        weight, check: (rows of the whole log, folds) 0 or 1, on which rows they were trained, and by which they were stopped.
+    """
+
+    nets: tuple[Any, ...]
+    which: Any
+    view: Normalizer
+    weight: np.ndarray
+    check: np.ndarray
+
+    def outputs(self, function: Callable[..., Any], observations: Any, *columns: np.ndarray) -> np.ndarray:
+        """(folds, *, rows) of a jitted `function` of models, index of the better, observations and further columns."""
+        run = lambda seen, *more: function(self.nets, self.which, self.view.observe(np.asarray(seen)), *more)  # noqa: E731
+        return in_blocks(run, observations, *columns)
+
+
 def _fit(case: OPEInput, model: BehaviorModel, folds: int) -> Behavior:
     fold, whole = case.folds(folds), case.whole()
-    weight, check = masks(case, fold, whole)
-    learner = Folds(model, weight.shape[1])
-    data = whole.data
-    extra = {"weight": weight[data.episode_of], "check": check[data.episode_of]}
-    rows = TransitionSource(data, learner.needs(data.spec), extra)
+    weight, check = (each[whole.data.episode_of] for each in masks(case, fold, whole))
+    gaussian = not (model.clipped or whole.data.spec.discrete)
+    learner, data = Folds(model, weight.shape[1]), within_bounds(whole.data) if gaussian else whole.data
+    rows = TransitionSource(data, learner.needs(data.spec), {"weight": weight, "check": check})
     state = case.train(learner, rows, model.steps, "behaviour by folds")
-    nets, view, own = tuple(best.params for best in state.best), rows.view, case.data
-    which = jnp.stack([best.loss for best in state.best]).argmin(0)  # (folds,) index of the better model
-    of_row = fold[own.episode_of]
-    observe = lambda seen: view.observe(np.asarray(seen))  # noqa: E731
-    if not data.spec.discrete:
-        unit = np.asarray(view.to_unit(np.asarray(own.actions)))
-        told = in_blocks(lambda seen, act: _densities(nets, which, observe(seen), act), own.observations, unit)
-        scale = view.log_scale_within(unit) if model.clipped else view.log_scale
-        return Behavior(told[of_row, np.arange(len(own))].astype(np.float64) - scale, None)
-    of_all = lambda seen: jnp.moveaxis(_logits(nets, which, observe(seen)), 1, 2)  # noqa: E731 - (folds, actions, rows)
-    logits = in_blocks(of_all, own.observations)
-    logits = np.take_along_axis(logits, of_row[None, None], 0)[0].T.astype(np.float64)
+    which = jnp.stack([best.loss for best in state.best]).argmin(0)
+    trained = Trained(tuple(best.params for best in state.best), which, rows.view, weight, check)
+    own, of_row = case.data, fold[case.data.episode_of]
+    if data.spec.discrete:
+        return _discrete(trained, data, own, of_row, generator(case.seed, "calibration"))
+    return (_gaussian if gaussian else _clipped)(trained, data, own, of_row)
+
+
+def _discrete(trained: Trained, data: Dataset, own: Dataset, of_row: np.ndarray, rng: np.random.Generator) -> Behavior:
+    """Probabilities of all actions.
+
+    Args:
+        trained: models.
+        data: the whole log, as models have seen it.
+        own: the evaluated episodes.
+        of_row: (rows of `own`,) the fold of each.
+        rng: of the rows that calibrate.
+    """
+    of_all = lambda seen: np.moveaxis(trained.outputs(_logits, seen), 1, 2)  # noqa: E731 - (folds, rows, actions)
+    logits = of_all(own.observations)[of_row, np.arange(len(own))].astype(np.float64)
     actions = logits.shape[1]
     mixed, kept = np.empty((len(own), actions)), np.empty(len(own))
-    rng = generator(case.seed, "calibration")
     taken = np.asarray(data.actions)
-    for k in range(check.shape[1]):
+    for k in range(trained.check.shape[1]):
         # The temperature is fitted on the rows of early stopping, the shifts on all rows outside the fold; a few thousand are
         # enough.
-        told = [_some(columns[data.episode_of, k] > 0, rng) for columns in (check, weight + check)]
-        logits_of = [in_blocks(of_all, np.asarray(data.observations[some]))[k].T.astype(np.float64) for some in told]
+        told = [_some(columns[:, k] > 0, rng) for columns in (trained.check, trained.weight + trained.check)]
+        logits_of = [of_all(np.asarray(data.observations[some]))[k].astype(np.float64) for some in told]
         sure = temperature(logits_of[0], taken[told[0]], PRIOR)
         logits[of_row == k] = logits[of_row == k] / sure + shifts(logits_of[1] / sure, taken[told[1]])
         # Smoothing towards the overall frequencies, and towards equal ones with the weight of one row: no action has
         # probability zero, even if rows are few, and the number of rows bounds the weights.
-        n = weight[data.episode_of, k].sum()
+        n = trained.weight[:, k].sum()
         shares = np.bincount(taken[told[1]], minlength=actions) / len(told[1])
         mixed[of_row == k] = (SHARES * shares + 1.0 / actions) / (n + SHARES + 1.0)
         kept[of_row == k] = n / (n + SHARES + 1.0)
@@ -186,7 +227,42 @@ def _fit(case: OPEInput, model: BehaviorModel, folds: int) -> Behavior:
     if (mask := legal_at(own.observations, data.action_space)) is not None:  # overall frequencies ignore what was legal
         chances = chances * mask
         chances /= chances.sum(1, keepdims=True)
-    return Behavior(np.log(chances[np.arange(len(own)), np.asarray(own.actions)]), chances)
+    return Behavior(np.log(chances[np.arange(len(own)), np.asarray(own.actions)]), chances, None)
+
+
+def _gaussian(trained: Trained, data: Dataset, own: Dataset, of_row: np.ndarray) -> Behavior:
+    """Densities of mixtures of tanh-Gaussians, and ranks; arguments as for `_discrete`."""
+    pre_of = lambda log: np.arctanh(np.asarray(trained.view.to_unit(np.asarray(log.actions))).astype(np.float64))  # noqa: E731
+    pre, every = pre_of(own), pre_of(data)
+    out, ranks = np.empty(len(own)), np.zeros(pre.shape)
+    of_all = trained.outputs(_heads, own.observations)  # (models, 2, folds, size, rows)
+    for k in range(trained.check.shape[1]):
+        rows, checked = of_row == k, np.flatnonzero(trained.check[:, k] > 0)[:LOOKED_AT]
+        told = trained.outputs(_heads, np.asarray(data.observations[checked]))[:, :, k]
+        shares = stacked(np.stack([normal(every[checked], mean.T, std.T) for mean, std in told]), EQUAL)
+        each = [(mean.T, std.T) for mean, std in of_all[:, :, k][..., rows]]
+        for share, (mean, std) in zip(shares, each):
+            ranks[rows] += share * ndtr((pre[rows] - mean) / std)
+        # As many rows as `SHARES` have the density of all rows: none is impossible, even if rows are few.
+        outside = every[(trained.weight + trained.check)[:, k] > 0]
+        each.append((outside.mean(0), np.maximum(outside.std(0), np.exp(dist.LOG_STD_MIN))))
+        smooth = SHARES / (trained.weight[:, k].sum() + SHARES)
+        shares = np.append((1.0 - smooth) * shares, smooth)
+        out[rows] = logsumexp([normal(pre[rows], *one) for one in each], axis=0, b=shares[:, None])
+    return Behavior(out - np.log1p(-np.square(np.tanh(pre))).sum(1) - trained.view.log_scale, None, ranks)
+
+
+def normal(x: np.ndarray, mean: np.ndarray, std: np.ndarray) -> np.ndarray:
+    """(rows,) log-densities of independent normal numbers (rows, size)."""
+    return (-0.5 * np.square((x - mean) / std) - np.log(std * np.sqrt(2.0 * np.pi))).sum(1)
+
+
+def _clipped(trained: Trained, data: Dataset, own: Dataset, of_row: np.ndarray) -> Behavior:
+    """Densities of clipped Gaussians, which have probabilities at the bounds, and ranks; arguments as for `_discrete`."""
+    unit, rows = np.asarray(trained.view.to_unit(np.asarray(own.actions))), np.arange(len(own))
+    told = trained.outputs(_densities, own.observations, unit)[of_row, rows].astype(np.float64)
+    ranks = trained.outputs(_ranks, own.observations, unit)[of_row, :, rows].astype(np.float64)
+    return Behavior(told - trained.view.log_scale_within(unit), None, ranks)
 
 
 def _some(rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -196,13 +272,31 @@ def _some(rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 @jax.jit
+def _heads(nets: tuple[Any, ...], which: Any, observation: Any) -> Any:
+    """(models, 2, folds, size, rows) means and deviations before the tanh, of networks and of linear models."""
+
+    def head(net: Any) -> Any:
+        d = dist.gaussian_head(net(observation))
+        return jnp.stack([d.mean.T, jnp.exp(d.log_std).T])
+
+    return jnp.stack([jax.vmap(head, out_axes=1)(each) for each in nets])
+
+
+@jax.jit
 def _densities(nets: tuple[Any, ...], which: Any, observation: Any, action: Any) -> Any:
     return _taken([jax.vmap(lambda net: models.log_prob(net, observation, action))(each) for each in nets], which)
 
 
 @jax.jit
+def _ranks(nets: tuple[Any, ...], which: Any, observation: Any, action: Any) -> Any:
+    """(folds, size, rows)."""
+    return _taken([jax.vmap(lambda net: models.rank(net, observation, action).T)(each) for each in nets], which)
+
+
+@jax.jit
 def _logits(nets: tuple[Categorical, ...], which: Any, observation: Any) -> Any:
-    return _taken([jax.vmap(lambda net: net.log_probs(observation))(each) for each in nets], which)
+    """(folds, actions, rows)."""
+    return _taken([jax.vmap(lambda net: net.log_probs(observation).T)(each) for each in nets], which)
 
 
 def _taken(found: list[Any], which: Any) -> Any:

@@ -22,6 +22,7 @@ from deadreckon.ope.fqe import FQE
 from deadreckon.ope.groups import Groups, by_group
 from deadreckon.ope.guarantee import guaranteed, refuse
 from deadreckon.ope.importance import ImportanceSampling, learns, log_ratios
+from deadreckon.ope.latest import latest
 from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.losses import with_rare_rewards, without_losses
 from deadreckon.ope.over_time import adjusted, change_of
@@ -47,7 +48,8 @@ class Decision(NamedTuple):
         support: of the policies in the log.
         choice: by the first of the estimates.
         more: for the chosen policy, as JSON values: `confounding`, and, if requested, `guarantee`, `groups` and `tail`; for all
-            policies `over_time`, whether the behaviour policy changed along the log, and `costs`, if the log has some.
+            policies `over_time`, whether the behaviour policy changed along the log, and the chosen policy's gain in the latest
+            part (`ope.latest`), and `costs`, if the log has some.
     """
 
     estimates: list[Estimates]
@@ -110,7 +112,8 @@ def decide(
     more: dict[str, Any] = {"costs": as_json(costs)} if costs else {}
     change = None if settings.stationary else change_of(case)
     p_value = None if change is None else change.p_value
-    more["over_time"] = {"stationary": settings.stationary, "p_value": p_value, "adjusted": case.positions}
+    along: dict[str, Any] = {"stationary": settings.stationary, "p_value": p_value, "adjusted": case.positions}
+    more["over_time"] = along
     if (together := dependent(case, model)) is not None:
         choice = replace(choice, warnings=(*choice.warnings, together))
     if case.positions and change is not None and change.found:
@@ -123,8 +126,14 @@ def decide(
     if settings.guarantee:
         more["guarantee"] = bound = guaranteed(case, which, settings.return_range, alpha)
         choice = _demanded(choice, bound, f"for any number of episodes, not only for many, its gain is at least {bound:+.4g}")
+    aged = not settings.stationary and bool(np.isfinite(choice.low))
     products = groups is not None or settings.tail is not None or settings.confounding is not None or one_step(case)
-    wider = _wider(case, estimates[0], checked, model, choice) if products else choice.wider
+    wider = _wider(case, estimates[0], checked, model, choice) if products or aged else choice.wider
+    if aged:
+        recent = latest(case, which, model, alpha, wider)
+        along["latest"] = recent.as_json()
+        if (line := recent.words) is not None:
+            choice = _demanded(choice, recent.low, line)
     more["confounding"], choice = _confounded(case, choice, model, alpha, settings.confounding, wider)
     endless = None if np.isfinite(choice.low) else f"the card's own interval is infinite: {'; '.join(choice.objections[which])}"
     if groups is not None:

@@ -21,7 +21,7 @@ from deadreckon.ope.case import WEIGHTLESS, OPEInput
 from deadreckon.ope.doubly_robust import DoublyRobust, stretched
 from deadreckon.ope.importance import learns, log_ratios
 from deadreckon.ope.linear import LinearFQE
-from deadreckon.ope.support import Support, mean_weights, missing_by_row
+from deadreckon.ope.support import MISSING, Support, mean_weights, missing_by_row
 from deadreckon.stats import inference
 from deadreckon.stats.interval import ALPHA
 
@@ -83,57 +83,120 @@ def by_group(
         UserError: degenerate weights.
     """
     groups.check(case.log)
+    parts = gains_of_parts(case, which, groups.codes[case.held], len(groups.names), model)
+    known = np.array([line == "" for line in parts.why])
+    level = alpha / len(case.policies)
+    factor = inference.simultaneous(parts.influence[:, known], level, case.seed)
+    student = parts.student(level / max(int(known.sum()), 1))
+    half = parts.inflation * parts.errors * np.maximum(factor, student) + wider
+    known &= np.isfinite(half)
+    return [
+        {"name": name, "episodes": int(size), "gain": float(mean) if size else None,
+         "low": float(mean - half[g]) if known[g] else None, "high": float(mean + half[g]) if known[g] else None,
+         "why": parts.why[g] or None}
+        for g, (name, size, mean) in enumerate(zip(groups.names, parts.size, parts.mean))
+    ]  # fmt: skip
+
+
+class Parts(NamedTuple):
+    """The gain of one policy in each part of a case's evaluated episodes.
+
+    Attributes:
+        mean: (parts,) the gain.
+        influence: (units, parts) influence function of it at each unit; see `Estimates.influence`.
+        inflation: (parts,) factors of the errors beyond the influence function; infinite if no interval is valid.
+        size: (parts,) number of episodes.
+        units: (parts,) number of units with episodes in the part.
+        weak: for each part the reasons why its weights are not reliable, "" if they are.
+        lacking: for each part that the log has no support for the policy's actions there; "" if it has, or is continuous.
+    """
+
+    mean: np.ndarray
+    influence: np.ndarray
+    inflation: np.ndarray
+    size: np.ndarray
+    units: np.ndarray
+    weak: list[str]
+    lacking: list[str]
+
+    @property
+    def why(self) -> list[str | None]:
+        """For each part the reasons why its gain is not known, "" if it is; None if it has no episodes."""
+        each = zip(self.size, self.weak, self.lacking)
+        return ["; ".join(filter(None, (weak, lacking))) if size else None for size, weak, lacking in each]
+
+    @property
+    def errors(self) -> np.ndarray:
+        """(parts,) standard errors without `inflation`; units without episodes in a part do not contribute to its variance."""
+        return inference.errors(self.influence) * self.correction
+
+    @property
+    def correction(self) -> np.ndarray:
+        """(parts,) factors of errors for the degrees of freedom of the units of each part instead of those of all units."""
+        return (self.units / np.maximum(self.units - 1, 1)) ** 0.5
+
+    def student(self, level: float) -> np.ndarray:
+        """(parts,) two-sided quantiles of Student's t at error probability `level`, by the units of each part."""
+        return special.stdtrit(np.maximum(self.units - 1, 1), 1 - level / 2)
+
+
+def gains_of_parts(case: OPEInput, which: int, code: np.ndarray, parts: int, model: BehaviorModel) -> Parts:
+    """The gain of one of a case's policies in each part of the evaluated episodes.
+
+    Args:
+        case: log and policies, with the behaviour policy as the last.
+        which: index of the policy.
+        code: (evaluated episodes,) number of each one's part, which does not depend on actions or rewards.
+        parts: number of parts.
+        model: settings of the behaviour model, if propensities were not logged.
+
+    Raises:
+        UserError: degenerate weights.
+    """
     if case.degenerate[which]:
         raise UserError(f"gains by subgroup {WEIGHTLESS}")
-    code, unit, units = groups.codes[case.held], case.episodes.group, case.episodes.groups
-    size = np.bincount(code, minlength=len(groups.names))
+    unit, units = case.episodes.group, case.episodes.groups
+    size = np.bincount(code, minlength=parts)
     found, _ = DoublyRobust(kind="dr", fqe=LinearFQE(), model=model).nuisances(case)
     row, logged = log_ratios(case, "auto", model, None)[which], len(case.policies)
     score, beyond = found.begins[which] - found.begins[logged], np.ones(len(size))
-    # Recordings of different groups may have different lengths, so each group has its own probability of a cut-off.
+    # Recordings of different parts may have different lengths, so each part has its own probability of a cut-off.
     for g in np.flatnonzero(size):
         part = code == g
         rows, episodes = part[case.data.episode_of], case.episodes_of(part)
         along = episodes.cumulate(row[rows])
-        score[part] += episodes.contributions(along, found.errors[which, rows])
-        score[part] -= episodes.contributions(np.zeros_like(along), found.errors[logged, rows])
+        with np.errstate(over="ignore", invalid="ignore"):  # products of weights may overflow
+            score[part] += episodes.contributions(along, found.errors[which, rows])
+            score[part] -= episodes.contributions(np.zeros_like(along), found.errors[logged, rows])
         stretch = stretched([case.beyond_of(along, episodes)])
         beyond[g] = 1.0 if stretch is None else stretch[0]
-    mean = np.bincount(code, score, len(groups.names)) / np.maximum(size, 1)
-    # A unit influences the mean of a group by those of its episodes that are in the group.
-    influence = np.zeros((units, len(groups.names)))
+    mean = np.bincount(code, score, parts) / np.maximum(size, 1)
+    # A unit influences the mean of a part by those of its episodes that are in the part.
+    influence = np.zeros((units, parts))
     np.add.at(influence, (unit, code), units * (score - mean[code]) / size[code])
     missing = missing_by_row(case, model)[:, which] if case.data.spec.discrete else None
-    why = ["; ".join(_doubts(case, row, missing, code == g)) if size[g] else None for g in range(len(size))]
-    known = np.array([line == "" for line in why])
-    level = alpha / len(case.policies)
-    factor = inference.simultaneous(influence[:, known], level, case.seed)
-    # Units without episodes in a group do not contribute to its variance, so degrees of freedom are those of the others.
+    doubts = [_doubts(case, row, missing, code == g) if size[g] else ("", "") for g in range(len(size))]
+    weak, lacking = (list(each) for each in zip(*doubts))
     own = np.array([len(np.unique(unit[code == g])) for g in range(len(size))])
-    student = special.stdtrit(np.maximum(own - 1, 1), 1 - level / max(int(known.sum()), 1) / 2)
-    factor = np.maximum(factor, student) * (own / np.maximum(own - 1, 1)) ** 0.5
-    half = case.inflation[which] * beyond * inference.errors(influence) * factor + wider
-    known &= np.isfinite(half)
-    return [
-        {"name": name, "episodes": int(size[g]), "gain": float(mean[g]) if size[g] else None,
-         "low": float(mean[g] - half[g]) if known[g] else None, "high": float(mean[g] + half[g]) if known[g] else None,
-         "why": why[g] or None}
-        for g, name in enumerate(groups.names)
-    ]  # fmt: skip
+    return Parts(mean, influence, case.inflation[which] * beyond, size, own, weak, lacking)
 
 
-def _doubts(case: OPEInput, log_ratios: np.ndarray, missing: np.ndarray | None, some: np.ndarray) -> list[str]:
-    """Reasons why a policy's gain in a group is not known, one phrase each; for continuous actions by weights alone.
+def _doubts(case: OPEInput, log_ratios: np.ndarray, missing: np.ndarray | None, some: np.ndarray) -> tuple[str, str]:
+    """Reasons why a policy's gain in a part is not known: that weights are not reliable, and that actions have no support; each
+    "" if there is no reason. For continuous actions support is checked by weights alone.
 
     Args:
         case: log and policies.
         log_ratios: (rows,) log of pi(a|s) / beta(a|s) of each logged action.
         missing: (rows,) share of the policy's actions there that have no support; None where actions are continuous.
-        some: (episodes,) bool, the group.
+        some: (episodes,) bool, the part.
     """
     rows = some[case.data.episode_of]
     unit = np.unique(case.units[case.data.episode_of[rows]], return_inverse=True)[1]
     ratio, low, high = mean_weights(log_ratios[None, rows], unit)
     share = np.array([np.nan if missing is None else missing[rows].mean()])
     shown = Support(share, ratio, high, np.zeros(1, bool), None if learns(case, "auto") else low)
-    return [*Basis.of_weights(case, log_ratios, some, whole=False).unreliable, *shown.objections(0)]
+    told = shown.objections(0)
+    lacking = told[:1] if share[0] > MISSING else []
+    weak = [*Basis.of_weights(case, log_ratios, some, whole=False).unreliable, *told[len(lacking) :]]
+    return "; ".join(weak), "; ".join(lacking)

@@ -5,7 +5,8 @@ by them, and actions that a model considers rare have the largest weights. Every
 whole episodes; otherwise there would be nothing to correct.
 
 For discrete actions logits are divided by one temperature and shifted per action. A density is left as it is: its power does
-not integrate to one, and the missing factor, which depends on the observation, would go into every weight.
+not integrate to one, and the missing factor, which depends on the observation, would go into every weight. Those of several
+models are mixed.
 """
 
 import numpy as np
@@ -50,6 +51,21 @@ def temperature(logits: np.ndarray, taken: np.ndarray, prior: float = 0.0) -> fl
         middle = np.sqrt(low * high)
         low, high = (middle, high) if slope(middle) > 0 else (low, middle)
     return float(1.0 / np.sqrt(low * high))
+
+
+def stacked(log_densities: np.ndarray, prior: float = 0.0) -> np.ndarray:
+    """(models,) the shares of a mixture with the highest likelihood, by expectation maximisation (Yao et al. 2018, eq. 5).
+
+    Args:
+        log_densities: (models, n) of rows that they were not fitted to.
+        prior: weight, in rows, of equal shares.
+    """
+    count, n = log_densities.shape
+    shares = np.full(count, 1.0 / count)
+    for _ in range(ROUNDS):
+        each = np.log(shares)[:, None] + log_densities
+        shares = (_softmax(each.T, np.ones(each.T.shape, bool)).sum(0) + prior / count) / (n + prior)
+    return shares
 
 
 def shifts(logits: np.ndarray, taken: np.ndarray, rows: float = 0.5) -> np.ndarray:

@@ -18,7 +18,7 @@ from deadreckon.ope.support import Support
 from deadreckon.provided import Shown
 from deadreckon.stats import inference
 from deadreckon.stats.bootstrap import ensemble_interval, percentile_interval
-from deadreckon.stats.interval import ALPHA, decimals, fixed, level_in_words
+from deadreckon.stats.interval import ALPHA, level_in_words, signed
 
 BOOTSTRAP = 100  # bootstrap samples from which their percentiles are an interval; fewer are members of an ensemble
 # If propensities are learned, intervals are widened by this times the largest change of a gain from normalising the weights.
@@ -164,7 +164,7 @@ def select(
     best = max(range(len(names)), key=lambda i: (not objections[i], *_standing(first, every[i])))
     name, (difference, low, high) = names[best], every[best]
     level = level_in_words(1 - alpha)
-    unit = f"{_signed(every[best])} ({level}, for all policies at once) against the behaviour policy by {first.method}"
+    unit = f"{signed(*every[best])} ({level}, for all policies at once) against the behaviour policy by {first.method}"
     if objections[best]:
         deploy, reason = False, f"{name} has {unit}, but {'; '.join(objections[best])}"
     elif not np.isfinite(low):
@@ -179,7 +179,7 @@ def select(
         agrees = ", ranks it first, too" if chosen == best else f", ranks {names[chosen]} first"
         # Agreement means nothing for a single policy, or if the interval is infinite.
         agrees = agrees if len(names) > 1 and np.isfinite(told[best, 1]) else ""
-        evidence.append(f"{each.method}: {_signed(told[best])}{agrees}")
+        evidence.append(f"{each.method}: {signed(*told[best])}{agrees}")
     warnings = list(first.warnings)
     which, moved = moved_most(first, known)
     if moved > ALARMING * max(high - low, 0.0):
@@ -229,12 +229,6 @@ def supported(found: Estimates, support: Support | None) -> np.ndarray:
     for i, name in enumerate(name for name in found.names if name != LOGGED):
         known[found.names.index(name)] = support is None or not support.objections(i)
     return known
-
-
-def _signed(told: Sequence[float]) -> str:
-    """A gain and its interval."""
-    value, low, high = (fixed(each, decimals(*told), "+") for each in told)
-    return f"{value} [{low}, {high}]"
 
 
 def unbounded_where_unsupported(found: Estimates, support: Support | None) -> Estimates:

@@ -60,7 +60,8 @@ class EvidenceSettings(Settings):
     """largest total cost of an episode, discounted like the value; a number or COLUMN=NUMBER; the interval must be within"""
     stationary: bool = False
     """whether the system never changes, as a simulator, or the order of rows says nothing of time; otherwise estimates compare
-    actions of about the same time if the behaviour policy changed along the log"""
+    actions of about the same time if the behaviour policy changed along the log, and a gain that changed must be positive in
+    the latest third, too"""
 
 
 @dataclass(frozen=True, kw_only=True)

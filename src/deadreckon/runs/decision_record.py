@@ -108,12 +108,24 @@ class Groups(TypedDict):
     values: NotRequired[list[Group]]
 
 
+class Latest(TypedDict):
+    """The gain of the chosen policy in the latest third of the episodes, or the reason why it is not compared."""
+
+    why: str
+    p_value: float | None
+    before: float | None
+    gain: float | None
+    low: float | None
+    high: float | None
+
+
 class OverTime(TypedDict):
     """The test whether the behaviour policy changed along the log, and whether estimates are adjusted for it."""
 
     stationary: bool
     p_value: Number
     adjusted: bool
+    latest: NotRequired[Latest]
 
 
 class Choice(TypedDict):

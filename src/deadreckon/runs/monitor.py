@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.late import rewards_to_come
 from deadreckon.data.neighbours import alike
 from deadreckon.data.split import units_of
 from deadreckon.errors import UserError
@@ -32,6 +33,7 @@ ALIKE = (
     "episodes begin with nearly the value of the episode before, and the test needs independent ones; name the column that "
     "tells which belong together (--group, when the table is read)"
 )
+RARE = 1e-3  # probability that zeros at the end of a log are said to be rewards that are not known yet
 SHOWN = 5  # most new levels that are named
 MadeBy = Literal["policy", "reference"]
 
@@ -177,6 +179,8 @@ def monitor(
         value = realised(new, old, told, return_range, VALUE * alpha)
     untested = "" if tests else _untested(len(before.starts), new)
     findings = [*_of_value(value, alpha), *_of_columns(columns, untested), *_of_outside(outside, columns, len(new))]
+    if by_policy and (line := rewards_to_come(new, RARE)) is not None:
+        findings.append(Finding("value", "latest", False, line))
     findings += [Finding("observation", what.name, False, f"not tested: {ALIKE}") for what in apart]
     findings.sort(key=lambda each: not each.alarm)
     words = _words(by_policy, first, greedy, fresh)

@@ -22,6 +22,7 @@ from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.groups import Groups
+from deadreckon.ope.latest import LEVEL as CHANGED
 from deadreckon.ope.over_time import adjusted
 from deadreckon.ope.registry import Function, as_estimators, fits_name, titled
 from deadreckon.ope.select import Choice, doubted, gains
@@ -247,11 +248,20 @@ def _over_time(over: Mapping[str, Any]) -> str:
     if over["stationary"]:
         return "the system is taken for stationary"
     if over["p_value"] is None:
-        return f"there are too few episodes or clusters to test whether the behaviour policy changed: {UNITS} are needed"
-    p = p_in_words(over["p_value"])
-    if over["adjusted"]:
-        return f"the behaviour policy changed along the log ({p}), and actions of about the same position in it are compared"
-    return f"no change of the behaviour policy along the log is found ({p})"
+        told = f"there are too few episodes or clusters to test whether the behaviour policy changed: {UNITS} are needed"
+    elif over["adjusted"]:
+        p = p_in_words(over["p_value"])
+        told = f"the behaviour policy changed along the log ({p}), and actions of about the same position in it are compared"
+    else:
+        told = f"no change of the behaviour policy along the log is found ({p_in_words(over['p_value'])})"
+    if (latest := over.get("latest")) is None:
+        return told
+    if latest["why"]:
+        return f"{told}; the gain in the latest third of the episodes is not compared with that before: {latest['why']}"
+    p = p_in_words(latest["p_value"])
+    if latest["p_value"] < CHANGED:
+        return f"{told}; the gain in the latest third of the episodes differs from that before ({p})"
+    return f"{told}; no change of the gain in the latest third of the episodes is found ({p})"
 
 
 def simulated(policies: Sequence[Any], task: Task, estimand: Mapping[str, Any], *, episodes: int, seed: int) -> dict[str, Any]:

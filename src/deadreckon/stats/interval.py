@@ -49,6 +49,12 @@ def fixed(value: float, digits: int, sign: str = "") -> str:
     return f"{value:{sign}.2e}" if large else f"{value:{sign}.{digits}f}"
 
 
+def signed(value: float, low: float, high: float) -> str:
+    """A difference and the ends of its interval, with their signs."""
+    d = decimals(value, low, high)
+    return f"{fixed(value, d, '+')} [{fixed(low, d, '+')}, {fixed(high, d, '+')}]"
+
+
 def level_in_words(level: float) -> str:
     """A level in words, with enough digits not to show 100 %, to which levels of late looks would be rounded."""
     digits = next((d for d in range(3, 17) if float(f"{100 * level:.{d}g}") < 100), 17)

@@ -1,6 +1,5 @@
 """What a judge is: a simulator, a horizon and reference scores. Nothing here knows of methods."""
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol
@@ -9,6 +8,7 @@ import numpy as np
 
 from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
+from deadreckon.versions import cores
 
 if TYPE_CHECKING:
     from deadreckon.data.dataset import Dataset
@@ -144,8 +144,7 @@ def thread_count(threads: int | None, task: str) -> int:
     """
     if threads is not None and threads < 1:
         raise UserError(f"{task}: threads must be 1 or more, got {threads}")
-    # What this process may use, where the system says so (Linux).
-    return threads or (len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
+    return threads or len(cores())
 
 
 @dataclass(frozen=True)

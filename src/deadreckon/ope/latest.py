@@ -1,0 +1,95 @@
+"""Whether the gain of a policy changed along the log, and what it is in the latest part.
+
+The gain is a mean over the evaluated episodes, but a policy is deployed after the last of them. If the effect of an action wore
+off or reversed, as when users got used to a new layout, the mean may be positive and the gain at the end negative. The gain in
+the latest third of the episodes is less precise than the mean over all, so it counts only if it differs from that before by a
+test. The difference hardly depends on which policy was chosen, because its error is nearly uncorrelated with that of the mean.
+If the latest third no longer shows what the policy does, as where an action was given up, its gain is not known there.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import special
+
+from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.case import OPEInput
+from deadreckon.ope.groups import gains_of_parts
+from deadreckon.stats import inference
+from deadreckon.stats.interval import decimals, fixed, p_in_words, signed
+
+LEVEL = 0.01  # error probability of the test
+SHARE = 3  # the latest part is one of so many
+UNORDERED = "use --stationary if the order of rows says nothing of time"
+
+
+class Latest(NamedTuple):
+    """The gain of a policy in the latest third of the evaluated episodes.
+
+    Attributes:
+        why: the reason why it is not compared with that before; "" if it is.
+        p_value: of no difference; NaN if they are not compared.
+        before: the gain in the episodes before.
+        gain, low, high: the gain, and the ends of its interval, which is infinite if the log has no support there.
+    """
+
+    why: str
+    p_value: float = np.nan
+    before: float = np.nan
+    gain: float = np.nan
+    low: float = -np.inf
+    high: float = np.inf
+
+    @property
+    def words(self) -> str | None:
+        """What it means for a decision, which then depends on `low`, as a line; None if it means nothing."""
+        if self.why and np.isfinite(self.gain):
+            return f"its gain in the latest third of the episodes is not known: {self.why}; {UNORDERED}"
+        if not self.p_value < LEVEL:
+            return None
+        before = fixed(self.before, decimals(self.before, self.gain), "+")
+        return (
+            f"its gain changed along the log ({p_in_words(self.p_value)}): it is {signed(self.gain, self.low, self.high)} in "
+            f"the latest third of the episodes, after {before}; {UNORDERED}"
+        )
+
+    def as_json(self) -> dict[str, Any]:
+        """Its fields; None for numbers that are not known."""
+        return {
+            name: value if isinstance(value, str) or np.isfinite(value) else None for name, value in self._asdict().items()
+        }
+
+
+def latest(case: OPEInput, which: int, model: BehaviorModel, alpha: float, wider: float = 0.0) -> Latest:
+    """The gain of one of a case's policies, chosen among them by any rule, in the latest third of the evaluated episodes.
+
+    Args:
+        case: log and policies, with the behaviour policy as the last.
+        which: index of the policy.
+        model: settings of the behaviour model, if propensities were not logged.
+        alpha: share of logs for which the interval of any of the policies may miss.
+        wider: added at both ends of the interval; see `select.Choice`.
+    """
+    count = len(case.held)
+    if case.degenerate[which]:
+        return Latest("it has no importance weights")
+    if case.data.successors is not None and case.data.lengths.max() > 1:
+        return Latest("rows do not follow each other")
+    if count < SHARE:
+        return Latest("there are too few episodes")
+    place = np.argsort(np.argsort(case.held, kind="stable"), kind="stable")
+    parts = gains_of_parts(case, which, (SHARE * place >= (SHARE - 1) * count).astype(int), 2, model)
+    before, gain = map(float, parts.mean)
+    if parts.lacking[1] and not parts.lacking[0]:
+        return Latest(parts.lacking[1], before=before, gain=gain)
+    if doubt := next(filter(None, parts.why), ""):
+        return Latest(doubt)
+    level = alpha / len(case.policies)
+    factor = max(inference.simultaneous(parts.influence[:, 1:], level, case.seed), parts.student(level)[1])
+    half = parts.inflation[1] * parts.errors[1] * factor + wider
+    change = parts.influence[:, 1:] - parts.influence[:, :1]
+    apart = inference.errors(change)[0] * (parts.inflation * parts.correction).max()
+    if not np.isfinite(half) or not apart > 0.0:
+        return Latest("its error is not known")
+    p_value = 2.0 * special.stdtr(parts.units.min() - 1, -abs(gain - before) / apart)
+    return Latest("", float(p_value), before, gain, float(gain - half), float(gain + half))
