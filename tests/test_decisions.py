@@ -129,7 +129,7 @@ def test_values_of_one_decision_are_those_of_draws(study, name):
         assert abs(got.mean() - own - gains[0]) < 4.5 * (got.std() / np.sqrt(50_000) + got.std() / np.sqrt(20_000))
 
 
-@pytest.mark.parametrize("name", [*DISCRETE, *CONTINUOUS])
+@pytest.mark.parametrize("name", [*DISCRETE, *CONTINUOUS, "drifting", "reversing", "pricing-unknown"])
 def test_the_oracles_scores_are_without_bias(study, name):
     from decision_study.rules import Task, units
 
@@ -288,12 +288,16 @@ def test_results_are_kept_as_one_file(study, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("split", "names"), [("confirmatory", ["families", "rules"]), ("second", ["second"]), ("confirmatory", ["drifting"])]
+    ("split", "names"),
+    [
+        ("confirmatory", ["families", "rules"]), ("second", ["second"]), ("confirmatory", ["drifting"]),
+        ("confirmatory", ["latest"]),
+    ],
 )
 def test_the_page_has_the_tables_of_the_kept_results(study, tmp_path, split, names):
     page = (FOLDER.parent / "docs" / "results" / "decisions.md").read_text()
     places = re.findall(r"<!-- ([a-z-]+): python benchmarks/(decisions.py [^\n]+) -->\n(.*?)<!-- end -->", page, re.S)
-    assert [name for name, *_ in places] == ["families", "second", "drifting", "rules"]
+    assert [name for name, *_ in places] == ["families", "second", "drifting", "latest", "rules"]
     commands, shown = zip(*((command, text.strip()) for name, command, text in places if name in names))
     assert len(set(commands)) == 1
     program, *words = commands[0].split()
@@ -302,7 +306,7 @@ def test_the_page_has_the_tables_of_the_kept_results(study, tmp_path, split, nam
     command = [sys.executable, FOLDER / program, *words, "--out", tmp_path]
     printed = subprocess.run(command, cwd=FOLDER.parent, capture_output=True, text=True, check=True).stdout
     families, _, rules = printed.strip().partition("\n\n")
-    assert list(shown) == [rules if name in ("rules", "drifting") else families for name in names]
+    assert list(shown) == [rules if name in ("rules", "drifting", "latest") else families for name in names]
 
 
 def test_in_some_logs_nothing_is_better(study, monkeypatch):
