@@ -23,7 +23,7 @@ from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.variables import Variable
 from deadreckon.online import Online
 from deadreckon.online.experience import experience_of
-from deadreckon.ope import ESTIMATORS, OPEInput, estimator
+from deadreckon.ope import ESTIMATORS, OPEInput, behavior, estimator
 from deadreckon.policies import EnvPolicy
 from deadreckon.policies.kinds import create_actor, stochastic
 from deadreckon.runs.evaluate import evaluate
@@ -288,7 +288,7 @@ for each in ("cal_ql", "td3_bc"):
     RUNS[f"fine-tuning/{each}"] = method(partial(online, beside=True), each, agent_class(each), acting=acting, task=task_of)
 for each in ESTIMATORS:
     RUNS[f"ope/{each}"] = method(ope, each, estimator(each), **INTERVALS)
-RUNS["ope/is, learned"] = method(learned, "is", estimator("is"), **INTERVALS)
+RUNS["ope/is, learned"] = method(learned, "is", estimator("is"), **INTERVALS, propensities=behavior.REVISION)
 RUNS["ope/fqe-linear, continuous"] = method(continuous, "fqe-linear", estimator("fqe-linear"), **INTERVALS)
 for each in DESIGNERS:
     RUNS[f"mbo/{each}"] = method(design, each, designer(each))

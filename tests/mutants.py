@@ -2997,7 +2997,7 @@ MUTANTS = (
     Mutant(
         "ranks-of-clipped", "policies/behavior.py", "action >= EDGE, 0.5 * (1.0 + below)", "action >= EDGE, below",
         "clipped actions seem to be too large wherever there are many",
-        ("ope/test_densities.py::test_ranks_are_uniform_under_the_model",),
+        ("ope/test_densities.py::test_ranks_of_a_clipped_gaussian_have_their_middle_at_one_half",),
     ),
     Mutant(
         "one-model-of-densities", "ope/propensities.py",
@@ -3015,6 +3015,21 @@ MUTANTS = (
         "ends-of-many", "ope/ends.py", "max(FEW * len(log), ROWS)", "len(log)",
         "actions that are usual at a bound are taken for others",
         ("ope/test_densities.py::test_a_few_actions_near_a_bound_are_moved_and_many_are_left",),
+    ),
+    Mutant(
+        "weights-at-the-bounds", "ope/importance.py", "own = case.learned_log_probs", "pass",
+        "a row at a bound of the actions has all of the weight",
+        ("ope/test_densities.py::test_no_row_has_all_of_the_weight_of_a_policy_as_wide_as_the_log_or_wider",),
+    ),
+    Mutant(
+        "balance-of-another-model", "ope/balance.py", "clipped=bool(case.clips.all())", "clipped=False",
+        "clipped actions are tested by a model that no weight uses",
+        ("ope/test_balance.py::test_clipped_policies_are_tested_by_the_model_that_their_weights_use",),
+    ),
+    Mutant(
+        "one-zero-at-the-end", "data/late.py", "if count < _LEAST or ", "if count < 1 or ",
+        "a single return of 0 at the end is a reward that is not known yet",
+        ("data/test_leaks.py::test_other_zeros_at_the_end_are_not_said_to_be_unknown",),
     ),
     Mutant(
         "groups-kept", "ope/case.py",

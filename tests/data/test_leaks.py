@@ -231,12 +231,12 @@ def test_rewards_that_are_not_known_yet_are_told():
     "rewards",
     [
         arriving(0), arriving(20), arriving(600), arriving(40, rare=0.05),  # as long as other series of zeros
-        np.r_[np.arange(594) % 2, np.zeros(6)],
+        np.r_[np.arange(594) % 2, np.zeros(6)], np.r_[np.random.default_rng(0).normal(size=1_999), 0.0],
         np.maximum(np.arange(300, -300, -1), 0), np.minimum(np.arange(-300, 300), 0),  # in the order of the rewards
         np.random.default_rng(0).permutation(arriving(60)),
         np.repeat(np.r_[np.arange(18) % 2, 1, 0], 30),  # rewards of a user are alike, and the last of them has none
     ],
-    ids=["none", "few", "all", "rare", "six", "falling", "rising", "shuffled", "users"],
+    ids=["none", "few", "all", "rare", "six", "one", "falling", "rising", "shuffled", "users"],
 )  # fmt: skip
 def test_other_zeros_at_the_end_are_not_said_to_be_unknown(rewards):
     assert not [line for line in leaks(single(rewards)) if "return of 0" in line]

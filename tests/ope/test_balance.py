@@ -1,14 +1,19 @@
 """Propensities that do not fit the log: a model that has not learned a confounder, and columns that come after the action."""
 
+import jax
 import numpy as np
 import pytest
 from scipy import stats
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.normalizer import Normalizer
+from deadreckon.data.spec import Box
 from deadreckon.ope import OPEInput
 from deadreckon.ope.balance import _above, _apart, _parts, dependent, unbalanced
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.decide import decide
+from deadreckon.policies.deployed import EnvPolicy
+from deadreckon.policies.kinds import TanhMeanGaussian
 from tests.ope.test_decide import constant
 from tests.ope.worlds import Tanh
 
@@ -219,3 +224,17 @@ def test_other_shapes_of_continuous_actions_are_no_dependence(shape):
         "scaled": np.exp(0.4 * seen[:, 1]) * rng.normal(size=rows), "rounded": np.round(rng.normal(size=rows), 1),
     }[shape]  # fmt: skip
     assert unbalanced(continuous(seen, 0.5 * seen[:, 0] + noise, rng.normal(size=rows)), SMALL) is None
+
+
+def test_clipped_policies_are_tested_by_the_model_that_their_weights_use():
+    rng = np.random.default_rng(0)
+    seen = rng.normal(size=(2_000, 2))
+    actions = (0.8 * seen[:, :1] + 0.6 * rng.normal(size=(2_000, 1))).clip(-1, 1)
+    log = Dataset.from_arrays(
+        observations=seen, actions=actions, rewards=rng.normal(size=2_000), terminals=np.ones(2_000),
+        action_space=Box((-1.0,), (1.0,)),
+    )  # fmt: skip
+    inner = TanhMeanGaussian.create(log.spec, (8,), jax.random.key(0), std=0.5)
+    case = OPEInput(log, [EnvPolicy.of(inner, Normalizer.of(log.spec))], discount=0.0, logged=True)
+    assert case.clips.all()
+    assert unbalanced(case, BehaviorModel(hidden=(32,), steps=2_000, lr=3e-3)) is None

@@ -12,9 +12,9 @@ from deadreckon.ope.behavior import SHARES, normal, out_of_fold
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.decide import decide
 from deadreckon.ope.ends import NEAR, within_bounds
+from deadreckon.ope.importance import log_ratios
 from deadreckon.ope.propensities import stacked
 from deadreckon.policies import behavior as models
-from deadreckon.policies.kinds import create_actor
 
 from .worlds import Tanh
 
@@ -126,18 +126,28 @@ def test_shares_of_models_are_those_of_the_highest_likelihood():
     np.testing.assert_allclose(stacked(np.array([[0.0] * 5, [-50.0] * 5]), 1.0), [5.5 / 6, 0.5 / 6])
 
 
-def test_ranks_are_uniform_under_the_model():
-    """Of a tanh-Gaussian; and of a clipped Gaussian in the middle of what is clipped, whose mean is one half."""
+def test_ranks_of_a_clipped_gaussian_have_their_middle_at_one_half():
+    """What is clipped has the middle of its probability."""
     spec = doses(50).spec
     seen = np.random.default_rng(0).normal(size=(4_000, 2)).astype(np.float32)
-    for make in (create_actor, models.Clipped.create):
-        model = make(spec, (8,), jax.random.key(0))
-        draws = models.policy(model).actions(seen, jax.random.key(1), greedy=False)
-        rank = np.asarray(models.rank(model, seen, np.clip(draws, -1 + 1e-6, 1 - 1e-6)))
-        np.testing.assert_allclose(rank.mean(), 0.5, atol=0.02)
-        if make is create_actor:
-            assert scipy.stats.kstest(rank[:, 0], "uniform").pvalue > 0.01
-        else:
-            upper = rank[np.asarray(draws)[:, 0] >= 1 - 1e-6]
-            assert 100 < len(upper) < 3_000
-            np.testing.assert_allclose(1 - upper.mean(), len(upper) / 4_000 / 2, atol=0.02)
+    model = models.Clipped.create(spec, (8,), jax.random.key(0))
+    draws = np.asarray(models.policy(model).actions(seen, jax.random.key(1), greedy=False))
+    rank = np.asarray(models.clipped_rank(model, seen, np.clip(draws, -1 + 1e-6, 1 - 1e-6)))
+    np.testing.assert_allclose(rank.mean(), 0.5, atol=0.02)
+    upper = rank[draws[:, 0] >= 1 - 1e-6]
+    assert 100 < len(upper) < 3_000
+    np.testing.assert_allclose(1 - upper.mean(), len(upper) / 4_000 / 2, atol=0.02)
+
+
+@pytest.mark.parametrize("width", [1.0, 1.25], ids=["own", "wide"])
+def test_no_row_has_all_of_the_weight_of_a_policy_as_wide_as_the_log_or_wider(width):
+    """Where rows at the bounds have their weight there, the wide one rests on a single row."""
+    for seed in range(3):
+        log = doses(600, seed)
+        low, high = float(log.actions.min()), float(log.actions.max())
+        scale = 2 / (high - low)
+        case = OPEInput(log, [Tanh(-scale * (high + low) / 2, width * scale, low, high)], logged=True, discount=0.0)
+        weights = np.exp(log_ratios(case, "auto", MODEL, None)[0])
+        assert weights.max() < 0.05 * weights.sum()
+        assert weights[[np.argmin(log.actions), np.argmax(log.actions)]].min() > 1e-6
+        assert 0.9 < weights.mean() < 1.2

@@ -77,7 +77,7 @@ def test_a_gain_that_has_grown_is_deployed_and_told():
 
 
 def test_the_test_and_the_interval_are_those_of_two_samples():
-    """Welch's test of the scores of both parts, and Student's interval at the level of two policies."""
+    """A t-test with unequal variances of the scores of both parts, and Student's interval at the level of two policies."""
     case = case_of(log_of(0, lambda time: 0.3 * time, rows=900))
     found = latest(case, 0, MODEL, 0.05)
     code = (np.arange(900) >= 600).astype(int)

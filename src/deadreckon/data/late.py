@@ -14,6 +14,7 @@ _DIMENSIONS = 30  # of the observation that are used
 _LEVELS = 20  # discrete actions, or values of one observation, that get a number each
 _PRODUCTS = 100  # of an observation and an action, beyond which they are left out: the fit takes time
 _UNITS = 10  # held-out parts below which nothing is said
+_LEAST = 5  # episodes at the end, below which nothing is said
 _LONGER = 3  # times the longest series of zeros before, by which one at the end is more than that
 _RIDGE = 1e-3  # of a row, so that columns that repeat one another do no harm
 
@@ -79,7 +80,7 @@ def rewards_to_come(log: Dataset, level: float) -> str | None:
     others = np.flatnonzero(returns != 0.0)
     count = len(returns) - 1 - others[-1] if len(others) else len(returns)
     before = returns[: len(returns) - count]
-    if len(before) < count or not count or (np.diff(before) >= 0).all() or (np.diff(before) <= 0).all():
+    if count < _LEAST or len(before) < count or (np.diff(before) >= 0).all() or (np.diff(before) <= 0).all():
         return None
     zero = before == 0.0
     chance = count * math.log((zero.sum() + 1) / (len(before) + 1))

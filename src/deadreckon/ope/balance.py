@@ -155,7 +155,8 @@ def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced 
     else:
         if log.spec.discrete and log.spec.action_size == 2:
             frequent = frequent[:1]
-        beyond = _beyond(out_of_fold(case, model, folds), rows, taken, frequent)
+        learned = out_of_fold(case, model, folds, clipped=bool(case.clips.all()))
+        beyond = _beyond(learned, rows, taken, frequent)
         test = lambda part, a: _apart(*beyond[a], part, unit)  # noqa: E731
     found = np.array([[test(part, a) for a in frequent] for part in parts])  # (columns, actions, 2): p-values and strengths
     p_values = np.where(found[..., 1] >= WEAK, found[..., 0], 1.0) * found[..., 0].size

@@ -9,7 +9,8 @@ Of discrete actions the model with the smaller loss is used, because a network n
 temperature is then fitted on that tenth as well (Guo et al. 2017), shifts give each action its logged frequency, and the
 probabilities are smoothed towards the actions' overall frequencies, which count as a few rows. The densities of continuous
 actions are a mixture of both models, with shares that are fitted on that tenth (stacking; Yao et al. 2018), and of the overall
-density, which counts as a few rows: where a network extrapolates, it may find an action impossible.
+density, which counts as a few rows: where a network extrapolates, it may find an action impossible. Clipped Gaussians, which
+have probabilities at the bounds, are not mixed.
 """
 
 import dataclasses
@@ -40,6 +41,7 @@ from deadreckon.randomness import generator
 
 PRIOR = 10.0  # weight, in rows, of the prior that the temperature is one
 SHARES = 20.0  # weight, in rows, of the prior that an action is as likely everywhere as it is overall
+REVISION = 2  # 2: densities are mixtures; part of the identity of estimates that are made out of fold
 EQUAL = 1.0  # weight, in rows, of the prior that a network and a linear model have equal shares of a density
 LOOKED_AT = 4096  # most rows on which propensities are calibrated
 CHECKED = 0.1  # share of the episodes outside a fold that early stopping uses
@@ -95,7 +97,8 @@ class Behavior(NamedTuple):
         log_probs: (rows,) log-probabilities of the logged actions, or log-densities.
         chances: (rows, actions) probabilities of all actions; None for continuous actions.
         ranks: (rows, size) for continuous actions the probability that each number of an action is below the logged one, and
-            half of the probability that it is equal; uniform if the model is right. None for discrete actions.
+            half of the probability that it is equal, by the models without the overall density; uniform if they are right. None
+            for discrete actions.
     """
 
     log_probs: np.ndarray
@@ -189,10 +192,10 @@ def _fit(case: OPEInput, model: BehaviorModel, folds: int) -> Behavior:
     state = case.train(learner, rows, model.steps, "behaviour by folds")
     which = jnp.stack([best.loss for best in state.best]).argmin(0)
     trained = Trained(tuple(best.params for best in state.best), which, rows.view, weight, check)
-    own, of_row = case.data, fold[case.data.episode_of]
+    own, of_row, rng = case.data, fold[case.data.episode_of], generator(case.seed, "calibration")
     if data.spec.discrete:
-        return _discrete(trained, data, own, of_row, generator(case.seed, "calibration"))
-    return (_gaussian if gaussian else _clipped)(trained, data, own, of_row)
+        return _discrete(trained, data, own, of_row, rng)
+    return _gaussian(trained, data, own, of_row, case.within, rng) if gaussian else _clipped(trained, own, of_row)
 
 
 def _discrete(trained: Trained, data: Dataset, own: Dataset, of_row: np.ndarray, rng: np.random.Generator) -> Behavior:
@@ -230,17 +233,21 @@ def _discrete(trained: Trained, data: Dataset, own: Dataset, of_row: np.ndarray,
     return Behavior(np.log(chances[np.arange(len(own)), np.asarray(own.actions)]), chances, None)
 
 
-def _gaussian(trained: Trained, data: Dataset, own: Dataset, of_row: np.ndarray) -> Behavior:
-    """Densities of mixtures of tanh-Gaussians, and ranks; arguments as for `_discrete`."""
-    pre_of = lambda log: np.arctanh(np.asarray(trained.view.to_unit(np.asarray(log.actions))).astype(np.float64))  # noqa: E731
-    pre, every = pre_of(own), pre_of(data)
+def _gaussian(
+    trained: Trained, data: Dataset, own: Dataset, of_row: np.ndarray, actions: np.ndarray, rng: np.random.Generator
+) -> Behavior:
+    """Densities of mixtures of tanh-Gaussians at these (rows, size) actions, and ranks; arguments as for `_discrete`."""
+    pre_of = lambda taken: np.arctanh(np.asarray(trained.view.to_unit(np.asarray(taken))).astype(np.float64))  # noqa: E731
+    pre, every = pre_of(actions), pre_of(data.actions)
     out, ranks = np.empty(len(own)), np.zeros(pre.shape)
-    of_all = trained.outputs(_heads, own.observations)  # (models, 2, folds, size, rows)
     for k in range(trained.check.shape[1]):
-        rows, checked = of_row == k, np.flatnonzero(trained.check[:, k] > 0)[:LOOKED_AT]
-        told = trained.outputs(_heads, np.asarray(data.observations[checked]))[:, :, k]
-        shares = stacked(np.stack([normal(every[checked], mean.T, std.T) for mean, std in told]), EQUAL)
-        each = [(mean.T, std.T) for mean, std in of_all[:, :, k][..., rows]]
+        rows, checked = np.flatnonzero(of_row == k), _some(trained.check[:, k] > 0, rng)
+        heads_of = lambda seen, k=k: [  # noqa: E731 - means and deviations of each model
+            (mean.T, std.T) for mean, std in trained.outputs(_heads, np.asarray(seen))[:, :, k].astype(np.float64)
+        ]
+        told = heads_of(data.observations[checked])
+        shares = stacked(np.stack([normal(every[checked], *one) for one in told]), EQUAL)
+        each = heads_of(own.observations[rows])
         for share, (mean, std) in zip(shares, each):
             ranks[rows] += share * ndtr((pre[rows] - mean) / std)
         # As many rows as `SHARES` have the density of all rows: none is impossible, even if rows are few.
@@ -257,7 +264,7 @@ def normal(x: np.ndarray, mean: np.ndarray, std: np.ndarray) -> np.ndarray:
     return (-0.5 * np.square((x - mean) / std) - np.log(std * np.sqrt(2.0 * np.pi))).sum(1)
 
 
-def _clipped(trained: Trained, data: Dataset, own: Dataset, of_row: np.ndarray) -> Behavior:
+def _clipped(trained: Trained, own: Dataset, of_row: np.ndarray) -> Behavior:
     """Densities of clipped Gaussians, which have probabilities at the bounds, and ranks; arguments as for `_discrete`."""
     unit, rows = np.asarray(trained.view.to_unit(np.asarray(own.actions))), np.arange(len(own))
     told = trained.outputs(_densities, own.observations, unit)[of_row, rows].astype(np.float64)
@@ -290,7 +297,7 @@ def _densities(nets: tuple[Any, ...], which: Any, observation: Any, action: Any)
 @jax.jit
 def _ranks(nets: tuple[Any, ...], which: Any, observation: Any, action: Any) -> Any:
     """(folds, size, rows)."""
-    return _taken([jax.vmap(lambda net: models.rank(net, observation, action).T)(each) for each in nets], which)
+    return _taken([jax.vmap(lambda net: models.clipped_rank(net, observation, action).T)(each) for each in nets], which)
 
 
 @jax.jit

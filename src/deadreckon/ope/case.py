@@ -16,6 +16,7 @@ from deadreckon.data.normalizer import EDGE, Normalizer
 from deadreckon.data.split import clusters as clusters_of
 from deadreckon.errors import UserError
 from deadreckon.ope.behavior_model import BehaviorModel
+from deadreckon.ope.ends import within_bounds
 from deadreckon.ope.estimand import TAIL, discounted_steps
 from deadreckon.ope.estimates import LOGGED
 from deadreckon.ope.features import Table
@@ -465,6 +466,25 @@ class OPEInput(Fits):
         found = self.log_probs.copy()
         found[np.ix_(self.clips, rows)] = own[self.clips]
         return found
+
+    @cached_property
+    def within(self) -> np.ndarray:
+        """(rows, ...) actions at which learned densities are divided; those near the bounds are moved (`ope.ends`)."""
+        if self.data.spec.discrete:
+            return np.asarray(self.data.actions)
+        moved = within_bounds(self.log)
+        return np.asarray(moved.actions[rows_of(self.log.starts[self.held], self.log.lengths[self.held])])
+
+    @cached_property
+    def learned_log_probs(self) -> np.ndarray:
+        """(policies, rows) as `log_probs`, to be divided by learned propensities. Clipped policies have probabilities at the
+        bounds, and so have their propensities."""
+        if self.data.spec.discrete or self.clips.all():
+            return self.log_probs
+        found = self.actor.log_probs(self.data.observations, self.within)
+        if self.crossed:
+            found = np.stack([found[each, np.arange(found.shape[1])] for each in self._acting(self.data.episode_of)])
+        return np.where(self.clips[:, None], self.log_probs, found)
 
     @property
     def crossed(self) -> bool:

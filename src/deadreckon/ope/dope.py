@@ -21,6 +21,7 @@ from deadreckon.data.entries import VERSION
 from deadreckon.errors import DivergedError, UserError
 from deadreckon.files import digest, read_json, write_json
 from deadreckon.names import file_part
+from deadreckon.ope.behavior import REVISION as PROPENSITIES
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.estimates import Estimates
@@ -108,7 +109,8 @@ class DopeOptions(FitOptions, total=False):
 
 def estimator_revisions(estimator: Estimator) -> dict[str, Any]:
     """Revisions of an estimator's code, without those of the training of its fits; see `training/revisions.py`."""
-    return {"method": revisions(estimator), "intervals": interval.REVISION, "protocol": REVISION}
+    found = {"method": revisions(estimator), "intervals": interval.REVISION, "protocol": REVISION}
+    return found | ({"propensities": PROPENSITIES} if getattr(estimator, "folds", 1) > 1 else {})
 
 
 def evaluate_log(

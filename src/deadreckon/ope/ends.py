@@ -1,7 +1,8 @@
-"""Continuous actions near the bounds of a log, of which a tanh-Gaussian that is to learn them would see nothing else.
+"""Continuous actions near the bounds of a log, where learned densities of tanh-Gaussians say nothing.
 
 By default the bounds are the least and the greatest logged action. Before the tanh these are far from all others, so that the
-likelihood of one row can outweigh that of all the rest.
+likelihood of one row can outweigh that of all the rest, and so can its importance weight. Therefore densities of such rows are
+learned, and divided, at an action that is not as near.
 """
 
 from dataclasses import replace
@@ -13,7 +14,7 @@ from deadreckon.data.normalizer import Normalizer
 
 NEAR = 0.95  # number of an action, on the scale of -1 to 1, beyond which it is near a bound; `ope.coverage` has the same
 # Share and number of rows up to which actions near a bound are moved; more are usual there, such as a valve that is fully open.
-FEW, ROWS = 0.03, 5
+FEW, ROWS = 0.01, 10
 
 
 def within_bounds(log: Dataset) -> Dataset:

@@ -240,7 +240,10 @@ def log_ratios(
 ) -> np.ndarray:
     """(policies, rows) log of pi(a|s) / beta(a|s) of each logged action; learned propensities are those of `folds` folds."""
     own = case.log_probs  # first: policies without probabilities are refused before anything is fitted
-    own = own if learns(case, behavior) else case.log_densities
+    if not learns(case, behavior):
+        own = case.log_densities
+    elif folds > 1:
+        own = case.learned_log_probs
     ratios = np.zeros((case.count, own.shape[1]))  # that of the behaviour policy stays zero
     for clipped in np.unique(case.clips).tolist():
         which = np.flatnonzero(case.clips == clipped)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import special
 
+from deadreckon.ope.basis import UNITS
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.groups import gains_of_parts
@@ -43,7 +44,7 @@ class Latest(NamedTuple):
     @property
     def words(self) -> str | None:
         """What it means for a decision, which then depends on `low`, as a line; None if it means nothing."""
-        if self.why and np.isfinite(self.gain):
+        if self.why and not np.isnan(self.gain):
             return f"its gain in the latest third of the episodes is not known: {self.why}; {UNORDERED}"
         if not self.p_value < LEVEL:
             return None
@@ -80,7 +81,7 @@ def latest(case: OPEInput, which: int, model: BehaviorModel, alpha: float, wider
     place = np.argsort(np.argsort(case.held, kind="stable"), kind="stable")
     parts = gains_of_parts(case, which, (SHARE * place >= (SHARE - 1) * count).astype(int), 2, model)
     before, gain = map(float, parts.mean)
-    if parts.lacking[1] and not parts.lacking[0]:
+    if parts.lacking[1] and not parts.lacking[0] and parts.units.min() >= UNITS:
         return Latest(parts.lacking[1], before=before, gain=gain)
     if doubt := next(filter(None, parts.why), ""):
         return Latest(doubt)

@@ -77,12 +77,9 @@ def log_prob(model: MLP | Clipped | Categorical, observation: Float[Array, "b o"
     return dist.log_prob(dist.gaussian_head(model(observation)), jnp.arctanh(action))
 
 
-def rank(model: MLP | Clipped, observation: Float[Array, "b o"], action: Float[Array, "b a"]) -> Float[Array, "b a"]:
-    """The probability that each number of an action is below the given one, and half of that it is equal (the probability
-    integral transform), for actions within [-1, 1]."""
-    if not isinstance(model, Clipped):
-        d = dist.gaussian_head(model(observation))
-        return norm.cdf(jnp.arctanh(action), d.mean, jnp.exp(d.log_std))
+def clipped_rank(model: Clipped, observation: Float[Array, "b o"], action: Float[Array, "b a"]) -> Float[Array, "b a"]:
+    """The probability that each number of an action is below the given one, and half of that it is equal, for actions within
+    [-1, 1] (the probability integral transform)."""
     below = norm.cdf(action, model.means(observation), jnp.exp(_deviations(model)))
     return jnp.where(action >= EDGE, 0.5 * (1.0 + below), jnp.where(action <= -EDGE, 0.5 * below, below))
 
