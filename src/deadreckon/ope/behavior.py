@@ -178,9 +178,14 @@ class Trained(NamedTuple):
     check: np.ndarray
 
     def outputs(self, function: Callable[..., Any], observations: Any, *columns: np.ndarray) -> np.ndarray:
-        """(folds, *, rows) of a jitted `function` of models, index of the better, observations and further columns."""
+        """What a jitted `function` of models, index of the better, observations and further columns returns; rows last."""
         run = lambda seen, *more: function(self.nets, self.which, self.view.observe(np.asarray(seen)), *more)  # noqa: E731
         return in_blocks(run, observations, *columns)
+
+    def gaussians(self, observations: Any, fold: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """For each model of a fold the (rows, size) means and deviations of actions before the tanh."""
+        heads = self.outputs(_heads, np.asarray(observations))[:, :, fold].astype(np.float64)
+        return [(mean.T, std.T) for mean, std in heads]
 
 
 def _fit(case: OPEInput, model: BehaviorModel, folds: int) -> Behavior:
@@ -242,12 +247,9 @@ def _gaussian(
     out, ranks = np.empty(len(own)), np.zeros(pre.shape)
     for k in range(trained.check.shape[1]):
         rows, checked = np.flatnonzero(of_row == k), _some(trained.check[:, k] > 0, rng)
-        heads_of = lambda seen, k=k: [  # noqa: E731 - means and deviations of each model
-            (mean.T, std.T) for mean, std in trained.outputs(_heads, np.asarray(seen))[:, :, k].astype(np.float64)
-        ]
-        told = heads_of(data.observations[checked])
+        told = trained.gaussians(data.observations[checked], k)
         shares = stacked(np.stack([normal(every[checked], *one) for one in told]), EQUAL)
-        each = heads_of(own.observations[rows])
+        each = trained.gaussians(own.observations[rows], k)
         for share, (mean, std) in zip(shares, each):
             ranks[rows] += share * ndtr((pre[rows] - mean) / std)
         # As many rows as `SHARES` have the density of all rows: none is impossible, even if rows are few.
