@@ -461,11 +461,7 @@ class OPEInput(Fits):
         if not len(rows):
             return self.log_probs
         within = np.where(lone[rows], view.from_unit(np.sign(unit[rows]) * WITHIN), actions[rows])
-        told = self.actor.log_probs(self.data.observations[rows], np.asarray(within, np.float32))
-        own = np.stack([told[each, np.arange(len(rows))] for each in self._acting(self.data.episode_of[rows])])
-        found = self.log_probs.copy()
-        found[np.ix_(self.clips, rows)] = own[self.clips]
-        return found
+        return self._log_probs_of_others(rows, within, self.clips)
 
     @cached_property
     def within(self) -> np.ndarray:
@@ -481,10 +477,16 @@ class OPEInput(Fits):
         bounds, and so have their propensities."""
         if self.data.spec.discrete or self.clips.all():
             return self.log_probs
-        found = self.actor.log_probs(self.data.observations, self.within)
-        if self.crossed:
-            found = np.stack([found[each, np.arange(found.shape[1])] for each in self._acting(self.data.episode_of)])
-        return np.where(self.clips[:, None], self.log_probs, found)
+        rows = np.flatnonzero((self.within != self.data.actions).any(1))
+        return self._log_probs_of_others(rows, self.within[rows], ~self.clips) if len(rows) else self.log_probs
+
+    def _log_probs_of_others(self, rows: np.ndarray, actions: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """`log_probs` with those of other actions (n, size) at these rows (n,), of the policies that `which` marks."""
+        told = self.actor.log_probs(self.data.observations[rows], np.asarray(actions, np.float32))
+        own = np.stack([told[each, np.arange(len(rows))] for each in self._acting(self.data.episode_of[rows])])
+        found = self.log_probs.copy()
+        found[np.ix_(which, rows)] = own[which]
+        return found
 
     @property
     def crossed(self) -> bool:

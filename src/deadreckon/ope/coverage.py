@@ -22,6 +22,7 @@ from deadreckon.nets import distributions as dist
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.critics import in_blocks
+from deadreckon.ope.ends import NEAR
 from deadreckon.policies.kinds import Categorical
 from deadreckon.randomness import generator
 
@@ -31,8 +32,6 @@ LEVEL = 0.99  # share of the log's actions that are covered
 HELD, FEWEST_ROWS, FEWEST_EPISODES = 0.1, 200, 5
 MOST = 8192  # most of these rows that are used
 FITTED = 1_000_000  # number of rows that is enough to train the model
-# Actions, on the scale of -1 to 1, are clipped to this: at the bounds the density of a tanh-Gaussian may be infinite.
-EDGE = 0.95
 MODEL = BehaviorModel(steps=5_000, lr=1e-3)  # default; the bound is valid even if the model fits poorly
 
 
@@ -76,7 +75,8 @@ def _coverage(case: OPEInput, model: BehaviorModel) -> np.ndarray:
     part = taught.select(others[: int(np.searchsorted(np.cumsum(taught.lengths[others]), FITTED)) + 1])
     view = Normalizer.of(data.spec)
     if not data.spec.discrete:
-        part = dataclasses.replace(part, actions=view.from_unit(np.clip(view.to_unit(part.actions), -EDGE, EDGE)))
+        # At the bounds the density of a tanh-Gaussian may be infinite.
+        part = dataclasses.replace(part, actions=view.from_unit(np.clip(view.to_unit(part.actions), -NEAR, NEAR)))
     learned = TransitionSource(part, model.needs(data.spec))
     fitted, _ = case.train(model, learned, model.steps, "coverage")
     net = fitted.log_probs if isinstance(fitted, Categorical) else fitted
@@ -103,4 +103,4 @@ def _bound(likely: np.ndarray) -> float:
 
 @jax.jit
 def _log_density(told: Any, actions: Any) -> Array:
-    return dist.log_prob(dist.gaussian_head(told), jnp.arctanh(jnp.clip(actions, -EDGE, EDGE)))
+    return dist.log_prob(dist.gaussian_head(told), jnp.arctanh(jnp.clip(actions, -NEAR, NEAR)))

@@ -12,7 +12,7 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
 
-NEAR = 0.95  # number of an action, on the scale of -1 to 1, beyond which it is near a bound; `ope.coverage` has the same
+NEAR = 0.95  # number of an action, on the scale of -1 to 1, beyond which it is near a bound
 # Share and number of rows up to which actions near a bound are moved; more are usual there, such as a valve that is fully open.
 FEW, ROWS = 0.01, 10
 

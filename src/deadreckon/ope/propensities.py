@@ -54,7 +54,7 @@ def temperature(logits: np.ndarray, taken: np.ndarray, prior: float = 0.0) -> fl
 
 
 def stacked(log_densities: np.ndarray, prior: float = 0.0) -> np.ndarray:
-    """(models,) the shares of a mixture with the highest likelihood, by expectation maximisation (Yao et al. 2018, eq. 5).
+    """(models,) the shares of a mixture with the highest likelihood, by expectation maximisation (stacking; Yao et al. 2018).
 
     Args:
         log_densities: (models, n) of rows that they were not fitted to.

@@ -16,6 +16,7 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.late import rewards_to_come
+from deadreckon.data.leaks import LEVEL as RARE
 from deadreckon.data.neighbours import alike
 from deadreckon.data.split import units_of
 from deadreckon.errors import UserError
@@ -33,7 +34,6 @@ ALIKE = (
     "episodes begin with nearly the value of the episode before, and the test needs independent ones; name the column that "
     "tells which belong together (--group, when the table is read)"
 )
-RARE = 1e-3  # probability that zeros at the end of a log are said to be rewards that are not known yet
 SHOWN = 5  # most new levels that are named
 MadeBy = Literal["policy", "reference"]
 
