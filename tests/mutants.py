@@ -3032,6 +3032,16 @@ MUTANTS = (
         ("data/test_leaks.py::test_other_zeros_at_the_end_are_not_said_to_be_unknown",),
     ),
     Mutant(
+        "spread-of-one-episode", "ope/estimates.py", "LEAST_ESS = 2.0", "LEAST_ESS = 1e-9",
+        "a policy whose normalised weights rest on one episode has an interval of length zero",
+        ("ope/test_select.py::test_weights_of_one_episode_tell_no_interval",),
+    ),
+    Mutant(
+        "steepest-tail", "ope/pareto.py", "if above[-1] - above[(len(above) + 2) // 4 - 1] > STEEP:", "if False:",
+        "weights that differ by more than floats can hold seem to have a light tail",
+        ("ope/test_pareto.py::test_a_tail_beyond_floats_is_the_heaviest",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

@@ -52,6 +52,14 @@ def test_what_has_no_tail():
             pareto_k(np.array([0.0, bad]))
 
 
+def test_a_tail_beyond_floats_is_the_heaviest():
+    """All but a few of its weights are zero beside the largest; a fit to zeros found a k of 0.1 to 0.3."""
+    for n in (40, 400):
+        found = diagnosed([1000 * np.random.default_rng(0).standard_normal(n)])
+        assert found["pareto k"][0] == found["pareto k low"][0] == np.inf
+    assert 1 < pareto_k(20 * np.random.default_rng(0).standard_normal(400)) < np.inf
+
+
 def test_k_of_a_short_tail_is_not_certain():
     """Weights of k = 0.4: of sixty, k is found above 0.7 often, and hardly ever with confidence."""
     rng = np.random.default_rng(0)

@@ -1,6 +1,7 @@
 """Decisions from estimates, estimators by name, and the DOPE protocol on little."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -189,6 +190,17 @@ def test_a_policy_without_overlap_comes_last():
     alone = select([estimates("WPDIS", [18.0], draws[:, :1], ess=[0.0])])
     assert not alone.deploy
     assert "its weights rest on 0.0 episodes" in alone.reason
+
+
+def test_weights_of_one_episode_tell_no_interval():
+    """Normalised, its value is the estimate, and nothing is left that varies."""
+    found = estimates("WPDIS", [10.0], np.full((1000, 1), 10.0), ess=[1.2])
+    np.testing.assert_array_equal(gains(found)[0], [10.0, -np.inf, np.inf])
+    case = SimpleNamespace(names=("a", "b"), seed=0, estimand=Estimand(0.9))
+    one, ten = np.zeros((40, 2)), np.random.default_rng(0).normal(size=(40, 2))
+    for influence, ess, known in ((one, [1.2, 40.0], [False, True]), (ten, [2.0, 40.0], [True, True])):
+        found = Estimates.of_influence("WPDIS", case, np.array([10.0, 0.0]), influence, ess=np.array(ess))
+        assert np.isfinite(found.low).tolist() == np.isfinite(found.high).tolist() == known
 
 
 def test_few_members_choose_by_their_mean():

@@ -22,6 +22,7 @@ def test_numbers_that_stand_together_keep_two_digits_of_the_largest(values, show
     ("value", "digits", "sign", "text"),
     [
         (12.345, 1, "+", "+12.3"), (-3.2e12, 2, "+", "-3.20e+12"), (1e300, 4, "", "1.00e+300"), (math.inf, 2, "+", "+inf"),
+        (-0.001, 2, "", "0.00"), (-0.001, 2, "+", "+0.00"),
     ],
 )  # fmt: skip
 def test_numbers_of_any_size_stay_short(value, digits, sign, text):

@@ -121,10 +121,9 @@ class Basis(NamedTuple):
         # Weights that take few values are bounded, so their Pareto k means nothing: it counts only where the effective sample
         # size is small.
         if told.get("pareto k low", -np.inf) > HEAVY and self.rest[0] < MANY:
-            own.append(
-                f"its weights have too heavy a tail (Pareto k {told['pareto k']:.2f}, above {told['pareto k low']:.2f} with "
-                f"95 % confidence, at most {HEAVY:g})"
-            )
+            k, low = told["pareto k"], told["pareto k low"]
+            shape = f"Pareto k {k:.2f}, above {low:.2f} with 95 % confidence, at most {HEAVY:g}"
+            own.append(f"its weights have too heavy a tail ({shape if k < np.inf else 'too heavy to fit a Pareto k'})")
         if told.get("settled", 1.0) < 1:
             own.append("the fit of its estimate has not converged")
         return own

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from deadreckon.ope.case import OPEInput
 
 LOGGED = "behaviour policy"  # the name of the policy that recorded the log
+LEAST_ESS = 2.0  # effective sample size from which there is a spread: of normalised weights, one episode has none
 
 
 @dataclass(frozen=True)
@@ -75,14 +76,14 @@ class Estimates(Shown):
         **more: Any,
     ) -> "Estimates":
         """Estimates of (policies,) values with (units, policies) influence functions, and intervals by them and by `nuisance`,
-        for each policy separately; they are infinite if all weights of a policy are zero.
+        for each policy separately; they are infinite if the weights of a policy rest on fewer than two episodes.
         """
         low, high = inference.intervals(value, influence, seed=case.seed)
         if nuisance is not None:
             half = inference.beside(high - value, nuisance)
             low, high = value - half, value + half
         if ess is not None:
-            low, high = np.where(ess > 0, low, -np.inf), np.where(ess > 0, high, np.inf)
+            low, high = np.where(ess >= LEAST_ESS, low, -np.inf), np.where(ess >= LEAST_ESS, high, np.inf)
         more |= {"influence": influence, "ess": ess, "nuisance": nuisance}
         return cls(method, case.names, value, low, high, case.estimand, **more)
 

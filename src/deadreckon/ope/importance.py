@@ -15,7 +15,7 @@ from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.estimand import TAIL
-from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.estimates import LEAST_ESS, Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.pareto import diagnosed
 from deadreckon.ope.weights import Episodes, effective_of_logs
@@ -81,7 +81,8 @@ class ImportanceSampling(Estimator):
                 each = sums.value() + sums.influence()
                 if not self.normalised and episodes.even and not case.clustered:
                     each = episodes.contributions(log_rho, rewards, whole=whole)
-                low, high = self._interval(each, bounds) if sums.ess > 0 else (-np.inf, np.inf)
+                known = sums.ess >= LEAST_ESS if bounds is None else sums.ess > 0
+                low, high = self._interval(each, bounds) if known else (-np.inf, np.inf)
                 lows.append(low)
                 highs.append(high)
             ess.append(sums.ess)

@@ -13,6 +13,7 @@ from deadreckon.errors import UserError
 
 LEAST = 5  # least number of weights above the threshold to fit a tail
 SURE = 1.645  # standard errors of a one-sided 95 % bound
+STEEP = 600.0  # range of logarithms in the upper three quarters of a tail beyond which k is infinite
 
 
 def pareto_k(log_weights: np.ndarray) -> float:
@@ -25,8 +26,9 @@ def pareto_k(log_weights: np.ndarray) -> float:
         log_weights: (n,) logarithms; minus infinity is a weight of zero.
 
     Returns:
-        k; minus infinity if the largest weights are all the same, so that there is no tail; NaN if it cannot be estimated:
-        fewer than 25 weights above zero, or fewer than five that exceed the rest.
+        k; infinity if the largest weights differ by more than floats can hold; minus infinity if they are all the same, so
+        that there is no tail; NaN if it cannot be estimated: fewer than 25 weights above zero, or fewer than five that exceed
+        the rest.
 
     Raises:
         UserError: logarithms that are NaN or infinite.
@@ -51,6 +53,8 @@ def _fitted(log_weights: np.ndarray) -> tuple[float, int]:
         return -np.inf, 0
     if len(above) < LEAST:
         return float("nan"), 0
+    if above[-1] - above[(len(above) + 2) // 4 - 1] > STEEP:  # no tail is heavier, and the fit divides by that weight
+        return np.inf, len(above)
     from arviz_stats.base.array import array_stats  # takes a second, and only this needs it
 
     # Its tail size depends on the number of weights: copies of the threshold are added so that the tail is `above`.
@@ -70,4 +74,4 @@ def diagnosed(log_weights: Sequence[np.ndarray]) -> dict[str, np.ndarray]:
     k, tail = np.array([each for each, _ in fits]), np.array([weights for _, weights in fits])
     with np.errstate(invalid="ignore"):
         low = k - SURE * (1.0 + k) / np.sqrt(np.maximum(tail, 1))
-    return {"pareto k": k, "pareto k low": np.where(np.isneginf(k), k, low)}
+    return {"pareto k": k, "pareto k low": np.where(np.isinf(k), k, low)}

@@ -44,9 +44,10 @@ def decimals(*values: float) -> int:
 
 
 def fixed(value: float, digits: int, sign: str = "") -> str:
-    """A number with so many decimals; from 1e9 on in scientific notation, as products of weights can be far larger."""
+    """A number with so many decimals, zero without a minus; from 1e9 on in scientific notation, as products of weights can be
+    far larger."""
     large = math.isfinite(value) and abs(value) >= 1e9
-    return f"{value:{sign}.2e}" if large else f"{value:{sign}.{digits}f}"
+    return f"{value:{sign}.2e}" if large else f"{value:{sign}z.{digits}f}"
 
 
 def signed(value: float, low: float, high: float) -> str:
