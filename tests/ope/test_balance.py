@@ -8,10 +8,11 @@ from scipy import stats
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Box
-from deadreckon.ope import OPEInput
-from deadreckon.ope.balance import _above, _apart, _parts, dependent, unbalanced
+from deadreckon.ope import OPEInput, parts
+from deadreckon.ope.balance import _above, dependent, unbalanced
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.decide import decide
+from deadreckon.ope.parts import parts_of
 from deadreckon.policies.deployed import EnvPolicy
 from deadreckon.policies.kinds import TanhMeanGaussian
 from tests.ope.test_decide import constant
@@ -131,9 +132,9 @@ def test_propensities_near_one_are_not_accused_for_few_events():
 
 
 def apart(taken, chance, part, unit):
-    """`_apart` of an action by its learned probabilities."""
+    """`parts.apart` of an action by its learned probabilities."""
     share = taken.mean()
-    return _apart(taken - chance, chance * (1.0 - chance), share * (1.0 - share), part, unit)
+    return parts.apart(taken - chance, chance * (1.0 - chance), share * (1.0 - share), part, unit)
 
 
 def test_rare_actions_are_not_accused():
@@ -170,14 +171,14 @@ def test_the_statistics_by_hand():
 
 
 def test_parts_are_levels_or_tenths():
-    assert _parts(np.zeros(100), 100) is None
-    np.testing.assert_array_equal(_parts(np.array([3.0, 7.0, 3.0] * 100), 300), [0, 1, 0] * 100)
-    tenths = _parts(np.random.default_rng(0).permutation(1_000).astype(float), 1_000)
+    assert parts_of(np.zeros(100), 100) is None
+    np.testing.assert_array_equal(parts_of(np.array([3.0, 7.0, 3.0] * 100), 300), [0, 1, 0] * 100)
+    tenths = parts_of(np.random.default_rng(0).permutation(1_000).astype(float), 1_000)
     assert np.bincount(tenths).tolist() == [100] * 10
-    assert _parts(np.arange(60.0), 60).max() == 2  # twenty clusters for each
-    assert _parts(np.arange(30.0), 25).max() == 1  # two at least
+    assert parts_of(np.arange(60.0), 60).max() == 2  # twenty clusters for each
+    assert parts_of(np.arange(30.0), 25).max() == 1  # two at least
     capped = np.append(np.full(95, 9.0), np.arange(5.0))
-    np.testing.assert_array_equal(_parts(capped, 100), np.append(np.ones(95), np.zeros(5)))
+    np.testing.assert_array_equal(parts_of(capped, 100), np.append(np.ones(95), np.zeros(5)))
 
 
 def test_propensities_that_are_wrong_everywhere_accuse_no_column():

@@ -15,7 +15,7 @@ or bad outcomes: they are not independent, and intervals are too narrow.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtrc, stdtr
+from scipy.special import stdtr
 
 from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.split import clusters as clusters_of
@@ -25,6 +25,7 @@ from deadreckon.ope.behavior import Behavior, out_of_fold
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.importance import learns
+from deadreckon.ope.parts import ROWS, apart, parts_of, sums_of
 from deadreckon.randomness import generator
 from deadreckon.stats.interval import p_in_words
 from deadreckon.stats.ranks import sorted_by
@@ -35,8 +36,6 @@ LEVEL = 0.001  # error probability of all tests of a log together (Bonferroni)
 WEAK = 0.1
 MOST = 40_000  # rows that are looked at
 COLUMNS, ACTIONS = 200, 5  # columns that are looked at, and most frequent actions
-PARTS = 10  # most parts of a column
-ROWS = 20  # least number of clusters for each part, and of rows with an action
 UNIFORM = 1 / 12  # variance of ranks
 LAGS, CLOSE = 3, 0.001  # episodes after each that it is compared with, and the error probability of that test
 
@@ -139,7 +138,7 @@ def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced 
         return None
     size = case.plain.spec.observation_size  # positions stand before them
     seen = np.asarray(log.observations[rows])[:, -min(size, COLUMNS) :]
-    parts = [_parts(column, int(unit.max()) + 1) for column in seen.T]
+    parts = [parts_of(column, int(unit.max()) + 1) for column in seen.T]
     taken = np.asarray(log.actions[rows])
     if log.spec.discrete:
         counts = np.bincount(taken, minlength=log.spec.action_size)
@@ -157,7 +156,7 @@ def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced 
             frequent = frequent[:1]
         learned = out_of_fold(case, model, folds, clipped=bool(case.clips.all()))
         beyond = _beyond(learned, rows, taken, frequent)
-        test = lambda part, a: _apart(*beyond[a], part, unit)  # noqa: E731
+        test = lambda part, a: apart(*beyond[a], part, unit)  # noqa: E731
     found = np.array([[test(part, a) for a in frequent] for part in parts])  # (columns, actions, 2): p-values and strengths
     p_values = np.where(found[..., 1] >= WEAK, found[..., 0], 1.0) * found[..., 0].size
     if logged and p_values[0].min() < LEVEL:
@@ -195,48 +194,6 @@ def _beyond(
     return out
 
 
-def _parts(column: np.ndarray, units: int) -> np.ndarray | None:
-    """(rows,) the part of each row, 0, 1, ...: its level, or its quantile; None for a column that never changes."""
-    most = max(min(PARTS, units // ROWS), 2)
-    values, part = np.unique(column, return_inverse=True)
-    if len(values) > most:
-        edges = np.unique(np.quantile(column, np.arange(1, most) / most))
-        part = np.searchsorted(edges, column, side="right" if edges[0] == values[-1] else "left")
-    part = np.unique(part, return_inverse=True)[1]
-    return part if part.max() > 0 else None
-
-
-def _sums(residual: np.ndarray, part: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """(units, parts) sums of the residuals."""
-    units, parts = int(unit.max()) + 1, int(part.max()) + 1
-    return np.bincount(unit * parts + part, residual, units * parts).reshape(units, parts)
-
-
-def _apart(
-    residual: np.ndarray, variance: np.ndarray, whole: float, part: np.ndarray | None, unit: np.ndarray
-) -> tuple[float, float]:
-    """The p-value of residuals that have mean zero in all parts, and how much the parts tell of the action: a correlation, less
-    what chance explains.
-
-    Args:
-        residual: (rows,) what actions are beyond the learned propensities.
-        variance: (rows,) of each, by these.
-        whole: variance of the action.
-        part, unit: (rows,) of each row.
-    """
-    if part is None:
-        return 1.0, 0.0
-    sums = _sums(residual, part, unit)
-    # Where an action is rare, few events say little of the variance, which the propensities know.
-    variance = np.maximum(np.square(sums).sum(0), np.bincount(part, variance))
-    total, rows = sums.sum(0), np.bincount(part)
-    excess = float(((np.square(total) - variance) / np.maximum(rows, 1)).sum()) / len(residual)
-    together = sums.T @ sums
-    np.fill_diagonal(together, variance)
-    square = float(total @ np.linalg.lstsq(together, total, rcond=None)[0])
-    return float(chdtrc(len(total), square)), float(np.sqrt(max(excess, 0.0) / max(whole, 1e-12)))
-
-
 def _above(weight: np.ndarray, part: np.ndarray | None, unit: np.ndarray) -> tuple[float, float]:
     """The p-value of means of an action's weights (rows,), 0 in rows without it, that are not above one in any part, and by how
     much they are.
@@ -247,7 +204,7 @@ def _above(weight: np.ndarray, part: np.ndarray | None, unit: np.ndarray) -> tup
         return 1.0, 0.0
     p_values, means = [], []
     for each in (part, (part > part.max() / 2).astype(int)):
-        sums = _sums(weight - 1.0, each, unit)
+        sums = sums_of(weight - 1.0, each, unit)
         count = len(sums)
         # The variance of 1{A = a} / p is w - 1, of which w 1{A = a} (w - 1) is an unbiased estimate.
         known = np.bincount(each, weight * (weight - 1.0))

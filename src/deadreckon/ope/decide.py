@@ -1,6 +1,6 @@
 """From a case to a decision: the choice of estimators, the estimates, the checks, and the rule."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple, Unpack
 
@@ -14,6 +14,7 @@ from deadreckon.ope.behavior_model import PROPENSITIES, BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.confounding import Confounding, one_step, possible
 from deadreckon.ope.costs import as_json, costs_of, limits_of
+from deadreckon.ope.critics import OutOfFold
 from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.estimand import TAIL
 from deadreckon.ope.estimates import Estimates
@@ -25,6 +26,7 @@ from deadreckon.ope.importance import ImportanceSampling, learns, log_ratios
 from deadreckon.ope.latest import latest
 from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.losses import with_rare_rewards, without_losses
+from deadreckon.ope.markov import hidden_state, left_out
 from deadreckon.ope.over_time import adjusted, change_of
 from deadreckon.ope.registry import as_estimators
 from deadreckon.ope.select import MOVED, Choice, doubted, moved_most, select, unbounded_where_unsupported
@@ -96,11 +98,14 @@ def decide(
     estimates = [each.on(case) for each in asked]
     costs = costs_of(case, asked[0], checked, limits_of(settings.cost_limit, case.given), alpha, model)
     against = [[told for each in costs if (told := each.objection(i, 1 - alpha))] for i in range(len(case.policies))]
-    for own, lucky in zip(against, without_losses(case, estimates[0], checked, model, alpha)):
+    marginal = isinstance(asked[0], DoublyRobust) and asked[0].kind == "marginal"
+    predicted = asked[0].nuisances(case)[0] if marginal else None
+    ratios = None if predicted is None else predicted.weights
+    for own, lucky in zip(against, without_losses(case, estimates[0], checked, model, alpha, ratios)):
         own += [lucky] if lucky else []
-    if (doubt := unbalanced(case, model)) is not None:
+    for doubt in _doubts(case, asked[0], predicted, model):
         for own in against:
-            own.append(doubt.words)
+            own.append(doubt)
     if (weights := weights_of(case.given)) is not None:
         for own in against:
             own.append(
@@ -168,6 +173,17 @@ def check(case: OPEInput, settings: DecisionSettings, groups: Groups | None) -> 
         groups.check(case.log)
         if len(groups.names) > GROUPS:
             raise UserError(f"column {groups.column} has {len(groups.names):,} values; at most {GROUPS} subgroups; merge some")
+
+
+def _doubts(case: OPEInput, first: Estimator, predicted: OutOfFold | None, model: BehaviorModel) -> Iterator[str]:
+    """Objections to the estimates of all policies by the estimator that decides, one phrase each; `predicted` is what critics
+    predict if ratios of occupancies are its weights."""
+    if (wrong := unbalanced(case, model)) is not None:
+        yield wrong.words
+    if not isinstance(first, ImportanceSampling) and (lost := left_out(case)) is not None:
+        yield lost
+    if predicted is not None and (hidden := hidden_state(case, predicted.errors)) is not None:
+        yield hidden
 
 
 def _demanded(choice: Choice, bound: float, words: str) -> Choice:

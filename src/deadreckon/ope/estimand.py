@@ -11,6 +11,7 @@ from deadreckon.ope.sequences import times
 from deadreckon.settings import check_kind
 
 TAIL = 0.02  # share of the discounted time after a timeout that may be left to a critic without a warning
+FIXED = 0.95  # share of the timeouts at the longest length from which on that is the horizon
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,8 @@ class Estimand:
         Args:
             log: the log with the episodes.
             discount: per step.
-            horizon: steps, None, or "auto": 1 where all episodes have one step; the length at which all of the log's timeouts
-                fall, if they fall at one length and more than 2 % of the discounted time lies beyond it; else None.
+            horizon: steps, None, or "auto": 1 where all episodes have one step; the longest episode's length, if 95 % of the
+                log's timeouts or more fall there and more than 2 % of the discounted time lies beyond it; else None.
             greedy: deterministic actions instead of sampled ones.
 
         Raises:
@@ -55,9 +56,9 @@ class Estimand:
         check_kind("horizon", horizon, int | Literal["auto"] | None)
         check_kind("discount", discount, float)
         if isinstance(horizon, str):
-            cut = np.unique(log.lengths[~np.asarray(log.terminals)[log.ends]])
-            fixed = len(cut) == 1 and cut[0] == log.lengths.max() and discount ** int(cut[0]) > TAIL
-            horizon = 1 if log.lengths.max() == 1 else int(cut[0]) if fixed else None
+            cut, most = log.lengths[~np.asarray(log.terminals)[log.ends]], int(log.lengths.max())
+            fixed = len(cut) and (cut == most).mean() >= FIXED and discount**most > TAIL  # a few recordings may be shorter
+            horizon = most if most == 1 or fixed else None
         found = cls(discount, horizon if horizon is None else int(horizon), greedy)
         found.check(log)
         return found

@@ -1,4 +1,4 @@
-"""Rewards that are missing from a policy's rows by chance, in logs of single steps or of whole episodes with one weight each.
+"""Rewards that are missing from a policy's rows by chance, in logs of single steps, in rows or in whole episodes of longer ones.
 
 If rewards are equal except for rare losses, the few rows with the policy's actions may have no losses. Then no bootstrap sample
 has one either: estimate and interval are those of a policy without losses. So this module computes the probability that this
@@ -16,15 +16,19 @@ from deadreckon.ope.basis import Basis
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.confounding import one_step
+from deadreckon.ope.estimand import discounted_steps
 from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.importance import counting, log_ratios
 from deadreckon.ope.select import doubted, gains
 from deadreckon.ope.support import Support
+from deadreckon.ope.weights import effective
 from deadreckon.stats import inference
 from deadreckon.stats.interval import ALPHA
 
 
-def without_losses(case: OPEInput, found: Estimates, support: Support, model: BehaviorModel, alpha: float) -> list[str | None]:
+def without_losses(
+    case: OPEInput, found: Estimates, support: Support, model: BehaviorModel, alpha: float, ratios: np.ndarray | None = None
+) -> list[str | None]:
     """For each policy a phrase if its gain may be due to losses missing from its rows; otherwise None.
 
     Args:
@@ -33,7 +37,10 @@ def without_losses(case: OPEInput, found: Estimates, support: Support, model: Be
         support: of the policies in the log.
         model: settings of the behaviour model, if propensities were not logged.
         alpha: share of logs for which one of the intervals may miss.
+        ratios: (policies, rows) ratios of occupancies, if these are the weights of the estimates.
     """
+    if ratios is not None:
+        return _without_losses_in_rows(case, found, support, ratios, alpha)
     out: list[str | None] = [None] * len(case.policies)
     single = found.ess is not None and one_step(case)
     # Of longer episodes it counts where estimates rest on products of weights and the log shows each return as a whole.
@@ -53,6 +60,33 @@ def without_losses(case: OPEInput, found: Estimates, support: Support, model: Be
                 f"none of its {count:.0f} effective {unit} has a {what} below {least:.4g}, but {lacks.share:.1%} of all "
                 f"{unit} do; this happens by chance in {lacks.chance:.0%} of logs, and with as many of them as the log may "
                 f"have its lower end would be {low - lacks.most:+.4g}"
+            )
+    return out
+
+
+def _without_losses_in_rows(
+    case: OPEInput, found: Estimates, support: Support, ratios: np.ndarray, alpha: float
+) -> list[str | None]:
+    """The same where ratios of occupancies weight the rows of longer episodes: rewards of rows may be missing."""
+    out: list[str | None] = [None] * len(case.policies)
+    rewards, every = np.asarray(case.data.rewards, np.float64), gains(found, alpha, doubted(found, support)[1])
+    every = every[[name != LOGGED for name in found.names]]
+    steps = case.effective_horizon
+    if np.asarray(case.data.terminals)[case.data.ends].all():  # also where the horizon ends them
+        steps = float(np.mean([discounted_steps(case.discount, length) for length in case.data.lengths]))
+    for i in np.flatnonzero((every[:, 1] > 0) & np.isfinite(every[:, 1])).tolist():
+        weights = np.maximum(ratios[i], 0.0)
+        with np.errstate(divide="ignore"):
+            rows = counting(np.log(weights)[None])[0]
+        if not rows.any():
+            continue
+        least, low, count = rewards[rows].min(), every[i, 1], float(effective(weights[None])[0])
+        lacks = lacking(case, np.maximum(least - rewards, 0.0), count, alpha / len(out))
+        if lacks.chance > alpha / 2 / len(out) and low <= steps * lacks.most:
+            out[i] = (
+                f"none of its {count:.0f} effective rows has a reward below {least:.4g}, but {lacks.share:.1%} of all rows do; "
+                f"this happens by chance in {lacks.chance:.0%} of logs, and with as many of them as the log may have its lower "
+                f"end would be {low - steps * lacks.most:+.4g}"
             )
     return out
 
@@ -114,15 +148,16 @@ def lacking(case: OPEInput, beyond: np.ndarray, rows: float, alpha: float) -> La
 
     Args:
         case: log and policies.
-        beyond: (episodes,) by how much each is beyond those of the policy, 0 if it is not.
+        beyond: (episodes,) or (rows,) by how much each is beyond those of the policy, 0 if it is not.
         rows: how many effective rows the policy has.
         alpha: the limit is missed in half of this share of logs.
     """
     share, mean = float((beyond > 0).mean()), float(beyond.mean())
-    units = int(case.cluster.max()) + 1
-    influence = units * np.bincount(case.cluster, beyond - mean, units) / len(beyond)
+    cluster = case.cluster if len(beyond) == len(case.cluster) else case.cluster[case.data.episode_of]
+    units = int(cluster.max()) + 1
+    influence = units * np.bincount(cluster, beyond - mean, units) / len(beyond)
     most = float(inference.student(np.array([mean]), influence[:, None], alpha)[1][0])
-    if count := int((np.bincount(case.cluster, beyond, units) > 0).sum()):
+    if count := int((np.bincount(cluster, beyond, units) > 0).sum()):
         # Few events are not normal: Clopper and Pearson's limit of the share of clusters with one, of the size that they have.
         limit = scipy.special.betaincinv(count + 1, units - count, 1 - alpha / 2) if count < units else 1.0
         most = max(most, mean * units / count * float(limit))

@@ -1,0 +1,132 @@
+"""What ratios of occupancies assume: that observations hold all that matters, and that no row is left out selectively."""
+
+import numpy as np
+import pytest
+
+from deadreckon.data.dataset import Dataset
+from deadreckon.ope import OPEInput
+from deadreckon.ope.decide import decide
+from deadreckon.ope.doubly_robust import DoublyRobust
+from deadreckon.ope.estimand import Estimand
+from deadreckon.ope.linear import LinearFQE
+from deadreckon.ope.markov import hidden_state, left_out
+from tests.ope.test_decide import constant
+
+DRL = DoublyRobust(kind="marginal", fqe=LinearFQE())
+
+
+def log_of(actions, rewards, lengths=None, ended=True, seen=None, seed=0):
+    """Episodes with an observation that takes three values and means nothing; actions and rewards are (episodes, steps)."""
+    count, steps = actions.shape
+    kept = np.arange(steps) < (np.full(count, steps) if lengths is None else lengths)[:, None]
+    ends = np.arange(steps) == kept.sum(1)[:, None] - 1
+    seen = np.random.default_rng(seed + 10_000).integers(0, 3, actions.shape) if seen is None else seen
+    return Dataset.from_arrays(
+        observations=seen[kept][:, None].astype(float), actions=actions[kept], rewards=rewards[kept],
+        **{"terminals" if ended else "timeouts": ends[kept]},
+    )  # fmt: skip
+
+
+def stepwise(chances, seed=0, seen=None):
+    """Rewards fall from step to step, whatever the action, whose probability changes with the step."""
+    rng = np.random.default_rng(seed)
+    shape = (400, len(chances))
+    actions = (rng.random(shape) < np.asarray(chances)).astype(int)
+    return log_of(actions, (np.arange(shape[1])[::-1] / 2) + rng.normal(size=shape), seed=seed, seen=seen)
+
+
+def doubt_of(log, discount=0.99, **options):
+    case = OPEInput(log, [constant([0.1, 0.9])], logged=True, discount=discount, **options)
+    return hidden_state(case, DRL.nuisances(case)[0].errors)
+
+
+def test_a_step_that_decides_actions_and_rewards_is_a_confounder():
+    """The gain of more of the early action was estimated as 8.5 [6.5, 10.4], and deployed; it is 0."""
+    log = stepwise(np.linspace(0.7, 0.3, 8))
+    assert "depends on the step of the episode" in doubt_of(log)
+    found = decide(OPEInput(log, [constant([0.1, 0.9])], logged=True, discount=0.99))
+    assert found.estimates[0].method == "DRL"
+    assert found.choice.gains[0, 1] > 0
+    assert not found.choice.deploy
+    assert "add the step as a column" in found.choice.reason
+
+
+def test_a_step_that_actions_do_not_depend_on_and_one_that_is_observed_are_none():
+    assert doubt_of(stepwise(np.full(8, 0.5))) is None
+    steps = np.tile(np.arange(8), (400, 1))
+    assert doubt_of(stepwise(np.linspace(0.7, 0.3, 8), seen=steps)) is None
+
+
+def tired(memory, seed=0):
+    """An action pays less after itself."""
+    rng = np.random.default_rng(seed)
+    actions = (rng.random((300, 6)) < 0.5).astype(int)
+    before = np.concatenate([np.zeros((300, 1), int), actions[:, :-1]], 1)
+    return log_of(actions, actions - memory * before + rng.normal(size=actions.shape), seed=seed)
+
+
+def test_effects_of_the_previous_action_need_it_as_a_column():
+    assert "depends on the previous action" in doubt_of(tired(0.8))
+    for seed in range(5):
+        assert doubt_of(tired(0.0, seed)) is None
+    assert doubt_of(tired(0.05)) is None  # too weak to matter
+
+
+def sessions(seed, rewards_end=0.0, stops=(0.3, 0.3)):
+    """Sessions that end by chance, more often after some actions, without a terminal."""
+    rng = np.random.default_rng(seed)
+    actions = rng.integers(0, 2, (600, 12))
+    stop = rng.random(actions.shape) < np.asarray(stops)[actions]
+    stop[:, -1] = True
+    lengths = stop.argmax(1) + 1
+    rewards = rng.normal(size=actions.shape)
+    rewards[np.arange(600), lengths - 1] += rewards_end * (actions[np.arange(600), lengths - 1] == 0)
+    return log_of(actions, rewards, lengths, ended=False, seed=seed)
+
+
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        ({}, None),
+        ({"rewards_end": 3.0}, "are left out, and their rewards differ from those of other rows"),
+        ({"stops": (0.2, 0.5)}, "as if the action ended episodes: if episodes end there, name the column"),
+    ],
+)
+def test_rows_that_are_left_out_must_be_like_the_others(made, words):
+    for seed in range(3):
+        case = OPEInput(sessions(seed, **made), [constant([0.1, 0.9])], logged=True, discount=0.9)
+        found = left_out(case)
+        assert found is None if words is None else words in found
+        if words is not None:
+            assert words in "; ".join(decide(case).choice.objections[0])
+    horizon = OPEInput(sessions(0, **made), [constant([0.1, 0.9])], logged=True, discount=0.9, horizon=3)
+    assert left_out(horizon) is None
+
+
+def test_losses_that_rows_of_longer_episodes_lack_by_chance():
+    """A rare loss, whatever the action: where no row with the rarer action has one, its gain was deployed."""
+    met = 0
+    for seed in range(1000, 1020):  # one in four
+        rng = np.random.default_rng(seed)
+        actions, loss = (rng.random((800, 5)) < 0.1).astype(int), rng.random((800, 5)) < 0.003
+        if loss[actions == 1].any():
+            continue
+        case = OPEInput(
+            log_of(actions, 0.2 * rng.normal(size=actions.shape) - 20 * loss, seed=seed), [constant([0.0, 1.0])], logged=True
+        )  # fmt: skip
+        found = decide(case).choice
+        assert not found.deploy
+        met += found.low > 0
+        assert found.low <= 0 or "this happens by chance in" in found.reason
+        if met:
+            break
+    assert met
+
+
+def test_a_few_shorter_recordings_do_not_change_the_horizon():
+    rng = np.random.default_rng(0)
+    actions, lengths = rng.integers(0, 2, (100, 8)), np.full(100, 8)
+    lengths[:4] = 7
+    assert Estimand.of(log_of(actions, rng.normal(size=(100, 8)), lengths, ended=False), 0.99).horizon == 8
+    lengths[:10] = 7
+    assert Estimand.of(log_of(actions, rng.normal(size=(100, 8)), lengths, ended=False), 0.99).horizon is None
