@@ -28,8 +28,8 @@ from deadreckon.stats.confidence_sequence import refuted_at
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from tests.recorded import decision
 
-TRUE = {"rows": 0.4, "episodes": 4.0}  # mean returns
-SIZES = {"rows": (500, 320), "episodes": (100, 160)}  # episodes of the reference and of the new log
+TRUE = {"rows": 0.4, "episodes": 4.0, "series": 0.4}  # mean returns
+SIZES = {"rows": (500, 320), "episodes": (100, 160), "series": (1000, 640)}  # episodes of the reference and of the new log
 
 
 def rows(n, rng, shift=0.0, late=0.0, level=0.0, worse=0.0):
@@ -65,12 +65,30 @@ def episodes(n, rng, shift=0.0, late=0.0, level=0.0, worse=0.0):
     )  # fmt: skip
 
 
-MAKE = {"rows": rows, "episodes": episodes}
+def series(n, rng, shift=0.0, late=0.0, level=0.0, worse=0.0):
+    """Single decisions of a slowly changing system: a number that is AR(1) of 0.9 over rows, another one, a flag, and actions
+    that depend on the first."""
+    slow, noise = np.empty(n), rng.normal(size=n)
+    slow[0] = noise[0]
+    for t in range(1, n):
+        slow[t] = 0.9 * slow[t - 1] + np.sqrt(1 - 0.81) * noise[t]
+    action = (slow + 0.5 * rng.normal(size=n) > 0).astype(int)
+    x = np.stack([slow + shift, rng.normal(size=n)], 1)
+    x[n // 2 :, 1] += late
+    return dr.Dataset.from_arrays(
+        observations=np.column_stack([x, rng.random(n) < 0.3 + level]), actions=action,
+        rewards=(rng.random(n) < TRUE["series"] - worse).astype(float), terminals=np.ones(n, bool), name="series",
+    )  # fmt: skip
+
+
+MAKE = {"rows": rows, "episodes": episodes, "series": series}
 CHANGES = {
     "nothing": {},
     "one column by 0.3 SD": {"shift": 0.3},
     "one column by 0.5 SD": {"shift": 0.5},
     "one column by 1 SD, from the middle on": {"late": 1.0},
+    "one column by 3 SD, from the middle on": {"late": 3.0},
+    "one column by 1 SD": {"shift": 1.0},
     "a flag's share from 30 % to 50 %": {"level": 0.2},
     "the mean return by a quarter": {"worse": 0.1},
 }

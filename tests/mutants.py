@@ -1744,7 +1744,7 @@ MUTANTS = (
         ("runs/test_monitor.py::test_all_that_may_be_reported_shares_the_chance_of_a_false_alarm",),
     ),
     Mutant(
-        "monitor-sides", "runs/monitor.py", "DRIFT * alpha * len(side) / len(which)",
+        "monitor-sides", "runs/monitor.py", "DRIFT * alpha * len(own) / len(which)",
         "DRIFT * alpha",
         "drift of observations and of actions has the chance of a false alarm of both, each",
         ("runs/test_monitor.py::test_all_that_may_be_reported_shares_the_chance_of_a_false_alarm",),
@@ -2766,7 +2766,7 @@ MUTANTS = (
         ("runs/test_offline.py::test_copies_of_episodes_are_counted_as_one",),
     ),
     Mutant(
-        "neighbours-of-a-group", "data/neighbours.py", " or group_of(log) is not None", "",
+        "neighbours-of-a-group", "data/neighbours.py", "if group_of(log) is not None:", "if False:",
         "a group column is asked for where there is one",
         ("data/test_info.py::test_users_whose_rows_follow_each_other_are_told_if_no_column_names_them",),
     ),
@@ -2904,9 +2904,10 @@ MUTANTS = (
         "rows that were sorted by their rewards are dependent", ("ope/test_balance.py::test_independent_rows_are_none",),
     ),
     Mutant(
-        "monitored-neighbours", "runs/monitor.py", "bound = alike(old) | alike(new)", "bound = {}",
+        "monitored-neighbours", "runs/monitor.py", "bound, length = compared.parts_of(old, which, acts)",
+        "bound, length = [], 50",
         "rows of a slowly changing system are tested for drift as if they were independent",
-        ("runs/test_monitor.py::test_rows_of_a_slowly_changing_system_are_not_tested",),
+        ("runs/test_monitor.py::test_rows_of_a_slowly_changing_system_are_compared_in_parts",),
     ),
     Mutant(
         "gains-of-the-past", "ope/decide.py", "choice = _demanded(choice, recent.low, line)", "pass",
@@ -3089,6 +3090,34 @@ MUTANTS = (
         'FIXED = 1.0',
         "one recording that is a row shorter takes away the horizon of all others",
         ("ope/test_markov.py::test_a_few_shorter_recordings_do_not_change_the_horizon",),
+    ),
+    Mutant(
+        "changes-of-level", "stats/serial.py",
+        '1.0 + 2.0 * float((steps[1:] * steps[:-1]).mean() / np.square(steps).mean())',
+        'spearman(values[:-1], values[1:])',
+        "a change of level within the new log looks like rows that follow each other, and is not tested",
+        ("runs/test_monitor.py::test_a_change_within_the_new_log_is_found_and_stays_found",),
+    ),
+    Mutant(
+        "slow-dependence", "stats/serial.py",
+        ' or _parts_differ(values)',
+        '',
+        "a slow dependence that noise hides is tested for drift as if there were none",
+        ("stats/test_serial.py::test_slow_dependence_that_noise_hides_is_found_by_parts",),
+    ),
+    Mutant(
+        "mixed-reference", "runs/compared.py",
+        'left = [i for i in left if not order.follows(which[i], epoch.stop)]',
+        'left = left',
+        "rows that follow each other are compared with a reference whose rows were mixed",
+        ("runs/test_monitor.py::test_a_log_whose_rows_were_mixed_says_nothing_of_their_order",),
+    ),
+    Mutant(
+        "outside-in-parts", "runs/compared.py",
+        '((free, units), (~free, parts))',
+        '((free | True, units),)',
+        "rows that follow each other are outside the log more often than chance explains",
+        ("runs/test_compared.py::test_what_lies_outside_is_counted_in_parts_where_rows_follow_each_other",),
     ),
     Mutant(
         "groups-kept", "ope/case.py",

@@ -72,6 +72,23 @@ def test_what_lies_outside_is_tested_for_all_columns_at_once(over, guilty):
     assert found.columns == (("observation 0", "above", over, guilty),)
 
 
+def test_what_lies_outside_is_counted_in_parts_where_rows_follow_each_other():
+    """Fifty neighbours beyond the reference are one event of a slow system, and a fifth of the parts by chance."""
+
+    def log(x):
+        return dr.Dataset.from_arrays(
+            observations=x[:, None], actions=np.arange(len(x)) % 2, rewards=np.zeros(len(x)), terminals=np.ones(len(x), bool)
+        )
+
+    old, new = log(np.arange(1000.0) // 50), np.arange(250.0) // 50
+    which = compared.whats(old)
+    new[:50] = 100.0
+    for bound, length, guilty in ((), 1, True), (which, 50, False):
+        found = compared.outside(old, log(new), which, False, 0.1, bound, length)
+        assert found.columns == (("observation 0", "above", 50, guilty),)
+    assert compared.outside(old, log(new + 100.0), which, False, 0.1, which, 50).columns[0][3]
+
+
 def test_shares_of_missing_cells_stand_beside_the_differences():
     def log(gaps):
         x = np.arange(40.0)

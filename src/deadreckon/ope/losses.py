@@ -1,4 +1,4 @@
-"""Rewards that are missing from a policy's rows by chance, in logs of single steps, in rows or in whole episodes of longer ones.
+"""Rewards that are missing from a policy's rows by chance, in single steps, and in rows or the whole of longer episodes.
 
 If rewards are equal except for rare losses, the few rows with the policy's actions may have no losses. Then no bootstrap sample
 has one either: estimate and interval are those of a policy without losses. So this module computes the probability that this

@@ -33,7 +33,9 @@ def lead(found: Monitored) -> str:
     """What is an alarm, in one sentence."""
     names = dict.fromkeys(f"{each.about} {each.name}" for each in found.findings if each.alarm)
     if not names:
-        drift = f" Drift was {found.untested}." if found.untested else ""
+        lost = [each.what.name for each in found.columns if each.untested]
+        drift = f" Not tested: {', '.join(lost)}." if lost else ""
+        drift = f" Drift was {found.untested}." if found.untested else drift
         unknown = isinstance(found.value, str) or found.value.estimated is None
         why = found.value.removeprefix("not compared: ") if isinstance(found.value, str) else "no estimate is known"
         value = f" The value was not compared: {why}." if unknown else ""

@@ -4,23 +4,28 @@ The tests, which may be repeated, are in `stats.drift`; this module has the data
 or of whole clusters of them if the log has a group column. Of a long episode, `WITHIN` rows at regular distances are used.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.encode import OTHERS
+from deadreckon.data.neighbours import in_order
 from deadreckon.data.split import units_of
 from deadreckon.data.told import action_names, columns_of, observation_names, schema_of
 from deadreckon.errors import UserError
 from deadreckon.randomness import generator
 from deadreckon.runs.subject import GAPS
-from deadreckon.stats import drift
+from deadreckon.stats import drift, serial
 
 WITHIN = 100  # most rows of an episode that are compared
 FEWEST = 5  # fewest units of either sample: with fewer, permutations show nothing
+FOLLOWS = (
+    "in the new log, and not in the reference, values follow those of the episode before, and the test needs independent "
+    "episodes; name the column that tells which belong together (--group, when the first log is read)"
+)
 UNKNOWN, MISSING = "a level that the log does not have", "a missing value"
 
 
@@ -52,18 +57,24 @@ class Sample:
         observations: (rows, size), flattened.
         actions: (rows, size) numbers, or (rows, actions) 0/1 numbers of discrete ones.
         starts: (units,) the first row of each unit; its rows follow.
+        episode: (rows,) the episode of each row, ascending unless a group column makes the units.
         gaps: (rows,) bool by column: where it had no value, of columns that the reference had complete.
     """
 
     observations: np.ndarray
     actions: np.ndarray
     starts: np.ndarray
+    episode: np.ndarray
     gaps: Mapping[str, np.ndarray]
 
     @property
     def sizes(self) -> np.ndarray:
         """(units,) rows of each."""
         return np.diff(np.append(self.starts, len(self.observations)))
+
+    def in_parts(self, length: int) -> "Sample":
+        """The same in units of so many successive episodes."""
+        return replace(self, starts=np.unique(self.episode // length, return_index=True)[1])
 
     def of(self, what: What) -> np.ndarray:
         """(rows, dimensions) of a column, in float64."""
@@ -91,6 +102,9 @@ class Compared:
         others: values of the new log that are none of the reference's levels, as texts.
         found: the number of new episodes at which a test first found a change in the column, and which part of them it had
             compared; None if no test did.
+        length: number of successive episodes that are compared as one, since values depend on those before; None: each by
+            itself.
+        untested: the reason why no test was made; empty if one was.
     """
 
     what: What
@@ -102,6 +116,49 @@ class Compared:
     missing: tuple[float, float]
     others: tuple[str, ...]
     found: tuple[int, int] | None
+    length: int | None = None
+    untested: str = ""
+
+
+class Order(NamedTuple):
+    """The new log's episodes in their order, if no group column tells which belong together.
+
+    Attributes:
+        episodes: (n,) different ones.
+        first: their first rows.
+    """
+
+    episodes: np.ndarray
+    first: Sample
+
+    @classmethod
+    def of(cls, log: Dataset) -> "Order | None":
+        """None if a group column tells which belong together, or if there are few."""
+        return None if (episodes := in_order(log)) is None else cls(episodes, sample(log, episodes, True))
+
+    def follows(self, what: What, episodes: int) -> bool:
+        """Whether values of a column follow those of the episode before, in the first so many episodes."""
+        values = self.first.of(what)[self.episodes < episodes]
+        return any(serial.follows(column) for column in values.T)
+
+
+def parts_of(
+    log: Dataset, which: Sequence[What], acts: Callable[[np.ndarray], np.ndarray] | None = None
+) -> tuple[list[What], int]:
+    """The columns of a reference that depend on the episodes before, and the number of episodes of a part of it.
+
+    Args:
+        log: the reference.
+        which: columns.
+        acts: function from (n, size) observations to the (n, size) actions to look at instead of those in the log; see `acted`.
+    """
+    length = max(-(-log.episodes // serial.PARTS), 1)
+    if (episodes := in_order(log)) is None:
+        return [], length
+    first = sample(log, episodes, True)
+    if acts is not None:
+        first = replace(first, actions=acts(first.observations))
+    return [what for what in which if any(serial.depends(column) for column in first.of(what).T)], length
 
 
 def whats(log: Dataset) -> list[What]:
@@ -151,7 +208,7 @@ def sample(log: Dataset, episodes: np.ndarray, first: bool) -> Sample:
     rows, starts = rows_of(log, episodes, first)
     observations = np.asarray(log.observations[rows], np.float32).reshape(len(rows), -1)
     gaps = {name.removeprefix(GAPS): np.asarray(flags)[rows] for name, flags in log.extras.items() if name.startswith(GAPS)}
-    return Sample(observations, acted(log, np.asarray(log.actions[rows])), starts, gaps)
+    return Sample(observations, acted(log, np.asarray(log.actions[rows])), starts, np.asarray(log.episode_at(rows)), gaps)
 
 
 def acted(log: Dataset, actions: np.ndarray) -> np.ndarray:
@@ -168,7 +225,10 @@ def some(episodes: np.ndarray, purpose: str, *counters: int) -> np.ndarray:
     return np.sort(generator(0, purpose, *counters).choice(episodes, drift.MOST, replace=False))
 
 
-def drifts(old: Sample, new: Dataset, which: Sequence[What], first: bool, alpha: float) -> tuple[list[Compared], int]:
+def drifts(
+    old: Sample, new: Dataset, which: Sequence[What], first: bool, alpha: float, length: int | None = None,
+    order: Order | None = None,
+) -> tuple[list[Compared], int]:  # fmt: skip
     """Compares every column with the reference; also returns the number of tests. The probability that any column is ever
     reported without a change is at most `alpha`.
 
@@ -178,16 +238,26 @@ def drifts(old: Sample, new: Dataset, which: Sequence[What], first: bool, alpha:
         which: columns.
         first: whether only first rows are compared.
         alpha: over all tests that can ever be made of this log as it grows.
+        length: successive episodes that are one unit, in columns that depend on the episodes before; None: see `rows_of`.
+        order: of the new episodes: while those of a column follow the ones before, it is not tested; None: tested anyway.
     """
     found: dict[int, tuple[int, int]] = {}
-    tests = 0
+    tests, tested, enough = 0, np.zeros(len(which), bool), False
+    old = old if length is None else old.in_parts(length)
     if len(old.starts) >= FEWEST:
         for number, epoch in enumerate(drift.epochs(new.episodes, alpha)):
             window = some(np.arange(epoch.start, epoch.stop), "new episodes", number)
             now = sample(new, window, first)
-            if len(now.starts) < FEWEST or len(found) == len(which):
+            now = now if length is None else now.in_parts(length)
+            if len(now.starts) < FEWEST:
                 continue
+            enough = True
             left = [i for i in range(len(which)) if i not in found]  # reported columns stay reported, and cannot hide others
+            if order is not None:
+                left = [i for i in left if not order.follows(which[i], epoch.stop)]
+            if not left:
+                continue
+            tested[left] = True
             pairs = [_features(which[i], old, now) for i in left]
             sums = [[np.add.reduceat(pair[side], both.starts) for pair in pairs] for side, both in enumerate((old, now))]
             p = drift.test(sums[0], sums[1], (old.sizes, now.sizes), epoch.alpha, generator(0, "permutations", number))
@@ -196,7 +266,13 @@ def drifts(old: Sample, new: Dataset, which: Sequence[What], first: bool, alpha:
     now = sample(new, some(np.arange(new.episodes), "all new episodes"), first)
     others = new.provenance.extra.get(OTHERS, {})
     every = [_compared(what, old, now, tuple(others.get(what.name, ())), found.get(i)) for i, what in enumerate(which)]
-    return every, tests
+    if length is not None:
+        units = f"in parts of {length:,} episodes, as values depend on those of the episodes before"
+        why = f"{units}, the new log has {new.episodes // length}, and {FEWEST} are needed"
+        every = [replace(each, length=length) for each in every]
+    else:
+        why = FOLLOWS if enough else ""
+    return [each if known else replace(each, untested=why) for each, known in zip(every, tested)], tests
 
 
 def _features(what: What, old: Sample, now: Sample) -> tuple[np.ndarray, np.ndarray]:
@@ -238,8 +314,12 @@ class Outside(NamedTuple):
     columns: tuple[tuple[str, str, int, bool], ...]
 
 
-def outside(old: Dataset, new: Dataset, which: Sequence[What], first: bool, alpha: float) -> Outside:
-    """How much of a new log lies outside the reference; see `drifts` for the arguments.
+def outside(
+    old: Dataset, new: Dataset, which: Sequence[What], first: bool, alpha: float, bound: Sequence[What] = (),
+    length: int = 1, order: Order | None = None,
+) -> Outside:  # fmt: skip
+    """How much of a new log lies outside the reference; see `drifts` for the arguments. `bound` are the columns whose units are
+    `length` successive episodes.
 
     All rows are counted. `stats.drift.beyond` tests, on the compared rows alone, what cannot be chance: the probability that
     any column is reported without a change is at most `alpha`.
@@ -249,11 +329,22 @@ def outside(old: Dataset, new: Dataset, which: Sequence[What], first: bool, alph
     over = tables[1] > tables[0].max(0)
     largest = [table[log.starts] if first else np.maximum.reduceat(table, log.starts) for table, log in zip(tables, (old, new))]
     units = [units_of(log) for log in (old, new)]
-    before, guilty = _largest(largest[0], units[0]), np.zeros(len(names), bool)
-    for epoch in drift.epochs(new.episodes, alpha) if len(before) >= FEWEST and names else ():
-        if epoch.start == 0:
-            now = _largest(largest[1][: epoch.stop], units[1][: epoch.stop])
-            guilty |= drift.beyond(before, now) <= epoch.alpha / len(names)
+    parts = [np.arange(log.episodes) // length for log in (old, new)]
+    of = [what for what in which for _ in _sides(what)]
+    guilty, free = np.zeros(len(names), bool), np.array([what not in bound for what in of], bool)
+    for epoch in drift.epochs(new.episodes, alpha) if names else ():
+        if epoch.start:
+            continue
+        p_values = np.ones(len(names))
+        for some, unit in ((free, units), (~free, parts)):
+            stops = None, epoch.stop
+            before, now = (_largest(each[:stop, some], own[:stop]) for each, own, stop in zip(largest, unit, stops))
+            if len(before) >= FEWEST:
+                p_values[some] = drift.beyond(before, now)
+        if order is not None:
+            followed = {what for what in which if what not in bound and order.follows(what, epoch.stop)}
+            p_values[[what in followed for what in of]] = 1.0
+        guilty |= p_values <= epoch.alpha / len(names)
     found = tuple((*names[i], int(over[:, i].sum()), bool(guilty[i])) for i in np.flatnonzero(over.any(0) | guilty))
     return Outside(float(over.any(1).mean()), found)
 

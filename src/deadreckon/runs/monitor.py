@@ -5,7 +5,7 @@ of times: the probability that anything is reported although nothing has changed
 Half of it is for the realised value, two fifths for drift, a tenth for values outside the log.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -17,23 +17,18 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.late import rewards_to_come
 from deadreckon.data.leaks import LEVEL as RARE
-from deadreckon.data.neighbours import alike
 from deadreckon.data.split import units_of
 from deadreckon.errors import UserError
 from deadreckon.policies.deployed import first_actions
 from deadreckon.provided import Shown
 from deadreckon.runs import compared
-from deadreckon.runs.compared import Compared, Outside
+from deadreckon.runs.compared import Compared, Order, Outside
 from deadreckon.runs.realised import Realised, finished, realised
 from deadreckon.runs.subject import Subject, estimates_of, subject
 from deadreckon.stats import drift
 from deadreckon.stats.interval import ALPHA, PERCENT, decimals, level_in_words
 
 VALUE, DRIFT, OUTSIDE = 0.5, 0.4, 0.1  # shares of alpha
-ALIKE = (
-    "episodes begin with nearly the value of the episode before, and the test needs independent ones; name the column that "
-    "tells which belong together (--group, when the table is read)"
-)
 SHOWN = 5  # most new levels that are named
 MadeBy = Literal["policy", "reference"]
 
@@ -159,18 +154,22 @@ def monitor(
     which = compared.whats(old)
     before = compared.sample(old, compared.some(np.arange(old.episodes), "reference"), first)
     parts, fresh = [(before, which)], False
-    if by_policy:
-        acts, fresh = _acts(one, old, first, greedy)
+    acts = (lambda seen: compared.acted(old, _done(one, seen, old, greedy))) if by_policy else None
+    if acts is not None:
+        done, fresh = _acts(one, old, first, acts)
         sides = [[what for what in which if (what.about == "action") == acting] for acting in (False, True)]
-        parts = [(each, side) for each, side in zip((before, acts), sides) if side]
-    columns, tests = [], 0
-    bound = alike(old) | alike(new)
-    apart = [what for what in which if what.about == "observation" and bound.keys() & set(what.dimensions)]
+        parts = [(each, side) for each, side in zip((before, done), sides) if side]
+    columns, tests, order = [], 0, Order.of(new)
+    bound, length = compared.parts_of(old, which, acts)
     for each, side in parts:
-        side = [what for what in side if what not in apart]
-        found, made = compared.drifts(each, new, side, first, DRIFT * alpha * len(side) / len(which))
-        columns, tests = [*columns, *found], tests + made
-    outside = compared.outside(old, new, which, first, OUTSIDE * alpha)
+        for size in (None, length):
+            own = [what for what in side if (what in bound) == (size is not None)]
+            if not own:
+                continue
+            level = DRIFT * alpha * len(own) / len(which)
+            found, made = compared.drifts(each, new, own, first, level, size, order if size is None else None)
+            columns, tests = [*columns, *found], tests + made
+    outside = compared.outside(old, new, which, first, OUTSIDE * alpha, bound, length, order)
     value: Realised | str = "not compared: the new log was not made by the policy of the run"
     if told is not None and bool(told[0]["estimand"]["greedy"]) != greedy:
         used, judged = ("greedy", "sampled") if greedy else ("sampled", "greedy")
@@ -181,7 +180,6 @@ def monitor(
     findings = [*_of_value(value, alpha), *_of_columns(columns, untested), *_of_outside(outside, columns, len(new))]
     if by_policy and (line := rewards_to_come(new, RARE)) is not None:
         findings.append(Finding("value", "latest", False, line))
-    findings += [Finding("observation", what.name, False, f"not tested: {ALIKE}") for what in apart]
     findings.sort(key=lambda each: not each.alarm)
     words = _words(by_policy, first, greedy, fresh)
     return Monitored(
@@ -190,14 +188,16 @@ def monitor(
     )  # fmt: skip
 
 
-def _acts(one: Subject, old: Dataset, first: bool, greedy: bool) -> tuple[compared.Sample, bool]:
+def _acts(
+    one: Subject, old: Dataset, first: bool, acts: Callable[[np.ndarray], np.ndarray]
+) -> tuple[compared.Sample, bool]:
     """The policy's actions in the reference, in episodes that it was not trained on if these are enough, and whether they are:
     in training episodes its actions may be memorised."""
     every = np.arange(old.episodes)
     unseen = every if one.taught is None else every[~np.isin(old.episode_ids, one.taught)]
     fresh = one.taught is not None and len(np.unique(units_of(old)[unseen])) >= compared.FEWEST
-    acts = compared.sample(old, compared.some(unseen if fresh else every, "reference"), first)
-    return replace(acts, actions=compared.acted(old, _done(one, acts.observations, old, greedy))), fresh
+    done = compared.sample(old, compared.some(unseen if fresh else every, "reference"), first)
+    return replace(done, actions=acts(done.observations)), fresh
 
 
 def _untested(units: int, new: Dataset) -> str:
@@ -268,7 +268,10 @@ def _of_columns(columns: Sequence[Compared], untested: str) -> list[Finding]:
         if each.others:
             effect += f"; new levels: {others_of(each)}"
         if each.found is None:
-            out.append(Finding(what.about, what.name, False, f"{untested or 'no drift'}; {effect}"))
+            why = f"not tested: {each.untested}" if each.untested else untested or "no drift"
+            if each.length is not None and not each.untested:
+                why += f" in parts of {each.length:,} episodes, as values depend on those of the episodes before"
+            out.append(Finding(what.about, what.name, False, f"{why}; {effect}"))
         else:
             out.append(Finding(what.about, what.name, True, f"drift, {since(each.found)}; {effect}"))
     return out
