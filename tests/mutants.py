@@ -3120,6 +3120,17 @@ MUTANTS = (
         ("runs/test_compared.py::test_what_lies_outside_is_counted_in_parts_where_rows_follow_each_other",),
     ),
     Mutant(
+        "threshold-of-four-digits", "runs/explained_tree.py", "if ((values <= rounded) == low).all():", "if True:",
+        "a threshold is rounded past values that the tree has on its other side",
+        ("runs/test_explain.py::test_a_threshold_as_it_is_shown_divides_the_rows_as_the_tree_does",),
+    ),
+    Mutant(
+        "skill-by-order-alone", "mbo/validation.py", "(self.rank_correlation > self.limit or self._close)",
+        "(self.rank_correlation > self.limit)",
+        "predictions of scores most of which are about zero are said to be chance, because the order of those is",
+        ("mbo/test_validation.py::test_predictions_of_scores_most_of_which_are_nothing_are_no_chance",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

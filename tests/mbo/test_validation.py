@@ -229,6 +229,18 @@ def test_an_order_whose_predictions_do_not_go_with_the_scores_is_none():
     assert "one score may be an error" in found.warning
 
 
+def test_predictions_of_scores_most_of_which_are_nothing_are_no_chance():
+    """Where most scores are about 0, as of experiments that fail, their order is noise however well they are predicted."""
+    rng = np.random.default_rng(0)
+    y = np.where(np.arange(40) % 5 == 0, np.arange(40.0), 0.0) + 0.1 * rng.standard_normal(40)
+    m = np.where(np.arange(40) % 5 == 0, np.arange(40.0), 0.0) + 0.1 * rng.standard_normal(40)
+    found = quality(y, m)
+    assert found.rank_correlation < found.limit
+    assert found.skilled
+    assert found.warning is None
+    assert not any(quality(y, m[rng.permutation(40)]).skilled for _ in range(200))
+
+
 def test_intervals_hold_new_measurements_of_what_is_proposed_from_much_noise():
     """Of the best of many predictions more is luck the more noise there is, of models that rank well enough too."""
     inside = []

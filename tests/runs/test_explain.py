@@ -286,6 +286,21 @@ def test_a_number_whose_column_is_called_as_a_level_keeps_its_threshold(tmp_path
         assert found.tree.yes.text == ("b" if weights[1] else "a")
 
 
+@pytest.mark.parametrize(("first", "cut"), [(1990, 2017.5), (10_023_350, 10_023_400.5), (30_000, 30_049.5)])
+def test_a_threshold_as_it_is_shown_divides_the_rows_as_the_tree_does(first, cut, tmp_path):
+    """Of whole numbers with more than four digits the rounded threshold was on the other side of some."""
+    values = np.random.default_rng(0).integers(first, first + 100, ROWS)
+    actions = np.arange(ROWS) % 2
+    data = dr.Dataset.from_frame({"year": values, "action": actions, "reward": 0.0 * actions}, action="action", reward="reward")
+    policy = linear((0.0,), (1.0,))
+    policy = Categorical(MLP(policy.net.weights, (jnp.asarray([cut, 0.0]),)))
+    found = explain(saved(policy, tmp_path / "p.npz"), data)
+    assert found.fidelity == 1.0
+    shown = float(found.tree.text.split()[-1])
+    np.testing.assert_array_equal(values <= shown, values <= cut)
+    assert len(found.tree.text) <= len("year <= 10023400.5")
+
+
 def test_what_numbers_of_zero_and_one_say_in_each_step_of_a_history():
     rng = np.random.default_rng(0)
     x = np.where(np.arange(60) % 7, rng.normal(size=60), np.nan)

@@ -23,6 +23,7 @@ from deadreckon.stats.interval import LEVEL, NORMAL
 from deadreckon.stats.ranks import spearman
 
 FOLDS = 5
+CLOSE, PERMUTATIONS = 0.001, 2_000  # the same share by the predictions themselves, and permutations of these
 CHANCE = 0.025  # share of tables without any relation on which a method may be called skilled
 ENOUGH = 2 * FEWEST  # least number of held-out designs: with fewer than 19 no factor covers 95 % (`conformal_factor`)
 
@@ -64,15 +65,34 @@ class Quality:
 
     @property
     def skilled(self) -> bool:
-        """Whether the rank correlation is above what chance gives in 97.5 % of tables without any relation (Fieller 1957).
+        """Whether the rank correlation is above what chance gives in 97.5 % of tables without any relation (Fieller 1957), or
+        predictions are closer to scores than 99.9 % of their permutations, as where most scores are nearly equal, whose order
+        is noise.
 
         In cross-validation a pair of rows that agree by chance counts twice, since each helps to predict the other: the
         variance of the correlation is then up to twice that of rows to which no model was fitted. Predictions of scores must
         also have a positive covariance with them.
         """
+        if not self.scored:
+            return self.rank_correlation > self.limit
         # A single wrong score can make the covariance negative.
-        worth = not self.scored or np.cov(self.predicted, self.observed, aweights=self.weight)[0, 1] > 0
-        return self.rank_correlation > self.limit and worth
+        worth = np.cov(self.predicted, self.observed, aweights=self.weight)[0, 1] > 0
+        return bool(worth and (self.rank_correlation > self.limit or self._close))
+
+    @cached_property
+    def _close(self) -> bool:
+        """Whether the correlation of predictions with scores is above the largest that permutations give, at `CLOSE`."""
+        rows = self._worth(np.ones(len(self.observed), bool), self.predicted, self.observed)
+        weight = np.ones(len(self.observed)) if self.weight is None else self.weight
+        off, apart = (np.asarray(each - np.average(each, weights=weight), float) for each in (self.predicted, self.observed))
+        if rows < 5 or not np.ptp(off) or not np.ptp(apart):
+            return False
+        rng, pull = generator(0, "predictions"), weight * apart
+        spread = np.sqrt(weight.sum() * np.square(off).mean() * (pull @ apart))
+        chance = np.sort([off[rng.permutation(len(off))] @ pull for _ in range(PERMUTATIONS)]) / spread
+        quantiles = [NormalDist().inv_cdf(1 - CLOSE / among) for among in (1, self.tried)]
+        wider = quantiles[1] / quantiles[0] * np.sqrt((2.0 if self.crossed else 1.0) * len(off) / rows)
+        return bool(off @ pull / spread > wider * chance[int((1 - CLOSE) * PERMUTATIONS)])
 
     @property
     def limit(self) -> float:

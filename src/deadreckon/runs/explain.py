@@ -177,7 +177,8 @@ def _explained(name: str, function: Pure, data: Dataset, steps: int) -> Explaine
     said = action_names(data)
     tree = None
     if explains:
-        tree = node_of(trees[depth], names, _marks(data, steps), _measures(data, names), said, _measures(data, said), discrete)
+        measures = _measures(data, names), said, _measures(data, said)
+        tree = node_of(trees[depth], x, names, _marks(data, steps), *measures, discrete)
     again = lambda other: ask(other, fresh)  # noqa: E731
     matters = _matters(again, x[fresh], done[fresh], unit[fresh], _groups(data, steps), scale, discrete, rng)
     ends = fidelity.value, fidelity.low, fidelity.high

@@ -4,6 +4,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
+DIGITS = 4  # of a threshold, or as many more as it takes to divide the rows as the tree does
+
 
 @dataclass(frozen=True)
 class Node:
@@ -45,13 +49,14 @@ class Node:
 
 
 def node_of(
-    tree: Any, names: Sequence[str], marks: Mapping[int, str], units: Sequence[str], actions: Sequence[str],
+    tree: Any, rows: np.ndarray, names: Sequence[str], marks: Mapping[int, str], units: Sequence[str], actions: Sequence[str],
     of_actions: Sequence[str], discrete: bool,
 ) -> Node:  # fmt: skip
     """The root of a fitted tree of scikit-learn.
 
     Args:
         tree: fitted.
+        rows: (rows, inputs) which the tree in names divides as the fitted one does.
         names: of its input numbers.
         marks: by the index of each input that is 0 or 1, the meaning of 1, such as "plan is new".
         units: of its input numbers, empty if unknown.
@@ -73,9 +78,20 @@ def node_of(
         which = int(inner.feature[i])
         if which in marks:  # not by its name, which may look like that of a level, such as "NaCl=g/l"
             return Node(marks[which], share, no, yes)
-        return Node(_measured(f"{names[which]} <= {float(inner.threshold[i]):.4g}", units[which]), share, yes, no)
+        edge = _edge(float(inner.threshold[i]), rows[:, which])
+        return Node(_measured(f"{names[which]} <= {edge}", units[which]), share, yes, no)
 
     return made(0)
+
+
+def _edge(threshold: float, values: np.ndarray) -> str:
+    """A threshold as text, with as few digits as divide (rows,) values as it does, but no fewer than `DIGITS`."""
+    low = values <= threshold
+    for digits in range(DIGITS, 18):
+        rounded = float(f"{threshold:.{digits}g}")
+        if ((values <= rounded) == low).all():
+            return f"{rounded:.15g}"
+    return repr(threshold)
 
 
 def _measured(text: str, unit: str) -> str:
