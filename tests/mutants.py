@@ -3131,6 +3131,12 @@ MUTANTS = (
         ("mbo/test_validation.py::test_predictions_of_scores_most_of_which_are_nothing_are_no_chance",),
     ),
     Mutant(
+        "offset-of-single-steps", "data/sizes.py", "mean = seen.mean if log.lengths.max() == 1 else np.zeros_like(seen.mean)",
+        "mean = np.zeros_like(seen.mean)",
+        "an offset of the rewards of single steps leaves differences too small to learn from",
+        ("runs/test_sizes.py::test_an_offset_of_the_rewards_of_single_steps_changes_no_decision",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

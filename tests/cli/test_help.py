@@ -74,6 +74,7 @@ def test_every_help_is_a_phrase(name):
         assert words[0].lower() not in FRAGMENTS, f"{field.name}: {text!r}"
         assert text[0].islower() or words[0] in NAMES, f"{field.name}: {text!r}"
         assert not text.endswith("."), f"{field.name}: {text!r}"
+        assert "\n" not in text, f"{field.name} is broken where its source is: {text!r}"
         assert not re.search(r"\b(rows a batch|a seed|a policy each|a second|redrawn|judge)\b", text), f"{field.name}: {text!r}"
 
 

@@ -169,3 +169,13 @@ def test_sparse_rewards():
         observations=np.random.default_rng(0).normal(size=(400, 1)), actions=np.zeros((400, 1)), rewards=rewards
     )
     assert any("rewards are sparse: 0.25% of the rows have one" in line for line in warnings_for(log))
+
+
+def test_costs_are_no_rewards_to_maximise():
+    """Larger is better: what a column of costs is called is the only sign of its direction."""
+    frame = {"x": np.arange(30.0), "action": np.arange(30) % 2, "cost_eur": np.arange(30.0), "closs": np.arange(30.0)}
+    for name, other, told in (("cost_eur", "closs", True), ("closs", "cost_eur", False)):
+        log = Dataset.from_frame(frame, action="action", reward=name, ignore=other)
+        assert any("negate it if smaller is" in line for line in warnings_for(log)) is told
+    log = Dataset.from_frame({**frame, "cost_eur": -frame["cost_eur"]}, action="action", reward="cost_eur", ignore="closs")
+    assert not any("negate it" in line for line in warnings_for(log))

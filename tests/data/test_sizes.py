@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import deadreckon as dr
-from deadreckon.data.sizes import about_observations, about_rewards, reward_scale, unusual, usual_observations
+from deadreckon.data.sizes import about_observations, about_rewards, reward_units, unusual, usual_observations
 from deadreckon.data.spec import Statistics
 
 ROWS = 20_000
@@ -37,9 +37,9 @@ def test_large_offsets_and_small_changes_are_unusual(column, odd):
     ],
 )  # fmt: skip
 def test_rewards_are_brought_to_about_one_by_a_power_of_ten(rewards, scale):
-    spec = log(NOISE[:, None], rewards).spec
-    assert reward_scale(spec) == pytest.approx(scale, rel=1e-12)
-    assert bool(about_rewards(spec)) is (scale != 1.0)
+    own = log(NOISE[:, None], rewards)
+    assert reward_units(own) == (pytest.approx(scale, rel=1e-12), 0.0)
+    assert bool(about_rewards(own.spec)) is (scale != 1.0)
     if scale != 1.0:
         assert np.abs(scale * rewards).max() > 0.1
         assert np.sqrt(np.mean((scale * rewards) ** 2)) < 10.0

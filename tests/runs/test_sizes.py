@@ -27,13 +27,32 @@ def log(unit=1.0, reward=1.0, name="mine"):
 
 
 def test_settings_follow_from_the_log_alone_where_it_is_far_from_one():
-    assert units(log().spec) == {}
-    assert units(log(unit=100.0).spec) == {"standardise": True}
-    assert units(log(reward=1000.0).spec) == {"reward_scale": pytest.approx(1e-3)}
+    assert units(log()) == {}
+    assert units(log(unit=100.0)) == {"standardise": True}
+    assert units(log(reward=1000.0)) == {"reward_scale": pytest.approx(1e-3)}
     for candidate in (*CONTINUOUS, *DISCRETE):
-        agent = agent_of(candidate, hidden=(8,), discount=0.9, **units(log(100.0, 1000.0).spec))
+        agent = agent_of(candidate, hidden=(8,), discount=0.9, **units(log(100.0, 1000.0)))
         assert agent.needs(log().spec).standardise, candidate.name
         assert getattr(agent, "reward_scale", 1e-3) == pytest.approx(1e-3), candidate.name
+
+
+def test_an_offset_of_the_rewards_of_single_steps_changes_no_decision():
+    """Costs of 23 with a deviation of 4 were divided by ten, so that agents saw differences of a tenth."""
+    rewards = 4.0 * SEEN[:, 0] * np.sign(ACTIONS[:, 0])
+    one, cost = ({"observations": SEEN, "actions": ACTIONS, "rewards": each} for each in (rewards, rewards - 23.0))
+    single = dr.Dataset.from_arrays(**cost, terminals=np.ones(ROWS, bool), name="mine")
+    mean = float(single.rewards.mean())
+    assert units(single) == {"reward_shift": pytest.approx(-mean)}
+    assert units(dr.Dataset.from_arrays(**one, terminals=np.ones(ROWS, bool))) == {}
+    assert units(dr.Dataset.from_arrays(**cost, timeouts=np.arange(ROWS) % 10 == 9)) == {"reward_scale": pytest.approx(0.1)}
+    assert f"give --agent.reward-shift={-mean:.4g}" in about_sizes(single, dr.agents.IQL().resolve(single.spec, 10))[0]
+    assert f"add {-mean:.4g}" in about_sizes(single, dr.agents.BEAR())[0]
+    thousands = dr.Dataset.from_arrays(
+        observations=SEEN, actions=ACTIONS, rewards=1000 * (rewards - 23.0), terminals=np.ones(ROWS, bool)
+    )
+    assert units(thousands) == {"reward_scale": pytest.approx(1e-4), "reward_shift": pytest.approx(-0.1 * mean)}
+    agent = agent_of(CONTINUOUS[1], **units(single)).resolve(single.spec, 10)
+    assert abs(float(agent.reward_scale * single.rewards.mean() + agent.reward_shift)) < 1e-4
 
 
 @pytest.mark.parametrize("name", ["iql", "bc"])
@@ -42,7 +61,7 @@ def test_candidates_learn_the_same_whatever_the_units(name):
     candidate, acts = next(each for each in CONTINUOUS if each.name == name), []
     for unit in (2.0**8, 2.0**12):
         own = log(unit)
-        agent = agent_of(candidate, hidden=(16,), batch_size=32, **units(own.spec)).resolve(own.spec, 200)
+        agent = agent_of(candidate, hidden=(16,), batch_size=32, **units(own)).resolve(own.spec, 200)
         rows = TransitionSource(own, agent.needs(own.spec))
         policy = deployed(agent, fit([agent], rows, [0], 200).lane(0), rows.view)
         acts.append(policy(own.observations[:50]))

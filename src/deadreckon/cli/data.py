@@ -31,8 +31,7 @@ class Get:
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
     """name of the log, such as hopper-medium-v2, or the id of its Minari version"""
     source: Literal["d4rl", "minari"] | None = None
-    """source of the log: the original (d4rl), or its version on Minari, collected by others (minari); None: minari for a Minari
-    id, d4rl for other names"""
+    """source of the log: the original (d4rl) or its version on Minari (minari); None: minari for a Minari id, else d4rl"""
     sha256: Annotated[str | None, tyro.conf.arg(metavar="HEX")] = None
     """checksum that the file must have; for minari that of main_data.hdf5"""
     force: bool = False  # whether to download the file again

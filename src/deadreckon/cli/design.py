@@ -59,8 +59,7 @@ class Design:
     weights: dict[str, float] = dataclasses.field(default_factory=dict)
     """further columns in the score, such as costs, as COLUMN WEIGHT pairs: the score is target + sum of weight x column"""
     max_distance: float | None = None
-    """largest distance of proposals to the nearest scored design, in typical distances (the median nearest-neighbour distance
-    of scored designs); None: no limit"""
+    """largest distance of proposals to the nearest scored design, in typical distances of scored designs; None: no limit"""
     apart: float | None = None
     """smallest distance between proposals, in typical distances; None: 0.1, or less if otherwise there are too few proposals"""
     repeat: bool = False  # whether designs that are in the data, or nearly, may be proposed

@@ -29,8 +29,7 @@ class Monitor:
     estimates: Annotated[str | None, tyro.conf.arg(metavar="FOLDER")] = None
     """folder of `deadreckon ope --out` or `recommend`; None: found in the run's folder or beside it"""
     return_range: tuple[float, float] | None = None
-    """least and greatest return of an episode; None: the range in the reference, widened by half of its width on each side if
-    there are more than ten different returns"""
+    """least and greatest return of an episode; None: the reference's range, widened if it has more than ten returns"""
     policy_seed: int | None = None  # seed of the run whose policy is monitored; None: the first that has not failed
     greedy: bool | None = None  # whether the policy acts deterministically (greedily) in use; None: as estimated, else yes
     alpha: float = 0.05  # probability of a false alarm, over all looks together

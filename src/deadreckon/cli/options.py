@@ -43,12 +43,10 @@ class TrainOnline:
     """Train a policy by acting in a simulator; --agent NAME chooses the algorithm, --from RUN continues an offline run."""
 
     task: str | None = None
-    """simulator to train in: a task (see `deadreckon tasks`), a Gymnasium id such as gymnasium:Pendulum-v1, or module:Class;
-    None: with --from, the task of that run"""
+    """simulator: a task (see `deadreckon tasks`), gymnasium:ID or module:Class; None: with --from, the task of that run"""
     steps: int = 1_000_000  # environment steps per seed, including the uniformly random ones at the beginning
     seeds: int | None = None
-    """number of independent runs in one compiled program, with the random seeds SEED .. SEED + SEEDS - 1; None: 1, or
-    with --from those of the run"""
+    """number of runs in one program, with random seeds SEED .. SEED + SEEDS - 1; None: 1, or with --from the run's"""
     seed: int | None = None  # first random seed; None: 0, or with --from that of the run
     out: str | None = None  # run folder; None: runs/AGENT-TASK-online, or runs/AGENT-TASK-fine-tuned with --from
     copies: int | None = None  # environments stepped in parallel per seed; None: the agent's own number, or 8

@@ -26,14 +26,11 @@ class Predict:
     out: Annotated[str, tyro.conf.arg(metavar="FILE")]  # file to write, .csv or .parquet; an old one is replaced
     probabilities: bool = False  # whether to write the probability of every discrete action as well
     sampled: bool | None = None
-    """whether to sample actions instead of taking the deterministic (greedy) ones; None: as the decision evaluated them, else
-    no"""
+    """whether to sample actions instead of taking the deterministic (greedy) ones; None: as they were evaluated, or no"""
     seed: int | None = None
-    """random seed of sampled actions, and of a mixture's members if the log has no column of the episode; None: another one
-    each time, which is printed"""
+    """random seed of sampled actions, and of a mixture's members without episodes; None: another one, which is printed"""
     outside: Literal["raise", "flag"] = "raise"
-    """how to treat rows with unknown levels or values out of range: refuse the table (raise), or mark them (flag) in a column
-    outside_the_log, together with those beyond the ranges of the log"""
+    """treatment of rows with unknown levels or values out of range: refuse the table (raise), or mark rows outside (flag)"""
     keep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="COLUMN [COLUMN ...]")] = ()
     """columns of the table to copy as they are beside the actions, such as an id"""
     policy_seed: int | None = None  # seed of the run whose policy is used; None: the first that has not failed

@@ -43,14 +43,12 @@ class Tune:
     by: Literal["ope", "simulator"] = "ope"
     """criterion: off-policy estimates from the log, or scores in the simulators of training tasks"""
     values: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=V,V...")] = ()
-    """values to try per field, or with --sampler optuna a range LOW..HIGH, logarithmic with :log (lr=1e-4..1e-2:log); none:
-    those that the paper varied"""
+    """values to try per field, or with --sampler optuna a range (lr=1e-4..1e-2:log); none: those that the paper varied"""
     fixed: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FIELD=V")] = ()  # fields with one value in all settings
     trials: int | None = None
     """largest number of settings; None: all combinations of the values, or 20 with --sampler optuna"""
     sampler: Literal["grid", "optuna"] = "grid"
-    """how settings are proposed: all combinations, or a random part of them (grid), or in rounds that use earlier results
-    (optuna)"""
+    """how settings are proposed: all combinations or a random part (grid), or in rounds that use earlier results (optuna)"""
     steps: int = 20_000  # updates of each setting and seed
     seeds: int = 3  # number of seeds of each setting
     rows: int | None = None  # rows of logs that have a recipe; None: all

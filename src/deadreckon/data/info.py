@@ -1,5 +1,6 @@
 """The contents of a log in numbers, and warnings for a practitioner before training on it."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,10 +11,11 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.neighbours import about_neighbours
 from deadreckon.data.propensities import about_propensities
 from deadreckon.data.repeats import Copies
-from deadreckon.data.sizes import about_observations, about_rewards, reward_scale
+from deadreckon.data.sizes import about_observations, about_rewards, reward_options
 from deadreckon.data.spec import Box
-from deadreckon.data.told import action_names, observation_names
+from deadreckon.data.told import action_names, observation_names, schema_of
 
+COSTS = {"cost", "costs", "loss", "losses", "penalty", "regret", "error", "errors", "damage", "delay", "waste", "downtime"}
 _SAMPLE = 200_000  # rows looked at where looking at all would be slow
 _NAMED = 8  # columns or actions named in a line
 _QUANTILES = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -196,9 +198,18 @@ def _rewards(log: Dataset, info: Info) -> list[str]:
         out.append(f"rewards are sparse: {share:.2%} of the rows have one; prefer methods that stay close to the data")
     elif info.reward_zero_share > 0.5:
         out.append(f"rewards are mostly zero ({info.reward_zero_share:.0%} of the rows)")
+    if (column := _cost(log)) is not None and info.rewards[-1] > 0:
+        out.append(f"the reward is column {column}: larger is taken to be better; negate it if smaller is")
     if told := about_rewards(log.spec):
-        out.append(f"{told}; agents are made for about 1: scale them (--agent.reward-scale {reward_scale(log.spec):g})")
+        out.append(f"{told}; agents are made for about 1: train with {reward_options(log)}")
     return out
+
+
+def _cost(log: Dataset) -> str | None:
+    """The reward's column, if its name is that of something to minimise."""
+    schema = schema_of(log)
+    names = schema.named("reward") if schema else []
+    return next((name for name in names if COSTS & set(re.findall("[a-z]+", name.lower()))), None)
 
 
 def _columns(log: Dataset, info: Info) -> list[str]:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,16 +28,39 @@ def usual_observations(spec: Spec) -> bool:
     return spec.observation_dtype == "uint8" or not unusual(spec.observation).any()
 
 
-def reward_scale(spec: Spec) -> float:
-    """The power of ten that brings the rewards of a log to about 1: of their root mean square, or the largest if all are small.
+def reward_units(log: Dataset) -> tuple[float, float]:
+    """A scale and a shift that bring the rewards of a log to about 1: scale times reward, plus shift.
 
-    1 where they are so already, or where all are 0.
+    Scale 1 and no shift where they are so already. In a log of single steps the mean reward becomes 0, which changes no
+    decision: else what remains of differences after the scale would depend on an offset. In longer episodes an offset counts.
     """
-    seen = spec.reward
+    seen = log.spec.reward
     if not unusual(seen).any():
-        return 1.0
+        return 1.0, 0.0
+    mean = seen.mean if log.lengths.max() == 1 else np.zeros_like(seen.mean)
+    seen = replace(seen, mean=seen.mean - mean, min=seen.min - mean, max=seen.max - mean)
+    scale = _scale(seen) if unusual(seen).any() else 1.0
+    return scale, -scale * float(mean)
+
+
+def _scale(seen: Statistics) -> float:
+    """The power of ten that brings numbers to about 1: their root mean square, or the largest if all are small."""
     size = float(_size(seen))
     return 10.0 ** -round(math.log10(size if size > LARGE else max(abs(float(seen.min)), abs(float(seen.max)))))
+
+
+def reward_options(log: Dataset) -> str:
+    """The options of training that are `reward_units`."""
+    scale, shift = reward_units(log)
+    options = [f"--agent.reward-scale {scale:g}"] if scale != 1.0 else []
+    return " ".join([*options, f"--agent.reward-shift={shift:.4g}"] if shift else options)
+
+
+def reward_words(log: Dataset) -> str:
+    """`reward_units` of the column of a table, in words."""
+    scale, shift = reward_units(log)
+    parts = [f"multiply the column by {scale:g}"] if scale != 1.0 else []
+    return " and ".join([*parts, f"add {shift:.4g}"] if shift else parts)
 
 
 def about_observations(log: Dataset) -> str:
@@ -57,7 +81,7 @@ def about_dimensions(seen: Statistics, found: np.ndarray, names: Sequence[str]) 
 
 def about_rewards(spec: Spec) -> str:
     """The same of its rewards."""
-    return "" if reward_scale(spec) == 1.0 else f"rewards are {float(_size(spec.reward)):.3g} in size (root mean square)"
+    return "" if not unusual(spec.reward).any() else f"rewards are {float(_size(spec.reward)):.3g} in size (root mean square)"
 
 
 def _size(seen: Statistics) -> np.ndarray:

@@ -40,8 +40,7 @@ class GP(Designer):
     fit_rows: Count = host(400)  # largest number of designs on which the hyperparameters are fitted
     rounds: Count = host(40)  # rounds of the search
     folds: CountOrZero = host(5)
-    """folds of the cross-validation that calibrates the intervals, 2 or more; 0: none; with more than `max_rows` designs a
-    fifth is held out once instead"""
+    """folds of the cross-validation that calibrates intervals; 0: none; beyond `max_rows` designs a fifth is held out once"""
 
     @property
     def label(self) -> str:

@@ -38,8 +38,7 @@ class EstimateSettings(FitSettings):
 
     discount: float = 0.995  # discount factor per step; 1 where episodes end or there is a horizon
     horizon: int | Literal["auto"] | None = None
-    """number of first steps of an episode that count; None: all; auto: the step at which all timeouts fall, if more than
-    2 % of the discounted time lies beyond it, else all"""
+    """first steps of an episode that count; None: all; auto: as many as the longest has, if timeouts fall there, or all"""
     greedy: bool = False  # whether to evaluate deterministic (greedy) instead of sampled actions
 
     def estimand(self, log: Dataset) -> Estimand:
@@ -59,9 +58,7 @@ class EvidenceSettings(Settings):
     cost_limit: float | Mapping[str, float] | Sequence[str] | None = None
     """largest total cost of an episode, discounted like the value; a number or COLUMN=NUMBER; the interval must be within"""
     stationary: bool = False
-    """whether the system never changes, as a simulator, or the order of rows says nothing of time; otherwise estimates compare
-    actions of about the same time if the behaviour policy changed along the log, and a gain that changed must be positive in
-    the latest third, too"""
+    """whether the order of rows says nothing of time; if not, estimates and gains allow for changes along the log"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -93,7 +93,7 @@ class Numbers:
         refuse(np.isinf(values), "a finite number is needed")
         beyond = (values < self.low) | (values > self.high)
         if not flag:
-            refuse(absent & ~self.marked, "and the log misses no value there")
+            refuse(absent & ~self.marked, "and the log has no missing value there")
             refuse(beyond, "outside the range {limits} that the schema gives")
         refuse(absent & np.isnan(self.fill), "and no replacement for it is known")
         outside = beyond | (values < self.seen_low) | (values > self.seen_high) | (absent & (self.complete | ~self.marked))
@@ -130,7 +130,7 @@ class Category:
             value = values[row : row + 1].tolist()[0]
             if is_missing(value):
                 if not (flag or self.marked):
-                    raise RowsError(f"{name}: column {self.key} is empty in row {row}, and the log misses no value there")
+                    raise RowsError(f"{name}: column {self.key} is empty in row {row}, and the log has no missing value there")
                 outside[row] = self.complete or not self.marked
                 out[row, len(self.levels) :] = 1.0
             elif (code := code_of(self.codes, value)) is not None:

@@ -142,7 +142,7 @@ class Attempt:
         """All stages, from reading the log to the check in a simulator."""
         log, judge_in, holdout = self._log()
         learning = stacked(divided(log, holdout, None, None).learning, self.settings.history)  # the rest is held out
-        self.units = units(learning.spec)
+        self.units = units(learning)
         if told := _changed(self.units):
             self.send("line", told)
         self._stage("pilots")
@@ -438,8 +438,10 @@ def _number(value: Any) -> Any:
 def _changed(units: dict[str, Any]) -> str:
     """A line about the scaling of observations and rewards for candidates; empty without scaling."""
     parts = ["with standardised observations"] if "standardise" in units else []
-    if scale := units.get("reward_scale"):
-        parts.append(f"on rewards times {scale:g} where agents can scale them")
+    changes = [f"times {units['reward_scale']:g}"] if "reward_scale" in units else []
+    changes += [f"{units['reward_shift']:+.4g}"] if "reward_shift" in units else []
+    if changes:
+        parts.append(f"on rewards {' '.join(changes)} where agents can scale them")
     return f"candidates are trained {' and '.join(parts)}, since numbers of this log are far from 1 in size" if parts else ""
 
 

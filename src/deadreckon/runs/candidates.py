@@ -6,8 +6,8 @@ from typing import Any
 
 from deadreckon.agents import agent_class
 from deadreckon.agents.agent import Agent
-from deadreckon.data.sizes import reward_scale, usual_observations
-from deadreckon.data.spec import Spec
+from deadreckon.data.dataset import Dataset
+from deadreckon.data.sizes import reward_units, usual_observations
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,14 @@ DISCRETE = (
 )
 
 
-def units(spec: Spec) -> dict[str, Any]:
+def units(log: Dataset) -> dict[str, Any]:
     """Settings that scale observations and rewards to about 1 in size, if those of a log are far from that.
 
     Agents train badly on observations and rewards in the usual units of measurement: see docs/recommend.md.
     """
-    found: dict[str, Any] = {} if usual_observations(spec) else {"standardise": True}
-    return found if (scale := reward_scale(spec)) == 1.0 else found | {"reward_scale": scale}
+    found: dict[str, Any] = {} if usual_observations(log.spec) else {"standardise": True}
+    scale, shift = reward_units(log)
+    return found | ({} if scale == 1.0 else {"reward_scale": scale}) | ({} if shift == 0.0 else {"reward_shift": shift})
 
 
 def agent_of(candidate: Candidate, **common: Any) -> Agent:

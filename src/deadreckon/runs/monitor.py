@@ -293,7 +293,7 @@ def _of_outside(outside: Outside, columns: Sequence[Compared], rows: int) -> lis
     listed = []
     for name, how, count, guilty in outside.columns:
         which = f": {others_of(by[name])}" if how == compared.UNKNOWN and name in by else ""
-        listed.append(Finding("outside", name, guilty, f"{count:,} rows {_side(how)}{which}"))
+        listed.append(Finding("outside", name, guilty, f"{count:,} row{'' if count == 1 else 's'} {_side(how)}{which}"))
     return [Finding("outside", "the log", False, f"{outside.share:.1%} of {rows:,} rows"), *listed]
 
 

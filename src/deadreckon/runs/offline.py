@@ -55,6 +55,10 @@ class Judged(NamedTuple):
     def _repr_html_(self) -> str | None:
         return provided("notebook")(self)
 
+    def __str__(self) -> str:
+        """The estimates and the decision, as the command prints them."""
+        return "\n\n".join(map(str, (*self.estimates, self.choice)))
+
 
 def judge(
     policies: Any,

@@ -79,8 +79,7 @@ class TrainSettings(RunSettings):
     encoder: Kind = "patches"
     """network between images and the agent's own: patches (fast on CPUs), drq or impala (convolutions, for GPUs)"""
     shift: int | None = None
-    """largest number of pixels by which images are shifted at random (DrQ), for tasks in which shifts do not change the best
-    action; None: 4 of 84, and 0 in tasks such as driving, where positions in an image determine the action"""
+    """largest random shift of images in pixels (DrQ); None: 4 of 84, and 0 where positions in an image determine actions"""
 
     def check(self, seed: int, **counts: int) -> None:
         """See `RunSettings`."""
@@ -132,8 +131,7 @@ class JudgeSettings(DecisionSettings, EstimateSettings):
     """Settings of an evaluation from a log: what is estimated, what decides, on which episodes."""
 
     horizon: int | Literal["auto"] | None = "auto"
-    """number of first steps of an episode that count; None: all; auto: the step at which all timeouts fall, if more than
-    2 % of the discounted time lies beyond it, else all"""
+    """first steps of an episode that count; None: all; auto: as many as the longest has, if timeouts fall there, or all"""
     out: Path | str | None = None  # folder of `estimates.json`, which has all results, and of checkpoints; None: none
     cluster: str | None = None
     """column whose values are resampled as one, such as a user; None: that of the holdout, if it has one"""

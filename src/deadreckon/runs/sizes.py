@@ -2,7 +2,7 @@
 
 from deadreckon.agents.agent import Agent
 from deadreckon.data.dataset import Dataset
-from deadreckon.data.sizes import about_observations, about_rewards, reward_scale
+from deadreckon.data.sizes import about_observations, about_rewards, reward_options, reward_words
 from deadreckon.tasks.registry import of_log
 
 
@@ -18,8 +18,8 @@ def about_sizes(log: Dataset, agent: Agent) -> list[str]:
         do = "standardise them (--agent.standardise, in Python standardise=True)"
         do = do if "standardise" in own else "change the units"
         lines.append(f"{log.name}: {told}; networks learn best from observations of about 1: {do}")
-    if "reward" in needs.columns and own.get("reward_scale", 1.0) == 1.0 and (told := about_rewards(log.spec)):
-        scale = f"{reward_scale(log.spec):g}"
-        do = f"give --agent.reward-scale {scale}" if "reward_scale" in own else f"multiply the column by {scale}"
+    usual = own.get("reward_scale", 1.0) == 1.0 and own.get("reward_shift", 0.0) == 0.0
+    if "reward" in needs.columns and usual and (told := about_rewards(log.spec)):
+        do = f"give {reward_options(log)}" if "reward_scale" in own else reward_words(log)
         lines.append(f"{log.name}: {told}; {type(agent).__name__} is made for rewards of about 1: {do}")
     return lines
