@@ -179,3 +179,19 @@ def test_costs_are_no_rewards_to_maximise():
         assert any("negate it if smaller is" in line for line in warnings_for(log)) is told
     log = Dataset.from_frame({**frame, "cost_eur": -frame["cost_eur"]}, action="action", reward="cost_eur", ignore="closs")
     assert not any("negate it" in line for line in warnings_for(log))
+
+
+@pytest.mark.parametrize(
+    ("cell", "told"),
+    [
+        (lambda i: f"{i},5 C", "leave units out of the cells and give --decimal comma"),
+        (lambda i: f"{i} kg", "leave units out of the cells"),
+        (lambda i: f"item {i}", None), (lambda i: f"{i % 19} kg", None),
+    ],
+)  # fmt: skip
+def test_texts_that_are_numbers_with_units_are_told(cell, told):
+    """They were read as so many levels, without a word."""
+    frame = {"x": [cell(i) for i in range(40)], "action": np.arange(40) % 2, "reward": np.arange(40.0)}
+    warnings = Dataset.from_frame(frame, action="action", reward="reward").warnings
+    lines = [line for line in warnings if "begin with a number" in line]
+    assert (not lines) if told is None else (told in lines[0])

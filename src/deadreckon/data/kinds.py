@@ -1,5 +1,6 @@
 """Of which kind the values of a column are: numbers, whole numbers, levels, flags or dates."""
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -23,6 +24,8 @@ from deadreckon.data.placeholders import placeholder
 from deadreckon.data.schema import ALLOWED, KINDS, Kind, Role
 from deadreckon.errors import UserError, unknown
 
+_NUMBER = re.compile(r"\s*[-+]?\d+([.,]\d+)?\s*[^\d\s]{0,8}\s*")  # with a unit, if any
+_FEWEST, _MOSTLY = 20, 0.8  # levels from which on, and share of them with which, texts are said to be numbers
 _EXACT = 2**24  # up to which float32 holds every integer
 MOST_DISCRETE = 100  # different whole numbers in a column of actions beyond which it is read as continuous
 
@@ -71,7 +74,7 @@ def kind_of(column: str, values: Any, role: Role, alone: bool, asked: Kind | Non
         doubt = f"holds numbers as texts, and is read as numbers (--kinds {column}=category)" if role == "observation" else ""
         return "number", "texts that are numbers", doubt
     if role == "observation" and kind == "category":
-        return kind, reason, _alike(values)
+        return kind, reason, _measured(values) or _alike(values)
     if role in ("observation", "reward", "cost") and (doubt := placeholder(values)):
         return kind if role == "observation" else "number", reason, doubt
     if role == "observation" and (doubt := _rounded(values)):
@@ -124,6 +127,19 @@ def _alike(values: Any) -> str:
         if (of := lower.removesuffix(" total").removesuffix(" ergebnis")) != lower and of in found:
             return f"has {level!r} beside {found[of]!r}, as subtotals are called: leave such rows out if they sum others up"
     return ""
+
+
+def _measured(values: Any) -> str:
+    """What to say of texts most of which are a number and, perhaps, its unit."""
+    levels = few_values(decoded(values))
+    texts = levels.to_pylist() if levels is not None and len(levels) >= _FEWEST and is_text(levels.type) else []
+    found = [text for text in texts if _NUMBER.fullmatch(text)]
+    if len(found) <= _MOSTLY * len(texts) or not texts:
+        return ""
+    how = [] if all(text.strip()[-1].isdigit() for text in found) else ["leave units out of the cells"]
+    how = " and ".join([*how, "give --decimal comma"] if any("," in text for text in found) else how)
+    told = f"holds texts that begin with a number, such as {found[0]!r}, and is read as {len(texts):,} levels"
+    return f"{told}: for numbers, {how or 'correct the others'}"
 
 
 def _rounded(values: Any) -> str:

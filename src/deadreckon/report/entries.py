@@ -219,7 +219,9 @@ def _task_of(config: dict[str, Any]) -> str:
 def _config(path: Path) -> dict[str, Any]:
     config = Folder(path).config
     if not config.exists():
-        raise UserError(f"{path} holds no run (no run.json)")
+        estimates = (Path(path) / "estimates.json").exists()
+        does = ", but estimates: name the runs, with --estimates before this folder" if estimates else ""
+        raise UserError(f"{path} holds no run (no run.json){does}")
     return Folder(path).read_config()
 
 

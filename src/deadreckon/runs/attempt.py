@@ -184,7 +184,11 @@ class Attempt:
         self.send("line", f"{log.name}: {manner}; {share} are held out for the card, {by}")
         if (count := len(np.unique(clusters(log, holdout.by)[parts.held]))) < UNITS:
             told = f"only {count} {units_in_words(log, holdout.by)} are held out, and no policy is recommended on fewer than"
-            self.send("line", f"{told} {UNITS}: hold out a larger share (--holdout), or record more")
+            every = len(np.unique(clusters(log, holdout.by)))
+            do = "hold out a larger share (--holdout), or record more"
+            if every < UNITS:  # whatever is held out
+                do = f"the log has {every}; without --group the card would be for these alone, and not for others"
+            self.send("line", f"{told} {UNITS}: {do}")
         self._warn(log)
         return log, judge_in, holdout
 
