@@ -191,12 +191,12 @@ def test_lanes_find_what_cells_find_alone(planned, tmp_path, monkeypatch):
         runs = [load(folder) for folder in folders for _ in range(2)]
         told = [{"name": run.path.name, "run": run.path.name} for run in runs]
         values = [run.config["agent"]["fields"]["alpha"] for run in runs]
-        return Judged([], None, {"policies": told, "results": [{"value": values}]})
+        return Judged([], None, {"policies": told, "results": [{"value": values, "gain": [[v, v - 1, v + 1] for v in values]}]})
 
     monkeypatch.setattr("deadreckon.bench.tune.judge", judge)
     found = {row["cell"]: row for row in together.results().to_pylist()}
     assert _estimated(jobs, together, found, ["fqe"], TrialSettings()) == {
-        job.method: [job.settings["alpha"]] * 2 for job in jobs
+        job.method: [[v := job.settings["alpha"], v, v - 1, v + 1]] * 2 for job in jobs
     }
 
     # A longer one of as many lanes will take as long a step.

@@ -161,6 +161,14 @@ def test_what_a_choice_by_estimates_loses_is_told():
     assert text.startswith("* alpha = 1.0")
 
 
+def test_what_the_episodes_of_the_log_tell_of_a_choice_is_told():
+    gains = [[[1.0, -70.0, 81.0], [2.0, -60.0, 70.0]], [[0.5, -80.0, 60.0]] * 2, [[-90.0, -99.0, -85.0]] * 2]
+    none = np.full((1, 2), np.nan)
+    trials = tuple(Trial({"alpha": i}, none, np.array([3.0 - i] * 2), "", np.array(g)) for i, g in enumerate(gains))
+    text = str(Tuned("cql", "ope", trials, trials[0], None, None))
+    assert "over the behaviour policy are -70.0 to 81.0; those of 1 of the 2 other settings may be as large" in text
+
+
 def test_a_setting_without_a_finite_estimate_is_not_chosen_and_the_file_is_json(tmp_path):
     settings = [{"alpha": value} for value in (1.0, 5.0)]
     values = np.array([2.0, np.nan]), np.array([1.0, 3.0])

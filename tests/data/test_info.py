@@ -195,3 +195,14 @@ def test_texts_that_are_numbers_with_units_are_told(cell, told):
     warnings = Dataset.from_frame(frame, action="action", reward="reward").warnings
     lines = [line for line in warnings if "begin with a number" in line]
     assert (not lines) if told is None else (told in lines[0])
+
+
+def test_totals_of_episodes_in_all_of_their_rows_are_told():
+    rng = np.random.default_rng(0)
+    totals = np.repeat(rng.normal(size=30), 5)
+    ends = np.arange(150) % 5 == 4
+    for rewards, told in ((totals, True), (totals + 0.1 * rng.normal(size=150), False), (np.where(ends, totals, 0.0), False)):
+        log = Dataset.from_arrays(
+            observations=rng.normal(size=(150, 2)), actions=np.arange(150) % 2, rewards=rewards, terminals=ends
+        )
+        assert any("give it in the last row alone" in line for line in warnings_for(log)) is told

@@ -184,7 +184,8 @@ def tried(
         own = [[rows[c] for job in jobs if (job.method, job.on) == (method.name, on) for c in job.cells] for on in search.on]
         failure = next((row["failure"] for log in own for row in log if row["failure"]), "")
         scores = np.array([[row["score"] for row in log] for log in own], float)
-        trials.append(Trial(dict(fields), scores, np.array(values.get(method.name, [])), failure))
+        told = np.array(values.get(method.name, [])).reshape(-1, 4)
+        trials.append(Trial(dict(fields), scores, told[:, 0], failure, told[:, 1:]))
     return trials
 
 
@@ -211,8 +212,8 @@ def chosen(search: Suite, by: By, trials: Sequence[Trial], store: Store) -> Tune
 def _estimated(
     jobs: Sequence[Job], store: Store, rows: Mapping[str, Mapping[str, Any]], estimators: Sequence[Any],
     judging: TrialSettings,
-) -> dict[str, list[float]]:  # fmt: skip
-    """Method -> what its policies are estimated at, one per seed."""
+) -> dict[str, list[list[float]]]:  # fmt: skip
+    """Method -> for each seed what its policy is estimated at, and its gain with both ends."""
     from deadreckon.bench.work import source
 
     folders = {store.run_of(rows[cell]): job.method for job in jobs for cell in job.cells}
@@ -220,15 +221,17 @@ def _estimated(
     if jobs[0].options.get("divided"):
         log = trial_parts(log)[1]
     judged = judge(list(folders), log, estimators, **vars(judging))
-    values: dict[str, list[float]] = {}
+    values: dict[str, list[list[float]]] = {}
     owners = {folder.name: method for folder, method in folders.items()}
-    for policy, value in zip(judged.results["policies"], judged.results["results"][0]["value"]):
-        values.setdefault(owners[policy["run"]], []).append(value)
+    first = judged.results["results"][0]
+    for policy, value, gain in zip(judged.results["policies"], first["value"], first["gain"]):
+        values.setdefault(owners[policy["run"]], []).append([value, *gain])
     return values
 
 
 def _json(found: Tuned, search: Suite) -> dict[str, Any]:
-    trials = [{"fields": t.fields, "scores": _finite(t.scores), "values": _each_finite(t.values)} for t in found.trials]
+    trials = [{"fields": t.fields, "scores": _finite(t.scores), "values": _each_finite(t.values),
+               "gains": [_each_finite(own) for own in t.gains]} for t in found.trials]
     said = {"agent": found.agent, "by": found.by, "logs": search.on, "steps": search.steps, "seeds": search.seeds}
     return json.loads(json.dumps({**said, "best": found.best.fields, "lost": found.lost, "trials": trials}))
 

@@ -1,7 +1,7 @@
 """Settings that were tried, the choice among them, and how both are shown."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -22,12 +22,14 @@ class Trial:
         scores: (logs, seeds) normalised scores in the simulators; NaN where there is none, or none may be used.
         values: (seeds,) what its policies are estimated at from the log; empty where that was not asked for.
         failure: why a seed diverged, or "": then it is not chosen.
+        gains: (seeds, 3) estimated gains over the behaviour policy, with ends that hold for all policies at once; likewise.
     """
 
     fields: dict[str, Any]
     scores: np.ndarray
     values: np.ndarray
     failure: str = ""
+    gains: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
 
     def __str__(self) -> str:
         return named(self.fields)
@@ -67,6 +69,8 @@ class Tuned:
             lines.append("  ".join(words))
         if any(len(trial.values) > 1 for trial in self.trials):
             lines.append(f"intervals ({PERCENT}) are over seeds of training; uncertainty from few episodes is not included")
+        if len(self.best.gains):
+            lines.append(self._by_episodes())
         if self.lost is not None:
             spread = np.ptp([trial.scores.mean() for trial in self.trials])
             share = f", {100 * self.lost / spread:.0f} % of the range of all" if spread > 0 else ""
@@ -75,6 +79,15 @@ class Tuned:
         if self.truth is not None:
             lines.append(f"rank correlation of estimates and scores: {self.truth.rank_correlation.value:.2f}")
         return "\n".join(lines)
+
+    def _by_episodes(self) -> str:
+        """What the episodes of the log tell of the choice."""
+        low, high = self.best.gains[:, 1].min(), self.best.gains[:, 2].max()
+        told = f"by the log's episodes, gains of the chosen policies over the behaviour policy are {low:.1f} to {high:.1f}"
+        others = [trial for trial in self.trials if trial is not self.best and len(trial.gains)]
+        alike = sum(bool(trial.gains[:, 2].max() >= low) for trial in others)
+        which = "the other setting" if len(others) == 1 else f"{alike} of the {len(others)} other settings"
+        return f"{told}; those of {which} may be as large" if alike else told
 
     def _standing(self, trial: Trial) -> float:
         return standing_of(trial, self.by)

@@ -17,6 +17,7 @@ from deadreckon.data.told import action_names, observation_names, schema_of
 
 COSTS = {"cost", "costs", "loss", "losses", "penalty", "regret", "error", "errors", "damage", "delay", "waste", "downtime"}
 _SAMPLE = 200_000  # rows looked at where looking at all would be slow
+_SEVERAL = 10  # episodes, and different rewards of theirs, from which on equal rewards within episodes are told
 _NAMED = 8  # columns or actions named in a line
 _QUANTILES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
@@ -198,11 +199,23 @@ def _rewards(log: Dataset, info: Info) -> list[str]:
         out.append(f"rewards are sparse: {share:.2%} of the rows have one; prefer methods that stay close to the data")
     elif info.reward_zero_share > 0.5:
         out.append(f"rewards are mostly zero ({info.reward_zero_share:.0%} of the rows)")
+    if _totals(log):
+        out.append("rewards are the same in all rows of an episode: if they are its total, give it in the last row alone")
     if (column := _cost(log)) is not None and info.rewards[-1] > 0:
         out.append(f"the reward is column {column}: larger is taken to be better; negate it if smaller is")
     if told := about_rewards(log.spec):
         out.append(f"{told}; agents are made for about 1: train with {reward_options(log)}")
     return out
+
+
+def _totals(log: Dataset) -> bool:
+    """Whether rewards change between episodes, often, and within none of those of several steps."""
+    rewards, longer = np.asarray(log.rewards), log.lengths > 1
+    if longer.sum() < _SEVERAL:
+        return False
+    first = rewards[log.starts][longer]
+    same = (np.maximum.reduceat(rewards, log.starts) == np.minimum.reduceat(rewards, log.starts))[longer]
+    return bool(same.all()) and len(np.unique(first)) >= _SEVERAL
 
 
 def _cost(log: Dataset) -> str | None:
