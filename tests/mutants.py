@@ -3137,6 +3137,11 @@ MUTANTS = (
         ("runs/test_sizes.py::test_an_offset_of_the_rewards_of_single_steps_changes_no_decision",),
     ),
     Mutant(
+        "values-one-by-one", "runs/realised.py", "if depends else 1", "if False else 1",
+        "returns that follow each other count as independent ones, and a value seems to be below its estimate",
+        ("runs/test_monitor.py::test_the_value_of_a_slowly_changing_system_is_that_of_its_parts",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

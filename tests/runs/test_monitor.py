@@ -27,7 +27,7 @@ from deadreckon.runs.reading import Read
 from deadreckon.runs.realised import Realised, finished, realised, returns_of
 from deadreckon.runs.run import load
 from deadreckon.runs.subject import Subject, estimates_of, subject
-from deadreckon.stats.confidence_sequence import confidence_sequence
+from deadreckon.stats.confidence_sequence import confidence_sequence, refuted_at
 from tests.recorded import decision
 
 BC = dr.agents.BC(hidden=(4,), batch_size=8)
@@ -495,6 +495,28 @@ def test_rows_of_a_slowly_changing_system_are_compared_in_parts(tmp_path):
     few = monitor(run, series(1, 160), reference=old, made_by="reference")
     assert f"not tested: {depend}, the new log has 3, and 5 are needed" in str(few)
     assert lead(few).startswith("No alarm. Not tested: heat, action.")
+
+
+def test_the_value_of_a_slowly_changing_system_is_that_of_its_parts():
+    """Returns that follow each other are not as many samples: one by one, a fifth of such logs or more had a false alarm."""
+
+    def log(seed, rows, less=0.0):
+        heat = series(seed, rows).observations[:, 0] / np.sqrt(1 / (1 - 0.81))
+        return dr.Dataset.from_arrays(
+            observations=heat[:, None], actions=np.arange(rows) % 2, rewards=heat - less, terminals=np.ones(rows, bool)
+        )
+
+    told = decision([{"name": "a"}], [{"value": [0.5, 0.4], "low": [0.0, 0.3], "high": [0.6, 0.5]}])
+    told["estimand"] |= {"discount": 1.0, "horizon": None}
+    old = log(0, 1_000)
+    alone = [refuted_at(log(seed, 640).rewards, (-6.0, 6.0), 0.0, 0.025) is not None for seed in range(1, 21)]
+    found = [realised(log(seed, 640), old, (told, 0), (-6.0, 6.0), 0.025) for seed in range(1, 21)]
+    assert sum(alone) >= 4
+    assert [each.below_at for each in found] == [None] * 20
+    assert found[0].length == 50
+    assert found[0].sequence.counts[-1] == 600
+    assert realised(log(1, 2_000, 2.0), old, (told, 0), (-6.0, 6.0), 0.025).below_at % 50 == 0
+    assert realised(log(1, 40), old, (told, 0), (-6.0, 6.0), 0.025).startswith("not compared: in parts of 50 episodes")
 
 
 def test_a_log_whose_rows_were_mixed_says_nothing_of_their_order(tmp_path):

@@ -236,6 +236,8 @@ def _of_value(value: Realised | str, alpha: float) -> list[Finding]:
     d = decimals(shown.value, *([] if value.estimated is None else [value.estimated.value]))
     level = level_in_words(1 - alpha)
     text = f"{shown:.{d}f} ({level} confidence sequence, which holds for any number of looks)"
+    if value.length > 1:
+        text += f", of means of {value.length:,} episodes, as returns depend on those of the episodes before"
     if value.estimated is not None:
         text += f", estimated {value.estimated:.{d}f}"
         if value.among > 1:

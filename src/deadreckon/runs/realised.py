@@ -14,9 +14,11 @@ import numpy as np
 from scipy.special import stdtrit
 
 from deadreckon.data.dataset import Dataset
+from deadreckon.data.neighbours import in_order
 from deadreckon.data.split import group_of, units_of
 from deadreckon.errors import UserError
 from deadreckon.ope.estimand import TAIL, Estimand, discounted_steps
+from deadreckon.stats import serial
 from deadreckon.stats.confidence_sequence import ConfidenceSequence, confidence_sequence, refuted_at
 from deadreckon.stats.interval import ALPHA, Interval
 
@@ -38,6 +40,7 @@ class Realised:
         range: of the returns, on which the interval is based.
         source: a description of the range's origin.
         beyond: episodes whose return lies outside it.
+        length: number of successive episodes whose mean is a sample; more than one if returns depend on those before.
         below_at: number of episodes after which the mean was significantly below the lower end of the estimate; None if it is
             not.
     """
@@ -50,6 +53,7 @@ class Realised:
     beyond: int
     below_at: int | None
     among: int = 1
+    length: int = 1
 
     @property
     def interval(self) -> Interval:
@@ -153,7 +157,28 @@ def realised(
         given = low, high
     edge = np.clip(x, *given)
     x = np.where(np.abs(x - edge) <= ROUNDING * (given[1] - given[0]), edge, x)
-    sequence = confidence_sequence(x, given, 2 * alpha)
-    below = refuted_at(x, given, least, alpha) if np.isfinite(least) else None
     outside = int(((x < given[0]) | (x > given[1])).sum())
-    return Realised(estimand, sequence, estimated, given, source, outside, below, among)
+    length = _together(old, estimand)
+    if not (parts := _means(x, length, given)).size:
+        told = f"in parts of {length:,} episodes, as returns depend on those of the episodes before"
+        return f"not compared: {told}, the new log has none"
+    sequence = confidence_sequence(parts, given, 2 * alpha)
+    below = refuted_at(parts, given, least, alpha) if np.isfinite(least) else None
+    sequence = sequence._replace(counts=sequence.counts * length)
+    below = None if below is None else below * length
+    return Realised(estimand, sequence, estimated, given, source, outside, below, among, length)
+
+
+def _together(old: Dataset, estimand: Estimand) -> int:
+    """The number of successive episodes whose mean is one sample: 1, or a part of the reference if its returns depend on those
+    of the episodes before, as the confidence sequence needs samples that do not."""
+    episodes = in_order(old)
+    depends = episodes is not None and serial.depends(returns_of(old, estimand)[episodes])
+    return max(-(-old.episodes // serial.PARTS), 1) if depends else 1
+
+
+def _means(x: np.ndarray, length: int, given: tuple[float, float]) -> np.ndarray:
+    """(parts,) means of so many successive returns; one of a part that has returns beyond the range is beyond it, too."""
+    parts = x[: len(x) // length * length].reshape(-1, length)
+    low, high = parts.min(1, initial=np.inf), parts.max(1, initial=-np.inf)
+    return np.where(high > given[1], high, np.where(low < given[0], low, parts.mean(1)))
