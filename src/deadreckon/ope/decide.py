@@ -98,12 +98,12 @@ def decide(
     estimates = [each.on(case) for each in asked]
     costs = costs_of(case, asked[0], checked, limits_of(settings.cost_limit, case.given), alpha, model)
     against = [[told for each in costs if (told := each.objection(i, 1 - alpha))] for i in range(len(case.policies))]
-    marginal = isinstance(asked[0], DoublyRobust) and asked[0].kind == "marginal"
-    predicted = asked[0].nuisances(case)[0] if marginal else None
+    first = asked[0]
+    predicted = first.nuisances(case)[0] if isinstance(first, DoublyRobust) and first.kind == "marginal" else None
     ratios = None if predicted is None else predicted.weights
     for own, lucky in zip(against, without_losses(case, estimates[0], checked, model, alpha, ratios)):
         own += [lucky] if lucky else []
-    for doubt in _doubts(case, asked[0], predicted, model):
+    for doubt in _doubts(case, first, predicted, model):
         for own in against:
             own.append(doubt)
     if (weights := weights_of(case.given)) is not None:
