@@ -23,7 +23,7 @@ from deadreckon.mbo.forward import Forward, on_held_out
 from deadreckon.mbo.front import propose_front
 from deadreckon.mbo.gp import GP
 from deadreckon.mbo.proposal_table import about, about_front
-from deadreckon.mbo.replicates import _joined
+from deadreckon.mbo.replicates import _joined, units_told
 from deadreckon.mbo.validation import checkable, judged
 from deadreckon.mbo.variables import Variable
 from deadreckon.report.design_advice import rule_note
@@ -321,6 +321,18 @@ def test_the_tree_that_joins_designs_is_minimal():
             parts = connected_components(coo_matrix((least.data[near], (least.row[near], least.col[near])), distance.shape))[1]
             group = fcluster(tree, height, "distance")
             np.testing.assert_array_equal(group[:, None] == group, parts[:, None] == parts)
+
+
+def test_scores_that_are_equal_to_the_last_digit_are_told():
+    """Each row twice, with another value of an input that means nothing: a model predicts one of the two from the other."""
+    rng = np.random.default_rng(0)
+    y, x = rng.normal(size=40), rng.uniform(size=(80, 2))
+    x[:, 0] = np.repeat(rng.uniform(size=40), 2)
+    for scores, told in (
+        (np.repeat(y, 2), True), (rng.normal(size=80), False), (rng.normal(size=80).round(1), False),
+        (np.where(rng.random(80) < 0.5, 0.0, rng.normal(size=80)), False), (np.repeat(y, 2).round(3), True),
+    ):  # fmt: skip
+        assert any("have exactly the score of another one" in line for line in units_told(Designs(x, scores, AB), None)) is told
 
 
 def test_a_table_of_recipes_says_so():

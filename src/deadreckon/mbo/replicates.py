@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from deadreckon.mbo.designs import Designs
 
 GAP, LEAST = 10.0, 3.0  # least ratios of distances between recipes to those within one: of the median, and of the gap
+# Equal scores are told if these occur in at least so many pairs, ten times as many as chance explains where scores have so few
+# decimals, in a fifth of the rows, and few others occur more often, as numbers of few significant digits do.
+PAIRS, SHARE, MOST, RARELY, PEAKED = 10, 0.2, 4, 0.1, 3.0
 CHANCE = 1e-4  # probability of such a gap by chance
 APART = 3  # least number of linkage distances between recipes
 LINKED = 3_000  # largest number of different designs among which recipes are searched
@@ -155,12 +158,29 @@ def _joined(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def units_told(data: "Designs", groups: str | None) -> list[str]:
     """Messages on rows that are held out together: the groups of a column, and rows that are taken for replicates."""
     told = f"rows with the same {groups} are held out together where predictions of unseen designs are tested"
-    lines = [] if groups is None else [f"{told} ({int(data.units.max()) + 1:,} parts)"]
+    lines = _equal_scores(data) if groups is None else [f"{told} ({int(data.units.max()) + 1:,} parts)"]
     count, designs = int(data.recipes.max()) + 1, len(np.unique(data.x, axis=0))
     return lines if count == designs else [*lines, (
         f"{designs:,} different designs are {count:,} recipes whose settings differ slightly from row to row: a recipe is held "
         "out as a whole where predictions of unseen designs are tested; write its settings alike to have its rows pooled"
     )]  # fmt: skip
+
+
+def _equal_scores(data: "Designs") -> list[str]:
+    """What to say of scores that occur a few times each, to the last digit, more often than numbers with so few decimals do."""
+    values, times = np.unique(data.y, return_counts=True)
+    few = (times > 1) & (times <= MOST)
+    rows, pairs = int(times[few].sum()), float((times[few] * (times[few] - 1) / 2).sum())
+    if pairs < PAIRS or rows < SHARE * len(data) or (times > MOST).sum() > RARELY * few.sum():
+        return []
+    digits = next((d for d in range(9) if np.allclose(data.y * 10**d, np.round(data.y * 10**d), rtol=0, atol=1e-6)), 15)
+    expected = len(data) ** 2 / 2 / max(np.ptp(values) * 10.0**digits / PEAKED, 1.0)
+    if pairs < PAIRS * expected:
+        return []
+    return [
+        f"{rows:,} of {len(data):,} rows have exactly the score of another one, such as {values[few][0]:.6g}: if they are one "
+        "measurement, written down for several designs, name the column that tells which are (--groups)"
+    ]
 
 
 def noise_beyond(data: "Designs") -> float:
