@@ -166,7 +166,7 @@ def test_what_the_episodes_of_the_log_tell_of_a_choice_is_told():
     none = np.full((1, 2), np.nan)
     trials = tuple(Trial({"alpha": i}, none, np.array([3.0 - i] * 2), "", np.array(g)) for i, g in enumerate(gains))
     text = str(Tuned("cql", "ope", trials, trials[0], None, None))
-    assert "over the behaviour policy are -70.0 to 81.0; those of 1 of the 2 other settings may be as large" in text
+    assert "over the behaviour policy are between -70.00 and 81.00; those of 1 of the 2 other settings may be as large" in text
 
 
 def test_a_setting_without_a_finite_estimate_is_not_chosen_and_the_file_is_json(tmp_path):

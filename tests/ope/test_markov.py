@@ -10,6 +10,7 @@ from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.estimand import Estimand
 from deadreckon.ope.linear import LinearFQE
 from deadreckon.ope.markov import hidden_state, left_out
+from deadreckon.policies.policy import BlackBoxPolicy
 from tests.ope.test_decide import constant
 
 DRL = DoublyRobust(kind="marginal", fqe=LinearFQE())
@@ -72,6 +73,42 @@ def test_effects_of_the_previous_action_need_it_as_a_column():
     assert doubt_of(tired(0.05)) is None  # too weak to matter
 
 
+def test_effects_of_the_previous_action_that_cancel_over_actions_are_found():
+    """An action that is worth more if it is another one: a policy that repeats itself was deployed, and is worse."""
+    rng = np.random.default_rng(0)
+    actions = rng.integers(0, 2, (500, 6))
+    before = np.concatenate([rng.integers(0, 2, (500, 1)), actions[:, :-1]], 1)
+    log = log_of(actions, (actions != before) + 0.2 * actions + 0.5 * rng.normal(size=actions.shape))
+    assert "depends on the previous action" in doubt_of(log)
+
+
+def test_effects_of_the_step_that_cancel_over_observations_are_found():
+    rng = np.random.default_rng(0)
+    seen, time = rng.integers(0, 2, (600, 8)), np.arange(8) / 7
+    actions = (rng.random((600, 8)) < np.where(seen == 1, 0.7 - 0.4 * time, 0.3 + 0.4 * time)).astype(int)
+    rewards = np.where(seen == 1, 1, -1) * (1 - 2 * time) + rng.normal(size=(600, 8))
+    assert "depends on the step of the episode" in doubt_of(log_of(actions, rewards, seen=seen))
+
+
+def test_a_behaviour_policy_with_a_memory_is_no_hidden_state():
+    """Three policies take turns, or one improves with the step; observations hold all that matters for what follows."""
+    rng = np.random.default_rng(1)
+    count, steps = 400, 8
+    paths, gains = rng.dirichlet(np.ones(6), (6, 2)), rng.normal(size=(6, 2))
+    for kind in ("turns", "step"):
+        seen, actions = np.zeros((count, steps), int), np.zeros((count, steps), int)
+        seen[:, 0] = rng.integers(0, 6, count)
+        for t in range(steps):
+            chance = np.array([0.2, 0.5, 0.8])[np.arange(count) % 3] if kind == "turns" else 0.2 + 0.6 * t / steps
+            actions[:, t] = rng.random(count) < np.where(seen[:, t] % 2 == 0, chance, 1 - chance)
+            if t + 1 < steps:
+                cut = paths[seen[:, t], actions[:, t]].cumsum(1)
+                seen[:, t + 1] = (rng.random(count)[:, None] > cut).sum(1).clip(0, 5)
+        rewards = gains[seen, actions] + 0.5 * rng.normal(size=seen.shape)
+        lengths = 1 + rng.geometric(0.2, count).clip(1, steps - 1)  # ends by chance, in no observation's favour
+        assert doubt_of(log_of(actions, rewards, lengths, seen=seen), 0.95) is None
+
+
 def sessions(seed, rewards_end=0.0, stops=(0.3, 0.3)):
     """Sessions that end by chance, more often after some actions, without a terminal."""
     rng = np.random.default_rng(seed)
@@ -120,6 +157,25 @@ def test_losses_that_rows_of_longer_episodes_lack_by_chance():
         assert found.low <= 0 or "this happens by chance in" in found.reason
         if met:
             break
+    assert met
+
+
+def test_losses_of_whole_episodes_that_few_episodes_lack_by_chance():
+    """An arm of few episodes, which is observed; losses in all steps of two in a hundred, whatever the arm."""
+    met = 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        arm = rng.random(600) < 0.06
+        lost = rng.random(600) < 0.03
+        if lost[arm].any():
+            continue
+        actions = np.where(np.arange(6) == 0, arm[:, None], rng.integers(0, 2, (600, 6)))
+        seen = np.where(np.arange(6) == 0, 0, 1 + arm[:, None])
+        rewards = 0.1 * rng.normal(size=(600, 6)) - 5.0 * lost[:, None]
+        first = BlackBoxPolicy(None, action_probs=lambda x: np.where(x == 0, [[0.0, 1.0]], 0.5))
+        found = decide(OPEInput(log_of(actions, rewards, seen=seen), [first], logged=True)).choice
+        assert not found.deploy
+        met += "this happens by chance in" in found.reason
     assert met
 
 

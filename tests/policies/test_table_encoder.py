@@ -108,6 +108,7 @@ WRONG = {
     "a date": ({"temp": pd.Timestamp("2024-01-01")}, "column temp has .* in row 1, a number is needed"),
     "a new missing number": ({"count": None}, "column count is empty in row 1, and the log has no missing value there"),
     "a new missing level": ({"mode": None}, "column mode is empty in row 1, and the log has no missing value there"),
+    "an empty level": ({"mode": ""}, "column mode is empty in row 1, and the log has no missing value there"),
     "no flag": ({"on": 2}, "column on has 2.0 in row 1, a flag is true or false, 1 or 0, yes or no"),
     "no word of a flag": ({"on": "unknown"}, "column on has 'unknown' in row 1, a flag is true or false, 1 or 0, yes or no"),
     "infinite": ({"count": float("inf")}, "column count has inf in row 1, a finite number is needed"),

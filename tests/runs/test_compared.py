@@ -83,10 +83,10 @@ def test_what_lies_outside_is_counted_in_parts_where_rows_follow_each_other():
     old, new = log(np.arange(1000.0) // 50), np.arange(250.0) // 50
     which = compared.whats(old)
     new[:50] = 100.0
-    for bound, length, guilty in ((), 1, True), (which, 50, False):
-        found = compared.outside(old, log(new), which, False, 0.1, bound, length)
+    for lengths, guilty in ({}, True), (dict.fromkeys(which, 50), False):
+        found = compared.outside(old, log(new), which, False, 0.1, lengths)
         assert found.columns == (("observation 0", "above", 50, guilty),)
-    assert compared.outside(old, log(new + 100.0), which, False, 0.1, which, 50).columns[0][3]
+    assert compared.outside(old, log(new + 100.0), which, False, 0.1, dict.fromkeys(which, 50)).columns[0][3]
 
 
 def test_shares_of_missing_cells_stand_beside_the_differences():

@@ -493,8 +493,32 @@ def test_rows_of_a_slowly_changing_system_are_compared_in_parts(tmp_path):
     changed = monitor(run, series(1, 640, shift=6.0), reference=old, made_by="reference")
     assert {each.name for each in changed.findings if each.alarm and each.about == "observation"} == {"heat"}
     few = monitor(run, series(1, 160), reference=old, made_by="reference")
-    assert f"not tested: {depend}, the new log has 3, and 5 are needed" in str(few)
+    assert f"not tested: {depend}, of which the first test needs 5 in 320 episodes, and the new log has 160" in str(few)
     assert lead(few).startswith("No alarm. Not tested: heat, action.")
+
+
+def test_what_is_found_in_few_rows_of_a_slowly_changing_system_stays_found(tmp_path):
+    """Also where the reference is too short to tell that it depends on its past."""
+    old = series(5, 90)
+    run = dr.train(BC, old, steps=2, task=False, out=tmp_path / "run")
+    alarms = 0
+    for seed in range(12):
+        log = series(seed, 200)
+        looks = (monitor(run, log.select(np.arange(rows)), reference=old, made_by="reference") for rows in (99, 200))
+        early, late = ({each.name for each in look.findings if each.alarm} for look in looks)
+        alarms += bool(early)
+        assert early <= late
+    assert alarms
+
+
+def test_copies_of_rows_are_in_the_part_of_the_first():
+    """A log that was stored twice, and whose rows follow each other, has as many parts as it would have once."""
+    once = series(0, 500)
+    twice = once.select(np.concatenate([np.arange(500)] * 2))
+    rows = compared.sample(twice, np.arange(twice.episodes), False).in_parts(25)
+    assert len(rows.starts) == 20
+    assert rows.sizes.tolist() == [50] * 20
+    np.testing.assert_allclose(np.sort(rows.observations[:50, 0]), np.sort(np.repeat(once.observations[:25, 0], 2)), atol=1e-6)
 
 
 def test_the_value_of_a_slowly_changing_system_is_that_of_its_parts():

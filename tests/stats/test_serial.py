@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from deadreckon.stats.serial import depends, follows
+from deadreckon.stats.serial import ERRORS, depends, follows, together
 
 
 def chain(n, rho, rng):
@@ -21,7 +21,7 @@ def test_independent_values_depend_on_none():
         rare, few = rng.random(1000) < 0.03, rng.integers(0, 4, 500)
         for values in (rng.normal(size=300), 1.0 * rare, rng.standard_t(2, 150), 1.0 * few):
             found += depends(values), follows(values)
-    assert (found <= 2).all()  # of 400
+    assert (found <= [2, 12]).all()  # of 400
 
 
 @pytest.mark.parametrize("rho", [0.5, 0.9, 0.99])
@@ -42,9 +42,19 @@ def test_slow_dependence_that_noise_hides_is_found_by_parts():
 
 
 def test_a_change_of_level_is_no_dependence_on_the_value_before():
+    found = np.zeros(2)
     for seed in range(20):
         rng = np.random.default_rng(seed)
         late, noise = np.arange(400) >= 200, rng.normal(size=400)
         for values in (noise + 3 * late, noise * np.where(late, 0.1, 1), (rng.random(400) < 0.1 + 0.8 * late) * 1.0):
-            assert not follows(values)
+            found += follows(values), follows(values, ERRORS)
         assert depends(rng.normal(size=400) + 3 * late)
+    assert (found <= [4, 0]).all()  # of 60
+
+
+def test_as_many_values_are_taken_together_as_depend_on_each_other():
+    for rho, low, high in ((0.5, 4, 16), (0.9, 32, 128), (0.99, 256, 1000)):
+        found = [together(chain(20_000, rho, np.random.default_rng(seed))) for seed in range(5)]
+        assert all(low <= each <= high for each in found), (rho, found)
+    assert together(chain(200, 0.99, np.random.default_rng(0))) == 10  # a twentieth
+    assert together(np.arange(1000.0)) == 50

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from deadreckon.ope.metrics import Metrics
-from deadreckon.stats.interval import PERCENT
+from deadreckon.stats.interval import PERCENT, decimals, fixed
 from deadreckon.stats.means import student
 
 By = Literal["ope", "simulator"]
@@ -83,7 +83,9 @@ class Tuned:
     def _by_episodes(self) -> str:
         """What the episodes of the log tell of the choice."""
         low, high = self.best.gains[:, 1].min(), self.best.gains[:, 2].max()
-        told = f"by the log's episodes, gains of the chosen policies over the behaviour policy are {low:.1f} to {high:.1f}"
+        d = decimals(low, high)
+        ends = f"between {fixed(low, d)} and {fixed(high, d)}" if np.isfinite([low, high]).all() else "not known"
+        told = f"by the log's episodes, gains of the chosen policies over the behaviour policy are {ends}"
         others = [trial for trial in self.trials if trial is not self.best and len(trial.gains)]
         alike = sum(bool(trial.gains[:, 2].max() >= low) for trial in others)
         which = "the other setting" if len(others) == 1 else f"{alike} of the {len(others)} other settings"

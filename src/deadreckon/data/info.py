@@ -17,6 +17,7 @@ from deadreckon.data.told import action_names, observation_names, schema_of
 
 COSTS = {"cost", "costs", "loss", "losses", "penalty", "regret", "error", "errors", "damage", "delay", "waste", "downtime"}
 _SAMPLE = 200_000  # rows looked at where looking at all would be slow
+GAINS = {"saving", "savings", "saved", "free", "avoided", "reduction", "reduced", "less", "weight", "fewer"}  # of such
 _SEVERAL = 10  # episodes, and different rewards of theirs, from which on equal rewards within episodes are told
 _NAMED = 8  # columns or actions named in a line
 _QUANTILES = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -222,7 +223,11 @@ def _cost(log: Dataset) -> str | None:
     """The reward's column, if its name is that of something to minimise."""
     schema = schema_of(log)
     names = schema.named("reward") if schema else []
-    return next((name for name in names if COSTS & set(re.findall("[a-z]+", name.lower()))), None)
+    for name in names:
+        words = {word.lower() for word in re.findall("[A-Z]?[a-z]+|[A-Z]+", name)}
+        if COSTS & words and not GAINS & words:
+            return name
+    return None
 
 
 def _columns(log: Dataset, info: Info) -> list[str]:

@@ -1,6 +1,7 @@
 """Of which kind the values of a column are: numbers, whole numbers, levels, flags or dates."""
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -24,7 +25,7 @@ from deadreckon.data.placeholders import placeholder
 from deadreckon.data.schema import ALLOWED, KINDS, Kind, Role
 from deadreckon.errors import UserError, unknown
 
-_NUMBER = re.compile(r"\s*[-+]?\d+([.,]\d+)?\s*[^\d\s]{0,8}\s*")  # with a unit, if any
+_NUMBER = re.compile(r"\s*[-+]?\d+([.,]\d+)*\s*(?P<unit>([^\W\d_]|[°%€$£µ])\S{0,7})?\s*")  # with a unit, if any
 _FEWEST, _MOSTLY = 20, 0.8  # levels from which on, and share of them with which, texts are said to be numbers
 _EXACT = 2**24  # up to which float32 holds every integer
 MOST_DISCRETE = 100  # different whole numbers in a column of actions beyond which it is read as continuous
@@ -133,11 +134,16 @@ def _measured(values: Any) -> str:
     """What to say of texts most of which are a number and, perhaps, its unit."""
     levels = few_values(decoded(values))
     texts = levels.to_pylist() if levels is not None and len(levels) >= _FEWEST and is_text(levels.type) else []
-    found = [text for text in texts if _NUMBER.fullmatch(text)]
-    if len(found) <= _MOSTLY * len(texts) or not texts:
+    found = {text: match for text in texts if (match := _NUMBER.fullmatch(text))}
+    units = Counter(match["unit"] for match in found.values()).most_common(1)
+    if not units or units[0][1] <= _MOSTLY * len(texts):
         return ""
-    how = [] if all(text.strip()[-1].isdigit() for text in found) else ["leave units out of the cells"]
-    how = " and ".join([*how, "give --decimal comma"] if any("," in text for text in found) else how)
+    found = [text for text, match in found.items() if match["unit"] == units[0][0]]
+    how = ["leave units out of the cells"] if units[0][0] else []
+    if any("," in text for text in found):
+        thousands = all(re.search(r",\d{3}(?!\d)", text) for text in found if "," in text)
+        how.append(f"give --{'thousands' if thousands else 'decimal'} comma")
+    how = " and ".join(how)
     told = f"holds texts that begin with a number, such as {found[0]!r}, and is read as {len(texts):,} levels"
     return f"{told}: for numbers, {how or 'correct the others'}"
 

@@ -46,16 +46,22 @@ def _alike(log: Dataset) -> dict[int, float]:
 
 
 def in_order(log: Dataset) -> np.ndarray | None:
-    """(n,) different episodes, in order, that may depend on those before; None if a group column tells which belong together,
-    or if there are few."""
-    if group_of(log) is not None:
-        return None
-    different = np.arange(log.episodes) if log.copied is None else np.sort(np.unique(log.copied, return_index=True)[1])
-    return None if len(different) < LEAST else different[:_ROWS]
+    """(n,) different episodes, in order; None if a group column tells which belong together, so that others do not depend."""
+    return None if group_of(log) is not None else np.unique(origin(log))[:_ROWS]
+
+
+def origin(log: Dataset) -> np.ndarray:
+    """(episodes,) the first episode that each is a copy of; its own number if it is none."""
+    if log.copied is None:
+        return np.arange(log.episodes)
+    _, first, label = np.unique(log.copied, return_index=True, return_inverse=True)
+    return first[label.reshape(-1)]
 
 
 def _first(log: Dataset) -> np.ndarray | None:
-    """(n, numbers) first observations of different episodes; None for images, and see `in_order`."""
+    """(n, numbers) first observations of different episodes; None for images and few episodes, and see `in_order`."""
     if len(log.spec.observation_shape) > 1 or not log.spec.observation_size or (episodes := in_order(log)) is None:
+        return None
+    if len(episodes) < LEAST:
         return None
     return np.asarray(log.observations[log.starts[episodes]], np.float64)

@@ -25,7 +25,7 @@ from deadreckon.ope.behavior import Behavior, out_of_fold
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.importance import learns
-from deadreckon.ope.parts import ROWS, apart, parts_of, sums_of
+from deadreckon.ope.parts import ROWS, apart, frequent, parts_of, sums_of
 from deadreckon.randomness import generator
 from deadreckon.stats.interval import p_in_words
 from deadreckon.stats.ranks import sorted_by
@@ -141,11 +141,10 @@ def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced 
     parts = [parts_of(column, int(unit.max()) + 1) for column in seen.T]
     taken = np.asarray(log.actions[rows])
     if log.spec.discrete:
-        counts = np.bincount(taken, minlength=log.spec.action_size)
-        frequent = [a for a in np.argsort(-counts, kind="stable")[:ACTIONS].tolist() if counts[a] >= ROWS]
+        actions = frequent(taken, ACTIONS, ROWS)
     else:
-        frequent = list(range(min(log.spec.action_size, ACTIONS)))
-    if not frequent or not parts:
+        actions = list(range(min(log.spec.action_size, ACTIONS)))
+    if not actions or not parts:
         return None
     if logged:
         weight = np.exp(np.minimum(-np.asarray(log.extras[LOG_PROBS][rows], np.float64), 50.0))
@@ -153,21 +152,21 @@ def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced 
         test = lambda part, a: _above(np.where(taken == a, weight, 0.0), part, unit)  # noqa: E731
     else:
         if log.spec.discrete and log.spec.action_size == 2:
-            frequent = frequent[:1]
+            actions = actions[:1]
         learned = out_of_fold(case, model, folds, clipped=bool(case.clips.all()))
-        beyond = _beyond(learned, rows, taken, frequent)
+        beyond = _beyond(learned, rows, taken, actions)
         test = lambda part, a: apart(*beyond[a], part, unit)  # noqa: E731
-    found = np.array([[test(part, a) for a in frequent] for part in parts])  # (columns, actions, 2): p-values and strengths
+    found = np.array([[test(part, a) for a in actions] for part in parts])  # (columns, actions, 2): p-values and strengths
     p_values = np.where(found[..., 1] >= WEAK, found[..., 0], 1.0) * found[..., 0].size
     if logged and p_values[0].min() < LEVEL:
-        return Unbalanced(None, action_names(log)[frequent[int(np.argmin(p_values[0]))]], float(p_values[0].min()), True)
+        return Unbalanced(None, action_names(log)[actions[int(np.argmin(p_values[0]))]], float(p_values[0].min()), True)
     # The strongest of those that are sure beyond what numbers can hold.
     best = np.lexsort((-found[..., 1].ravel(), p_values.ravel()))[0]
     (column, action), p_value = np.unravel_index(best, p_values.shape), min(float(p_values.ravel()[best]), 1.0)
     if p_value >= LEVEL:
         return None
     column += size - len(seen.T) - logged
-    return Unbalanced(observation_names(case.plain)[int(column)], action_names(log)[frequent[action]], p_value, logged)
+    return Unbalanced(observation_names(case.plain)[int(column)], action_names(log)[actions[action]], p_value, logged)
 
 
 def _beyond(

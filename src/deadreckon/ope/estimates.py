@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from deadreckon.ope.case import OPEInput
 
 LOGGED = "behaviour policy"  # the name of the policy that recorded the log
-LEAST_ESS = 2.0  # effective sample size from which there is a spread: of normalised weights, one episode has none
+LEAST_ESS = 2.0  # effective episodes, or clusters, from which on there is a spread: of normalised weights one has none
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,8 @@ class Estimates(Shown):
             half = inference.beside(high - value, nuisance)
             low, high = value - half, value + half
         if ess is not None:
-            low, high = np.where(ess >= LEAST_ESS, low, -np.inf), np.where(ess >= LEAST_ESS, high, np.inf)
+            spread = np.minimum(ess, more.get("diagnostics", {}).get("effective clusters", ess)) >= LEAST_ESS
+            low, high = np.where(spread, low, -np.inf), np.where(spread, high, np.inf)
         more |= {"influence": influence, "ess": ess, "nuisance": nuisance}
         return cls(method, case.names, value, low, high, case.estimand, **more)
 

@@ -56,11 +56,7 @@ def without_losses(
         count = Basis.of(found, i).rest[0] if single else bases[i]
         lacks = lacking(case, np.maximum(least - returns, 0.0), count, alpha / len(out))
         if lacks.chance > alpha / 2 / len(out) and low <= lacks.most:
-            out[i] = (
-                f"none of its {count:.0f} effective {unit} has a {what} below {least:.4g}, but {lacks.share:.1%} of all "
-                f"{unit} do; this happens by chance in {lacks.chance:.0%} of logs, and with as many of them as the log may "
-                f"have its lower end would be {low - lacks.most:+.4g}"
-            )
+            out[i] = _words(count, unit, what, least, lacks, low - lacks.most)
     return out
 
 
@@ -82,13 +78,23 @@ def _without_losses_in_rows(
             continue
         least, low, count = rewards[rows].min(), every[i, 1], float(effective(weights[None])[0])
         lacks = lacking(case, np.maximum(least - rewards, 0.0), count, alpha / len(out))
+        # Losses may come in rows, or in whole clusters, of which there are fewer.
+        cluster = case.cluster[case.data.episode_of]
+        clusters = float(effective(np.bincount(cluster, weights)[None])[0])
+        hit = float((np.bincount(cluster, rewards < least) > 0).mean())
+        lacks = lacks._replace(chance=max(lacks.chance, (1.0 - hit) ** clusters))
         if lacks.chance > alpha / 2 / len(out) and low <= steps * lacks.most:
-            out[i] = (
-                f"none of its {count:.0f} effective rows has a reward below {least:.4g}, but {lacks.share:.1%} of all rows do; "
-                f"this happens by chance in {lacks.chance:.0%} of logs, and with as many of them as the log may have its lower "
-                f"end would be {low - steps * lacks.most:+.4g}"
-            )
+            out[i] = _words(count, "rows", "reward", least, lacks, low - steps * lacks.most)
     return out
+
+
+def _words(count: float, unit: str, what: str, least: float, lacks: "Lacking", low: float) -> str:
+    """The objection, with the lower end that the gain would have."""
+    return (
+        f"none of its {count:.0f} effective {unit} has a {what} below {least:.4g}, but {lacks.share:.1%} of all {unit} do; "
+        f"this happens by chance in {lacks.chance:.0%} of logs, and with as many of them as the log may have its lower end "
+        f"would be {low:+.4g}"
+    )
 
 
 def with_rare_rewards(case: OPEInput, found: Estimates, model: BehaviorModel) -> Estimates:

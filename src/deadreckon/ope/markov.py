@@ -18,14 +18,14 @@ from scipy.special import stdtr
 from deadreckon.data.told import action_names
 from deadreckon.ope.basis import UNITS
 from deadreckon.ope.case import OPEInput
-from deadreckon.ope.estimates import LOGGED
 from deadreckon.ope.features import Table
-from deadreckon.ope.parts import ROWS, apart, means_of, parts_of
+from deadreckon.ope.parts import ROWS, apart, frequent, means_of, parts_of
 from deadreckon.ope.sequences import times
 from deadreckon.stats.interval import p_in_words
 
 LEVEL = 0.001  # error probability of all tests of one kind together (Bonferroni)
 WEAK = 0.05  # correlation below which a dependence is too weak to matter, however many rows show it
+TOO = 0.01  # the same of the test that actions depend on the step, too, where errors do
 ACTIONS = 5  # most frequent actions that are looked at
 INSTEAD = "with logged propensities, dr-linear (--estimators dr-linear) needs no such column"
 
@@ -59,63 +59,96 @@ class _Rows(NamedTuple):
         before[data.starts] = -1
         return cls(case.cluster[data.episode_of], times(data.lengths), before, table.codes(data.observations[:, -size:]), taken)
 
-    @property
-    def frequent(self) -> list[int]:
-        """The most frequent actions."""
-        counts = np.bincount(self.taken)
-        return [a for a in np.argsort(-counts, kind="stable")[:ACTIONS].tolist() if counts[a] >= ROWS]
-
 
 def hidden_state(case: OPEInput, errors: np.ndarray) -> str | None:
     """Why observations do not hold all that matters, as a phrase; None if no test shows that.
 
     Args:
         case: log and policies.
-        errors: (policies, rows) of the critics, out of fold; see `critics.OutOfFold`.
+        errors: (policies, rows) of the critics, out of fold; see `critics.OutOfFold`. Those of the behaviour policy are not
+            looked at: they depend on what came before also where only its actions do.
     """
     rows = _Rows.of(case)
     if rows is None or int(case.cluster.max()) + 1 < UNITS:
         return None
-    for column, name, advice in (
-        (rows.before, "the previous action", "add the previous action as a column"),
-        (rows.step, "the step of the episode", "add the step as a column"),
-    ):
-        if (p_value := min(_hidden(case, rows, errors, column), default=1.0)) < LEVEL:
+    tests = (
+        (_after_action, "the previous action", "add the previous action as a column"),
+        (_at_step, "the step of the episode", "add the step as a column"),
+    )
+    for test, name, advice in tests:
+        p_value = min((each for own in errors[: len(case.policies)] for each in test(case, rows, own)), default=1.0)
+        if p_value * len(case.policies) < LEVEL:
             return (
-                f"what follows an observation and an action depends on {name} ({p_in_words(p_value)}), so observations do not "
-                f"hold all that matters: {advice}; {INSTEAD}"
+                f"what follows an observation and an action depends on {name} ({p_in_words(p_value * len(case.policies))}), so "
+                f"observations do not hold all that matters: {advice}; {INSTEAD}"
             )
     return None
 
 
-def _hidden(case: OPEInput, rows: _Rows, errors: np.ndarray, column: np.ndarray) -> Iterator[float]:
-    """p-values, corrected for their number, of critics' errors of mean zero in all parts of a column that confounds."""
-    by_step, data = column is rows.step, case.data
-    tests = len(errors) * (len(rows.frequent) if by_step else 1)
-    for name, own in zip(case.names, errors):
-        known = case.followed & (case.shown | np.asarray(data.terminals)) if name == LOGGED else case.followed
-        known = known & (by_step | (rows.before >= 0))
-        error, unit = own[known], np.unique(rows.unit[known], return_inverse=True)[1]
-        if not by_step:
-            error = error - means_of(rows.step[known], error)
-        part = parts_of(column[known], int(unit.max()) + 1) if known.any() else None
-        p_value, strength = apart(error, np.zeros(len(error)), error.var(), part, unit)
-        if part is None or strength < WEAK or p_value * tests >= LEVEL:
-            continue
-        if not by_step:
-            yield p_value * tests
-            continue
-        means = means_of(part, error)
-        for action in rows.frequent:
-            above = (rows.taken == action) - means_of(rows.cell, rows.taken == action)
-            yield tests * max(_correlated(means, above[known], unit), p_value)
+def _after_action(case: OPEInput, rows: _Rows, errors: np.ndarray) -> Iterator[float]:
+    """p-values, corrected for their number, of errors that do not depend on the previous action, of all rows and of those with
+    each action."""
+    known = case.followed & (rows.before >= 0)
+    groups = [known, *(known & (rows.taken == action) for action in frequent(rows.taken, ACTIONS, ROWS))]
+    # Less their means at each step with the same observation and action, which are not zero where all episodes end at a step.
+    _, place = np.unique(np.stack([rows.cell, rows.taken, rows.step], 1)[known], axis=0, return_inverse=True)
+    beyond = np.zeros(len(errors))
+    beyond[known] = errors[known] - means_of(place.reshape(-1), errors[known])
+    for group in groups:
+        yield len(groups) * _depends(beyond, rows.before, rows.unit, group)
 
 
-def _correlated(a: np.ndarray, b: np.ndarray, unit: np.ndarray) -> float:
-    """The two-sided p-value of (rows,) lists whose product has mean zero; independent units."""
+def _at_step(case: OPEInput, rows: _Rows, errors: np.ndarray) -> Iterator[float]:
+    """p-values, corrected for their number, of errors that do not depend on the step, of all observations and in parts of them;
+    1 if actions do not go with how errors depend on it."""
+    actions = frequent(rows.taken, ACTIONS, ROWS)
+    actions = actions[:1] if len(actions) == 2 else actions  # the other one is its opposite
+    part = parts_of(rows.cell, int(rows.unit.max()) + 1)
+    parts = [] if part is None else [case.followed & (part == each) for each in range(int(part.max()) + 1)]
+    groups = [case.followed, *parts]
+    for group in groups:
+        p_value = _depends(errors, rows.step, rows.unit, group)
+        if p_value >= LEVEL:
+            continue
+        means = _of_others(rows.step[group], errors[group], rows.unit[group])
+        for action in actions:
+            taken = rows.taken == action
+            chance = means_of(rows.cell, taken)[group]
+            # Where all of few rows lack a rare action, their scatter says nothing, and its frequency does.
+            least = float((np.square(means) * chance * (1.0 - chance)).sum())
+            p_too, _ = _correlated(means, taken[group] - chance, rows.unit[group], least)
+            goes = p_too * len(groups) * len(actions) < TOO
+            yield len(groups) * p_value if goes else 1.0
+
+
+def _of_others(part: np.ndarray, values: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """(rows,) mean of the values in the part of each row, in the other half of the units: else a row's own would count."""
+    out, even = np.zeros(len(values)), unit % 2 == 0
+    for own, others in ((even, ~even), (~even, even)):
+        count = np.bincount(part[others], minlength=int(part.max()) + 1)
+        out[own] = (np.bincount(part[others], values[others], len(count)) / np.maximum(count, 1))[part[own]]
+    return out
+
+
+def _depends(errors: np.ndarray, column: np.ndarray, unit: np.ndarray, group: np.ndarray) -> float:
+    """The p-value of errors of mean zero in all parts of a column, of a group (rows,) of rows; 1 if they hardly depend."""
+    if not group.any():
+        return 1.0
+    own, unit = errors[group], np.unique(unit[group], return_inverse=True)[1]
+    part = parts_of(column[group], int(unit.max()) + 1)
+    p_value, strength = apart(own, np.zeros(len(own)), own.var(), part, unit)
+    return p_value if strength >= WEAK else 1.0
+
+
+def _correlated(a: np.ndarray, b: np.ndarray, unit: np.ndarray, least: float = 0.0) -> tuple[float, float]:
+    """The two-sided p-value of (rows,) lists whose product has mean zero, with independent units; and their correlation. The
+    sum of the products has the variance `least` or more."""
     sums = np.bincount(unit, a * b)
-    error = sums.std(ddof=1) * np.sqrt(len(sums))
-    return float(2 * stdtr(len(sums) - 1, -abs(sums.sum()) / error)) if error > 0 else 1.0
+    error = np.sqrt(max(float(sums.var(ddof=1)) * len(sums), least))
+    size = np.sqrt(np.square(a).sum() * np.square(b).sum())
+    if not (error > 0 and size > 0):
+        return 1.0, 0.0
+    return float(2 * stdtr(len(sums) - 1, -abs(sums.sum()) / error)), float(sums.sum() / size)
 
 
 def left_out(case: OPEInput) -> str | None:
@@ -127,29 +160,26 @@ def left_out(case: OPEInput) -> str | None:
     if rows is None:
         return None
     remedy = "if episodes end there, name the column that says so (--terminal), or give a horizon (--horizon)"
+    # Both less their means in rows with the same observation and action, so that errors of these means cancel.
     pair = rows.cell * (int(rows.taken.max()) + 1) + rows.taken
-    count = np.bincount(pair[~lost], minlength=int(pair.max()) + 1)
-    expected = (np.bincount(pair[~lost], rewards[~lost], len(count)) / np.maximum(count, 1))[pair]
-    both = count[pair] > 0  # where all rows are lost there is nothing to compare with
-    unit = np.unique(rows.unit[both], return_inverse=True)[1]
-    residual = np.where(lost, rewards - expected, 0.0)[both]
-    p_value, strength = apart(residual, np.zeros(len(residual)), float(rewards.var()), lost[both].astype(int), unit)
-    if p_value < LEVEL and strength >= WEAK:
-        other, usual = rewards[both & lost].mean(), expected[both & lost].mean()
+    share = means_of(pair, lost)
+    p_value, strength = _correlated(rewards - means_of(pair, rewards), lost - share, rows.unit)
+    if p_value < LEVEL and abs(strength) >= WEAK:
+        both = (share > 0) & (share < 1)
+        kept = np.bincount(pair, rewards * ~lost) / np.maximum(np.bincount(pair, ~lost), 1)
         return (
             f"the last rows of {lost.sum():,} episodes, whose next observations are not known, are left out, and their rewards "
-            f"differ from those of other rows with the same observation and action (mean {other:.4g}, others {usual:.4g}; "
-            f"{p_in_words(p_value)}): {remedy}"
+            f"differ from those of other rows with the same observation and action (mean {rewards[both & lost].mean():.4g}, "
+            f"others {kept[pair[both & lost]].mean():.4g}; {p_in_words(p_value)}): {remedy}"
         )
-    residual = lost - means_of(rows.cell, lost)
-    for action in rows.frequent:
+    actions = frequent(rows.taken, ACTIONS, ROWS)
+    for action in actions:
         taken = rows.taken == action
-        p_value, strength = apart(residual, np.zeros(len(lost)), float(lost.var()), taken.astype(int), rows.unit)
-        if p_value * len(rows.frequent) < LEVEL and strength >= WEAK:
-            share, rest = lost[taken].mean(), lost[~taken].mean()
+        p_value, strength = _correlated(lost - means_of(rows.cell, lost), taken - means_of(rows.cell, taken), rows.unit)
+        if p_value * len(actions) < LEVEL and abs(strength) >= WEAK:
             return (
-                f"recordings end without a terminal after {share:.1%} of the rows with action "
-                f"{action_names(case.data)[action]} and after {rest:.1%} of the others ({p_in_words(p_value)}), as if the "
-                f"action ended episodes: {remedy}"
+                f"recordings end without a terminal after {lost[taken].mean():.1%} of the rows with action "
+                f"{action_names(case.data)[action]} and after {lost[~taken].mean():.1%} of the others "
+                f"({p_in_words(p_value * len(actions))}), as if the action ended episodes: {remedy}"
             )
     return None

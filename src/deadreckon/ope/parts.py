@@ -18,6 +18,12 @@ def parts_of(column: np.ndarray, units: int) -> np.ndarray | None:
     return part if part.max() > 0 else None
 
 
+def frequent(actions: np.ndarray, most: int, rows: int) -> list[int]:
+    """The `most` most frequent of discrete (rows,) actions, those with so many rows or more."""
+    counts = np.bincount(actions)
+    return [a for a in np.argsort(-counts, kind="stable")[:most].tolist() if counts[a] >= rows]
+
+
 def means_of(part: np.ndarray, values: np.ndarray) -> np.ndarray:
     """(rows,) mean of the values in the part of each row."""
     return (np.bincount(part, values) / np.maximum(np.bincount(part), 1))[part]

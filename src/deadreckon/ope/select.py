@@ -85,7 +85,7 @@ def gains(found: Estimates, alpha: float = ALPHA, known: np.ndarray | None = Non
     logged = found.names.index(LOGGED)
     known = np.ones(len(found.names), bool) if known is None else np.array(known)
     if found.ess is not None:
-        known &= found.ess >= LEAST_ESS
+        known &= np.minimum(found.ess, found.diagnostics.get("effective clusters", found.ess)) >= LEAST_ESS
     each = alpha / max(len(found.names) - 1, 1)
     if found.influence is not None:
         middle, low, high = inference.gains(found.value, found.influence, logged, alpha, known)

@@ -128,7 +128,7 @@ class Category:
         codes = np.asarray(coded(self.codes, values), np.int64)
         for row in np.flatnonzero(codes < 0).tolist():
             value = values[row : row + 1].tolist()[0]
-            if is_missing(value):
+            if is_missing(value) or (isinstance(value, str) and not value):  # as in files and exported graphs
                 if not (flag or self.marked):
                     raise RowsError(f"{name}: column {self.key} is empty in row {row}, and the log has no missing value there")
                 outside[row] = self.complete or not self.marked

@@ -443,7 +443,7 @@ def _changed(units: dict[str, Any]) -> str:
     """A line about the scaling of observations and rewards for candidates; empty without scaling."""
     parts = ["with standardised observations"] if "standardise" in units else []
     changes = [f"times {units['reward_scale']:g}"] if "reward_scale" in units else []
-    changes += [f"{units['reward_shift']:+.4g}"] if "reward_shift" in units else []
+    changes += [f"{units['reward_shift']:+.2f}"] if "reward_shift" in units else []
     if changes:
         parts.append(f"on rewards {' '.join(changes)} where agents can scale them")
     return f"candidates are trained {' and '.join(parts)}, since numbers of this log are far from 1 in size" if parts else ""

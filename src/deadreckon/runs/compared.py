@@ -12,7 +12,7 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.encode import OTHERS
-from deadreckon.data.neighbours import in_order
+from deadreckon.data.neighbours import in_order, origin
 from deadreckon.data.split import units_of
 from deadreckon.data.told import action_names, columns_of, observation_names, schema_of
 from deadreckon.errors import UserError
@@ -57,7 +57,7 @@ class Sample:
         observations: (rows, size), flattened.
         actions: (rows, size) numbers, or (rows, actions) 0/1 numbers of discrete ones.
         starts: (units,) the first row of each unit; its rows follow.
-        episode: (rows,) the episode of each row, ascending unless a group column makes the units.
+        episode: (rows,) the episode of each row, or the one that this is a copy of.
         gaps: (rows,) bool by column: where it had no value, of columns that the reference had complete.
     """
 
@@ -74,7 +74,14 @@ class Sample:
 
     def in_parts(self, length: int) -> "Sample":
         """The same in units of so many successive episodes."""
-        return replace(self, starts=np.unique(self.episode // length, return_index=True)[1])
+        order = np.argsort(self.episode // length, kind="stable")
+        gaps = {name: flags[order] for name, flags in self.gaps.items()}
+        starts = np.unique(self.episode[order] // length, return_index=True)[1]
+        return Sample(self.observations[order], self.actions[order], starts, self.episode[order], gaps)
+
+    def means(self, what: What) -> np.ndarray:
+        """(units, dimensions) means of a column."""
+        return np.add.reduceat(self.of(what), self.starts) / self.sizes[:, None]
 
     def of(self, what: What) -> np.ndarray:
         """(rows, dimensions) of a column, in float64."""
@@ -125,40 +132,41 @@ class Order(NamedTuple):
 
     Attributes:
         episodes: (n,) different ones.
-        first: their first rows.
+        rows: those that are compared.
     """
 
     episodes: np.ndarray
-    first: Sample
+    rows: Sample
 
     @classmethod
-    def of(cls, log: Dataset) -> "Order | None":
-        """None if a group column tells which belong together, or if there are few."""
-        return None if (episodes := in_order(log)) is None else cls(episodes, sample(log, episodes, True))
+    def of(cls, log: Dataset, first: bool) -> "Order | None":
+        """None if a group column tells which belong together; `first` as for `rows_of`."""
+        return None if (episodes := in_order(log)) is None else cls(episodes, sample(log, episodes, first))
 
     def follows(self, what: What, episodes: int) -> bool:
-        """Whether values of a column follow those of the episode before, in the first so many episodes."""
-        values = self.first.of(what)[self.episodes < episodes]
+        """Whether means of a column follow those of the episode before, in the first so many episodes."""
+        values = self.rows.means(what)[self.episodes < episodes]
         return any(serial.follows(column) for column in values.T)
 
 
-def parts_of(
-    log: Dataset, which: Sequence[What], acts: Callable[[np.ndarray], np.ndarray] | None = None
-) -> tuple[list[What], int]:
-    """The columns of a reference that depend on the episodes before, and the number of episodes of a part of it.
+def lengths_of(
+    log: Dataset, which: Sequence[What], first: bool, acts: Callable[[np.ndarray], np.ndarray] | None = None
+) -> dict[What, int]:
+    """The columns of a reference that depend on the episodes before, each with the number of episodes to compare as one.
 
     Args:
         log: the reference.
         which: columns.
+        first: as for `rows_of`.
         acts: function from (n, size) observations to the (n, size) actions to look at instead of those in the log; see `acted`.
     """
-    length = max(-(-log.episodes // serial.PARTS), 1)
     if (episodes := in_order(log)) is None:
-        return [], length
-    first = sample(log, episodes, True)
+        return {}
+    rows = sample(log, episodes, first)
     if acts is not None:
-        first = replace(first, actions=acts(first.observations))
-    return [what for what in which if any(serial.depends(column) for column in first.of(what).T)], length
+        rows = replace(rows, actions=acts(rows.observations))
+    found = {what: [column for column in rows.means(what).T if serial.depends(column)] for what in which}
+    return {what: max(map(serial.together, columns)) for what, columns in found.items() if columns}
 
 
 def whats(log: Dataset) -> list[What]:
@@ -208,7 +216,7 @@ def sample(log: Dataset, episodes: np.ndarray, first: bool) -> Sample:
     rows, starts = rows_of(log, episodes, first)
     observations = np.asarray(log.observations[rows], np.float32).reshape(len(rows), -1)
     gaps = {name.removeprefix(GAPS): np.asarray(flags)[rows] for name, flags in log.extras.items() if name.startswith(GAPS)}
-    return Sample(observations, acted(log, np.asarray(log.actions[rows])), starts, np.asarray(log.episode_at(rows)), gaps)
+    return Sample(observations, acted(log, np.asarray(log.actions[rows])), starts, origin(log)[log.episode_at(rows)], gaps)
 
 
 def acted(log: Dataset, actions: np.ndarray) -> np.ndarray:
@@ -255,9 +263,9 @@ def drifts(
             left = [i for i in range(len(which)) if i not in found]  # reported columns stay reported, and cannot hide others
             if order is not None:
                 left = [i for i in left if not order.follows(which[i], epoch.stop)]
+            tested = np.isin(np.arange(len(which)), [*left, *found])
             if not left:
                 continue
-            tested[left] = True
             pairs = [_features(which[i], old, now) for i in left]
             sums = [[np.add.reduceat(pair[side], both.starts) for pair in pairs] for side, both in enumerate((old, now))]
             p = drift.test(sums[0], sums[1], (old.sizes, now.sizes), epoch.alpha, generator(0, "permutations", number))
@@ -266,12 +274,14 @@ def drifts(
     now = sample(new, some(np.arange(new.episodes), "all new episodes"), first)
     others = new.provenance.extra.get(OTHERS, {})
     every = [_compared(what, old, now, tuple(others.get(what.name, ())), found.get(i)) for i, what in enumerate(which)]
+    why = FOLLOWS if enough else ""
     if length is not None:
         units = f"in parts of {length:,} episodes, as values depend on those of the episodes before"
-        why = f"{units}, the new log has {new.episodes // length}, and {FEWEST} are needed"
+        due = next(stop for stop in (drift.FIRST * 2**k for k in range(64)) if stop >= FEWEST * length)
+        why = f"{units}, of which the first test needs {FEWEST} in {due:,} episodes, and the new log has {new.episodes:,}"
+        if len(old.starts) < FEWEST:
+            why = f"{units}, of which the reference has {len(old.starts)}, and {FEWEST} are needed"
         every = [replace(each, length=length) for each in every]
-    else:
-        why = FOLLOWS if enough else ""
     return [each if known else replace(each, untested=why) for each, known in zip(every, tested)], tests
 
 
@@ -315,11 +325,11 @@ class Outside(NamedTuple):
 
 
 def outside(
-    old: Dataset, new: Dataset, which: Sequence[What], first: bool, alpha: float, bound: Sequence[What] = (),
-    length: int = 1, order: Order | None = None,
+    old: Dataset, new: Dataset, which: Sequence[What], first: bool, alpha: float, lengths: Mapping[What, int] | None = None,
+    order: Order | None = None,
 ) -> Outside:  # fmt: skip
-    """How much of a new log lies outside the reference; see `drifts` for the arguments. `bound` are the columns whose units are
-    `length` successive episodes.
+    """How much of a new log lies outside the reference; see `drifts` for the arguments. `lengths` are the numbers of successive
+    episodes that are one unit, of columns that depend on those before.
 
     All rows are counted. `stats.drift.beyond` tests, on the compared rows alone, what cannot be chance: the probability that
     any column is reported without a change is at most `alpha`.
@@ -328,23 +338,25 @@ def outside(
     tables = [_extremes(log, which) for log in (old, new)]
     over = tables[1] > tables[0].max(0)
     largest = [table[log.starts] if first else np.maximum.reduceat(table, log.starts) for table, log in zip(tables, (old, new))]
-    units = [units_of(log) for log in (old, new)]
-    parts = [np.arange(log.episodes) // length for log in (old, new)]
-    of = [what for what in which for _ in _sides(what)]
-    guilty, free = np.zeros(len(names), bool), np.array([what not in bound for what in of], bool)
+    of, lengths = [what for what in which for _ in _sides(what)], lengths or {}
+    families = []
+    for length in sorted({lengths.get(what, 0) for what in of}):
+        own = np.array([lengths.get(what, 0) == length for what in of])
+        unit = [origin(log) // length if length else units_of(log) for log in (old, new)]
+        families.append((own, _largest(largest[0][:, own], unit[0]), unit[1], length == 0))
+    guilty = np.zeros(len(names), bool)
     for epoch in drift.epochs(new.episodes, alpha) if names else ():
         if epoch.start:
             continue
-        p_values = np.ones(len(names))
-        for some, unit in ((free, units), (~free, parts)):
-            stops = None, epoch.stop
-            before, now = (_largest(each[:stop, some], own[:stop]) for each, own, stop in zip(largest, unit, stops))
-            if len(before) >= FEWEST:
-                p_values[some] = drift.beyond(before, now)
-        if order is not None:
-            followed = {what for what in which if what not in bound and order.follows(what, epoch.stop)}
-            p_values[[what in followed for what in of]] = 1.0
-        guilty |= p_values <= epoch.alpha / len(names)
+        for own, before, unit, single in families:
+            if len(before) < FEWEST:
+                continue
+            now = _largest(largest[1][: epoch.stop, own], unit[: epoch.stop])
+            sure = drift.beyond(before, now) <= epoch.alpha / len(names)
+            if single and order is not None and sure.any():
+                named = [what for what, mine in zip(of, own) if mine]
+                sure &= [not (one and order.follows(what, epoch.stop)) for what, one in zip(named, sure)]
+            guilty[own] |= sure
     found = tuple((*names[i], int(over[:, i].sum()), bool(guilty[i])) for i in np.flatnonzero(over.any(0) | guilty))
     return Outside(float(over.any(1).mean()), found)
 

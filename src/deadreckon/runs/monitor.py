@@ -159,24 +159,25 @@ def monitor(
         done, fresh = _acts(one, old, first, acts)
         sides = [[what for what in which if (what.about == "action") == acting] for acting in (False, True)]
         parts = [(each, side) for each, side in zip((before, done), sides) if side]
-    columns, tests, order = [], 0, Order.of(new)
-    bound, length = compared.parts_of(old, which, acts)
+    columns, untested, order = [], "", Order.of(new, first)
+    lengths = compared.lengths_of(old, which, first, acts)
     for each, side in parts:
-        for size in (None, length):
-            own = [what for what in side if (what in bound) == (size is not None)]
+        for size in (None, *sorted({lengths[what] for what in side if what in lengths})):
+            own = [what for what in side if lengths.get(what) == size]
             if not own:
                 continue
             level = DRIFT * alpha * len(own) / len(which)
             found, made = compared.drifts(each, new, own, first, level, size, order if size is None else None)
-            columns, tests = [*columns, *found], tests + made
-    outside = compared.outside(old, new, which, first, OUTSIDE * alpha, bound, length, order)
+            columns = [*columns, *found]
+            if size is None and not made:
+                untested = _untested(len(each.starts), new)
+    outside = compared.outside(old, new, which, first, OUTSIDE * alpha, lengths, order)
     value: Realised | str = "not compared: the new log was not made by the policy of the run"
     if told is not None and bool(told[0]["estimand"]["greedy"]) != greedy:
         used, judged = ("greedy", "sampled") if greedy else ("sampled", "greedy")
         value = f"not compared: the policy's {used} actions are in use, and its {judged} ones were estimated"
     elif made_by != "reference":
         value = realised(new, old, told, return_range, VALUE * alpha)
-    untested = "" if tests else _untested(len(before.starts), new)
     findings = [*_of_value(value, alpha), *_of_columns(columns, untested), *_of_outside(outside, columns, len(new))]
     if by_policy and (line := rewards_to_come(new, RARE)) is not None:
         findings.append(Finding("value", "latest", False, line))

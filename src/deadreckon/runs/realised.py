@@ -170,11 +170,12 @@ def realised(
 
 
 def _together(old: Dataset, estimand: Estimand) -> int:
-    """The number of successive episodes whose mean is one sample: 1, or a part of the reference if its returns depend on those
-    of the episodes before, as the confidence sequence needs samples that do not."""
-    episodes = in_order(old)
-    depends = episodes is not None and serial.depends(returns_of(old, estimand)[episodes])
-    return max(-(-old.episodes // serial.PARTS), 1) if depends else 1
+    """The number of successive episodes whose mean is one sample: more than one if returns of the reference depend on those of
+    the episodes before, as the confidence sequence needs samples that do not. A change of level is no such dependence."""
+    if (episodes := in_order(old)) is None or len(episodes) < serial.LEAST:
+        return 1
+    returns = returns_of(old, estimand)[episodes]
+    return serial.together(returns) if serial.follows(returns, serial.ERRORS) else 1
 
 
 def _means(x: np.ndarray, length: int, given: tuple[float, float]) -> np.ndarray:

@@ -7,7 +7,9 @@ from deadreckon.stats.ranks import spearman
 
 LEAST = 100  # values below which nothing is said of dependence
 ALIKE, ERRORS = 0.2, 5.0  # by which a rank correlation must be above 0: in itself, and in standard errors
-SOON = 3.0  # standard errors, where a wrong answer only delays a test
+SOON = 2.0  # standard errors, where a wrong answer only delays a test
+SHORT = 10  # values below which they are not said to follow each other
+FADED = 0.1  # share of the correlation of neighbours below which values no longer depend on each other
 RARE = 0.98  # probability that two values are equal, from which on there are too few others
 PARTS = 20  # parts of a sequence whose mean ranks are compared
 EVENTS = 5  # least expected number of values other than the most frequent one in each part
@@ -47,7 +49,27 @@ def _parts_differ(values: np.ndarray) -> bool:
     return share > SHARE and float(chdtrc(count - 1, between)) < LEVEL
 
 
-def follows(values: np.ndarray) -> bool:
+def reach(values: np.ndarray) -> int:
+    """The number of steps after which (n,) values no longer depend on each other: the first lag whose rank correlation is a
+    tenth of that of neighbours, or two standard errors, or less."""
+    from scipy.stats import rankdata  # slow to import, and few need it
+
+    n = len(values)
+    ranks = rankdata(values) - (n + 1) / 2
+    power = np.abs(np.fft.rfft(ranks, 2 * n)) ** 2
+    correlation = np.fft.irfft(power)[:n]
+    correlation /= correlation[0]
+    faded = np.flatnonzero(correlation[1:] < max(FADED * correlation[1], 2 / np.sqrt(n)))
+    return int(faded[0]) + 1 if len(faded) else n
+
+
+def together(values: np.ndarray) -> int:
+    """The number of successive (n,) values that depend on those before to take as one: twice as many as they reach, as a power
+    of two, so that columns that are alike are compared together, but never more than leaves `PARTS` parts."""
+    return max(min(2 ** int(np.ceil(np.log2(2 * reach(values)))), -(-len(values) // PARTS)), 1)
+
+
+def follows(values: np.ndarray, errors: float = SOON) -> bool:
     """Whether neighbours of (n,) values are alike beyond what changes of their level explain.
 
     By the correlation r of successive differences of ranks: 1 + 2 r estimates the correlation of neighbours, also if the level
@@ -56,8 +78,8 @@ def follows(values: np.ndarray) -> bool:
     from scipy.stats import rankdata  # slow to import, and few need it
 
     n = len(values)
-    if not several(values):
+    if n < SHORT or not several(values):
         return False
     steps = np.diff(rankdata(values))
     steps = steps - steps.mean()
-    return 1.0 + 2.0 * float((steps[1:] * steps[:-1]).mean() / np.square(steps).mean()) > max(ALIKE, SOON * np.sqrt(2 / n))
+    return 1.0 + 2.0 * float((steps[1:] * steps[:-1]).mean() / np.square(steps).mean()) > max(ALIKE, errors * np.sqrt(2 / n))
