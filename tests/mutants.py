@@ -1750,8 +1750,8 @@ MUTANTS = (
         ("runs/test_monitor.py::test_all_that_may_be_reported_shares_the_chance_of_a_false_alarm",),
     ),
     Mutant(
-        "monitor-sequence", "runs/realised.py", "confidence_sequence(x, given, 2 * alpha)",
-        "confidence_sequence(x, given, alpha)",
+        "monitor-sequence", "runs/realised.py", "confidence_sequence(parts, given, 2 * alpha)",
+        "confidence_sequence(parts, given, alpha)",
         "the realised value is shown at half of its level",
         ("runs/test_monitor.py::test_all_that_may_be_reported_shares_the_chance_of_a_false_alarm",),
     ),
@@ -2766,7 +2766,7 @@ MUTANTS = (
         ("runs/test_offline.py::test_copies_of_episodes_are_counted_as_one",),
     ),
     Mutant(
-        "neighbours-of-a-group", "data/neighbours.py", "if group_of(log) is not None:", "if False:",
+        "neighbours-of-a-group", "data/neighbours.py", "None if group_of(log) is not None else ", "",
         "a group column is asked for where there is one",
         ("data/test_info.py::test_users_whose_rows_follow_each_other_are_told_if_no_column_names_them",),
     ),
@@ -2862,7 +2862,7 @@ MUTANTS = (
         ("data/test_split.py::test_visitors_who_come_again_are_not_copies",),
     ),
     Mutant(
-        "balance-untested", "ope/decide.py", "if (doubt := unbalanced(case, model)) is not None:", "if False:",
+        "balance-untested", "ope/decide.py", "if (wrong := unbalanced(case, model)) is not None:", "if False:",
         "noise is deployed if the model of the behaviour policy has not learned a confounder",
         ("ope/test_balance.py::test_a_confounder_that_the_model_has_not_learned_deploys_nothing",),
     ),
@@ -2904,8 +2904,8 @@ MUTANTS = (
         "rows that were sorted by their rewards are dependent", ("ope/test_balance.py::test_independent_rows_are_none",),
     ),
     Mutant(
-        "monitored-neighbours", "runs/monitor.py", "bound, length = compared.parts_of(old, which, acts)",
-        "bound, length = [], 50",
+        "monitored-neighbours", "runs/monitor.py", "lengths = compared.lengths_of(old, which, first, acts)",
+        "lengths = {}",
         "rows of a slowly changing system are tested for drift as if they were independent",
         ("runs/test_monitor.py::test_rows_of_a_slowly_changing_system_are_compared_in_parts",),
     ),
@@ -3137,7 +3137,7 @@ MUTANTS = (
         ("runs/test_sizes.py::test_an_offset_of_the_rewards_of_single_steps_changes_no_decision",),
     ),
     Mutant(
-        "values-one-by-one", "runs/realised.py", "if depends else 1", "if False else 1",
+        "values-one-by-one", "runs/realised.py", "if serial.follows(returns, serial.ERRORS) else 1", "if False else 1",
         "returns that follow each other count as independent ones, and a value seems to be below its estimate",
         ("runs/test_monitor.py::test_the_value_of_a_slowly_changing_system_is_that_of_its_parts",),
     ),
