@@ -104,7 +104,7 @@ def _columns(found: Monitored) -> Markup:
         what, share = each.what, each.what.kind == "category"
         shown = percent if share else number
         level = f"share of {each.level}" if share else "mean"
-        drift = "" if each.found is None else since(each.found)
+        drift = since(each.found) if each.found else "not tested" if each.untested else ""
         cells = [tag("td", text, class_="text") for text in (drift, level)]
         cells += [tag("td", shown(each.before)), tag("td", shown(each.now))]
         cells += [tag("td", "" if share else number(each.shift, signed=True)), tag("td", f"{each.distance:.3f}")]
@@ -117,7 +117,8 @@ def _columns(found: Monitored) -> Markup:
         "largest difference of the distribution functions, which are the shares of rows up to a value (Kolmogorov-Smirnov); of "
         "a category it is the share of rows that would need another level for equal shares (total variation distance). It is 0 "
         "where both logs agree and 1 where they have nothing in common; whether values are missing is compared too. Drift is "
-        "tested by exchanging whole episodes between the logs, corrected for the number of columns and of looks."
+        "tested by exchanging whole episodes between the logs, or parts of successive ones, corrected for the number of columns "
+        "and of looks."
     )
     return join(scroll(tag("table", heads_of(heads), tag("tbody", rows), class_="listed")), note(told))
 

@@ -276,9 +276,9 @@ def drifts(
     every = [_compared(what, old, now, tuple(others.get(what.name, ())), found.get(i)) for i, what in enumerate(which)]
     why = FOLLOWS if enough else ""
     if length is not None:
-        units = f"in parts of {length:,} episodes, as values depend on those of the episodes before"
+        units = f"values depend on those of the episodes before, so parts of {length:,} episodes are compared"
         due = next(stop for stop in (drift.FIRST * 2**k for k in range(64)) if stop >= FEWEST * length)
-        why = f"{units}, of which the first test needs {FEWEST} in {due:,} episodes, and the new log has {new.episodes:,}"
+        why = f"{units}, and the first test is made after {due:,} episodes"
         if len(old.starts) < FEWEST:
             why = f"{units}, of which the reference has {len(old.starts)}, and {FEWEST} are needed"
         every = [replace(each, length=length) for each in every]

@@ -160,8 +160,8 @@ def realised(
     outside = int(((x < given[0]) | (x > given[1])).sum())
     length = _together(old, estimand)
     if not (parts := _means(x, length, given)).size:
-        together = f"in parts of {length:,} episodes, as returns depend on those of the episodes before"
-        return f"not compared: {together}, the new log has none"
+        together = f"returns depend on those of the episodes before, so means of {length:,} episodes are compared"
+        return f"not compared: {together}, of which the new log has none"
     sequence = confidence_sequence(parts, given, 2 * alpha)
     below = refuted_at(parts, given, least, alpha) if np.isfinite(least) else None
     sequence = sequence._replace(counts=sequence.counts * length)
