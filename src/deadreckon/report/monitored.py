@@ -117,8 +117,8 @@ def _columns(found: Monitored) -> Markup:
         "largest difference of the distribution functions, which are the shares of rows up to a value (Kolmogorov-Smirnov); of "
         "a category it is the share of rows that would need another level for equal shares (total variation distance). It is 0 "
         "where both logs agree and 1 where they have nothing in common; whether values are missing is compared too. Drift is "
-        "tested by exchanging whole episodes between the logs, or parts of successive ones, corrected for the number of columns "
-        "and of looks."
+        "tested by exchanging whole episodes between the logs, or parts of successive ones, corrected for the number of "
+        "columns and of looks."
     )
     return join(scroll(tag("table", heads_of(heads), tag("tbody", rows), class_="listed")), note(told))
 
