@@ -3120,7 +3120,7 @@ MUTANTS = (
         ("runs/test_compared.py::test_what_lies_outside_is_counted_in_parts_where_rows_follow_each_other",),
     ),
     Mutant(
-        "threshold-of-four-digits", "runs/explained_tree.py", "if ((values <= rounded) == low).all():", "if True:",
+        "threshold-of-four-digits", "runs/explained_tree.py", "if ((values <= each) == low).all()", "",
         "a threshold is rounded past values that the tree has on its other side",
         ("runs/test_explain.py::test_a_threshold_as_it_is_shown_divides_the_rows_as_the_tree_does",),
     ),

@@ -88,11 +88,9 @@ def _edge(threshold: float, values: np.ndarray) -> str:
     """A threshold as text, with as few digits as divide (rows,) values as it does, but no fewer than `DIGITS`."""
     values = np.asarray(values, np.float64)  # numbers of 32 bits would be compared in 32 bits
     low = values <= threshold
-    for digits in range(DIGITS, 18):
-        rounded = float(f"{threshold:.{digits}g}")
-        if ((values <= rounded) == low).all():
-            break
-    return repr(rounded).removesuffix(".0")
+    rounded = (float(f"{threshold:.{digits}g}") for digits in range(DIGITS, 18))
+    found = next((each for each in rounded if ((values <= each) == low).all()), threshold)
+    return repr(found).removesuffix(".0")
 
 
 def _measured(text: str, unit: str) -> str:
