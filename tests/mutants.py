@@ -3051,8 +3051,8 @@ MUTANTS = (
     ),
     Mutant(
         "step-without-actions", "ope/markov.py",
-        'yield len(groups) * p_value if goes else 1.0',
-        'yield len(groups) * p_value',
+        'if p_too * len(groups) * len(actions) < TOO:',
+        'if True:',
         "rewards that change with the step are an objection, although actions do not",
         ("ope/test_markov.py::test_a_step_that_actions_do_not_depend_on_and_one_that_is_observed_are_none",),
     ),
@@ -3072,7 +3072,7 @@ MUTANTS = (
     ),
     Mutant(
         "ends-by-actions", "ope/markov.py",
-        'if p_value * len(actions) < LEVEL and abs(strength) >= WEAK:',
+        'if p_value * len(actions) < LEVEL and strength >= WEAK:',
         'if False:',
         "an action that ends episodes without a terminal seems to have no such effect",
         ("ope/test_markov.py::test_rows_that_are_left_out_must_be_like_the_others",),
@@ -3150,8 +3150,8 @@ MUTANTS = (
     ),
     Mutant(
         "steps-that-cancel", "ope/markov.py",
-        'groups = [case.followed, *parts]',
-        'groups = [case.followed]',
+        '[case.followed, *parts],',
+        '[case.followed],',
         "effects of the step that cancel over observations are not seen",
         ("ope/test_markov.py::test_effects_of_the_step_that_cancel_over_observations_are_found",),
     ),

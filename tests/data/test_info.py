@@ -174,10 +174,13 @@ def test_sparse_rewards():
 def test_costs_are_no_rewards_to_maximise():
     """Larger is better: what a column of costs is called is the only sign of its direction."""
     frame = {"x": np.arange(30.0), "action": np.arange(30) % 2, "cost_eur": np.arange(30.0), "closs": np.arange(30.0)}
-    for name, other, told in (("cost_eur", "closs", True), ("closs", "cost_eur", False)):
+    frame |= {"TotalCost": frame["cost_eur"], "cost_savings": frame["cost_eur"]}
+    names = ["cost_eur", "closs", "TotalCost", "cost_savings"]
+    for name, told in zip(names, (True, False, True, False)):
+        other = [each for each in names if each != name]
         log = Dataset.from_frame(frame, action="action", reward=name, ignore=other)
         assert any("negate it if smaller is" in line for line in warnings_for(log)) is told
-    log = Dataset.from_frame({**frame, "cost_eur": -frame["cost_eur"]}, action="action", reward="cost_eur", ignore="closs")
+    log = Dataset.from_frame({**frame, "cost_eur": -frame["cost_eur"]}, action="action", reward="cost_eur", ignore=names[1:])
     assert not any("negate it" in line for line in warnings_for(log))
 
 
@@ -186,12 +189,15 @@ def test_costs_are_no_rewards_to_maximise():
     [
         (lambda i: f"{i},5 C", "leave units out of the cells and give --decimal comma"),
         (lambda i: f"{i} kg", "leave units out of the cells"),
+        (lambda i: f"{i + 1},000 kg", "leave units out of the cells and give --thousands comma"),
+        (lambda i: f"{1 + i % 28:02d}.{1 + i % 12:02d}.2020", None), (lambda i: f"{i:05d}-AB", None),
+        (lambda i: f"{i}{'abc'[i % 3]}", None),
         (lambda i: f"item {i}", None), (lambda i: f"{i % 19} kg", None),
     ],
 )  # fmt: skip
 def test_texts_that_are_numbers_with_units_are_told(cell, told):
     """They were read as so many levels, without a word."""
-    frame = {"x": [cell(i) for i in range(40)], "action": np.arange(40) % 2, "reward": np.arange(40.0)}
+    frame = {"x": [cell(i) for i in range(40)], "y": np.arange(40.0), "action": np.arange(40) % 2, "reward": np.arange(40.0)}
     warnings = Dataset.from_frame(frame, action="action", reward="reward").warnings
     lines = [line for line in warnings if "begin with a number" in line]
     assert (not lines) if told is None else (told in lines[0])

@@ -331,6 +331,7 @@ def test_scores_that_are_equal_to_the_last_digit_are_told():
     for scores, told in (
         (np.repeat(y, 2), True), (rng.normal(size=80), False), (rng.normal(size=80).round(1), False),
         (np.where(rng.random(80) < 0.5, 0.0, rng.normal(size=80)), False), (np.repeat(y, 2).round(3), True),
+        (100.0 * rng.integers(0, 600, 80), False), (0.25 * rng.integers(0, 90, 80), False),
     ):  # fmt: skip
         assert any("have exactly the score of another one" in line for line in units_told(Designs(x, scores, AB), None)) is told
 

@@ -126,7 +126,8 @@ def sessions(seed, rewards_end=0.0, stops=(0.3, 0.3)):
     [
         ({}, None),
         ({"rewards_end": 3.0}, "are left out, and their rewards differ from those of other rows"),
-        ({"stops": (0.2, 0.5)}, "as if the action ended episodes: if episodes end there, name the column"),
+        ({"stops": (0.2, 0.5)}, "of the rows with action 1 and after"),
+        ({"stops": (0.5, 0.2)}, "of the rows with action 0 and after"),
     ],
 )
 def test_rows_that_are_left_out_must_be_like_the_others(made, words):

@@ -45,8 +45,8 @@ def test_an_offset_of_the_rewards_of_single_steps_changes_no_decision():
     assert units(single) == {"reward_shift": pytest.approx(-mean)}
     assert units(dr.Dataset.from_arrays(**one, terminals=np.ones(ROWS, bool))) == {}
     assert units(dr.Dataset.from_arrays(**cost, timeouts=np.arange(ROWS) % 10 == 9)) == {"reward_scale": pytest.approx(0.1)}
-    assert f"give --agent.reward-shift={-mean:.4g}" in about_sizes(single, dr.agents.IQL().resolve(single.spec, 10))[0]
-    assert f"add {-mean:.4g}" in about_sizes(single, dr.agents.BEAR())[0]
+    assert f"give --agent.reward-shift={-mean:.2f}" in about_sizes(single, dr.agents.IQL().resolve(single.spec, 10))[0]
+    assert f"add {-mean:.2f}" in about_sizes(single, dr.agents.BEAR())[0]
     thousands = dr.Dataset.from_arrays(
         observations=SEEN, actions=ACTIONS, rewards=1000 * (rewards - 23.0), terminals=np.ones(ROWS, bool)
     )

@@ -58,3 +58,7 @@ def test_as_many_values_are_taken_together_as_depend_on_each_other():
         assert all(low <= each <= high for each in found), (rho, found)
     assert together(chain(200, 0.99, np.random.default_rng(0))) == 10  # a twentieth
     assert together(np.arange(1000.0)) == 50
+    for seed in range(5):  # noise hides how far it reaches
+        rng = np.random.default_rng(seed)
+        assert together(np.sqrt(0.05) * chain(1000, 0.99, rng) + np.sqrt(0.95) * rng.normal(size=1000)) == 50
+    assert follows(np.arange(50.0))

@@ -86,7 +86,7 @@ class Tuned:
         d = decimals(low, high)
         ends = f"between {fixed(low, d)} and {fixed(high, d)}" if np.isfinite([low, high]).all() else "not known"
         told = f"by the log's episodes, gains of the chosen policies over the behaviour policy are {ends}"
-        others = [trial for trial in self.trials if trial is not self.best and len(trial.gains)]
+        others = [trial for trial in self.trials if trial is not self.best and len(trial.gains) and not trial.failure]
         alike = sum(bool(trial.gains[:, 2].max() >= low) for trial in others)
         which = "the other setting" if len(others) == 1 else f"{alike} of the {len(others)} other settings"
         return f"{told}; those of {which} may be as large" if alike else told

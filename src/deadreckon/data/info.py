@@ -15,9 +15,10 @@ from deadreckon.data.sizes import about_observations, about_rewards, reward_opti
 from deadreckon.data.spec import Box
 from deadreckon.data.told import action_names, observation_names, schema_of
 
+# Words of columns that one minimises, and words beside these with which one does not.
 COSTS = {"cost", "costs", "loss", "losses", "penalty", "regret", "error", "errors", "damage", "delay", "waste", "downtime"}
+GAINS = {"saving", "savings", "saved", "free", "avoided", "reduction", "reduced", "less", "weight", "fewer"}
 _SAMPLE = 200_000  # rows looked at where looking at all would be slow
-GAINS = {"saving", "savings", "saved", "free", "avoided", "reduction", "reduced", "less", "weight", "fewer"}  # of such
 _SEVERAL = 10  # episodes, and different rewards of theirs, from which on equal rewards within episodes are told
 _NAMED = 8  # columns or actions named in a line
 _QUANTILES = (0.0, 0.25, 0.5, 0.75, 1.0)

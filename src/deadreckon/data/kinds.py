@@ -25,7 +25,8 @@ from deadreckon.data.placeholders import placeholder
 from deadreckon.data.schema import ALLOWED, KINDS, Kind, Role
 from deadreckon.errors import UserError, unknown
 
-_NUMBER = re.compile(r"\s*[-+]?\d+([.,]\d+)*\s*(?P<unit>([^\W\d_]|[°%€$£µ])\S{0,7})?\s*")  # with a unit, if any
+_DIGITS = r"\d+([.,]\d+)?|\d{1,3}([.,]\d{3})+([.,]\d+)?"
+_NUMBER = re.compile(rf"\s*[-+]?({_DIGITS})\s*(?P<unit>([^\W\d_]|[°%€$£µ])\S{{0,7}})?\s*")  # with a unit, if any
 _FEWEST, _MOSTLY = 20, 0.8  # levels from which on, and share of them with which, texts are said to be numbers
 _EXACT = 2**24  # up to which float32 holds every integer
 MOST_DISCRETE = 100  # different whole numbers in a column of actions beyond which it is read as continuous

@@ -50,17 +50,17 @@ def _scale(seen: Statistics) -> float:
 
 
 def reward_options(log: Dataset) -> str:
-    """The options of training that are `reward_units`."""
+    """The options of `train` that scale and shift rewards by `reward_units`."""
     scale, shift = reward_units(log)
     options = [f"--agent.reward-scale {scale:g}"] if scale != 1.0 else []
-    return " ".join([*options, f"--agent.reward-shift={round(shift, 2)}"] if shift else options)
+    return " ".join([*options, f"--agent.reward-shift={shift:.2f}"] if round(shift, 2) else options)
 
 
 def reward_words(log: Dataset) -> str:
     """`reward_units` of the column of a table, in words."""
     scale, shift = reward_units(log)
     parts = [f"multiply the column by {scale:g}"] if scale != 1.0 else []
-    return " and ".join([*parts, f"add {round(shift, 2)}"] if shift else parts)
+    return " and ".join([*parts, f"add {shift:.2f}"] if round(shift, 2) else parts)
 
 
 def about_observations(log: Dataset) -> str:

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from deadreckon.mbo.designs import Designs
 
 GAP, LEAST = 10.0, 3.0  # least ratios of distances between recipes to those within one: of the median, and of the gap
-# Equal scores are told if these occur in at least so many pairs, ten times as many as chance explains where scores have so few
-# decimals, in a fifth of the rows, and few others occur more often, as numbers of few significant digits do.
-PAIRS, SHARE, MOST, RARELY, PEAKED = 10, 0.2, 4, 0.1, 3.0
+# Equal scores are told if these occur in at least so many pairs, ten times as many as chance explains where scores lie on so
+# coarse a grid, in a fifth of the rows, and few others occur more often, as numbers of few significant digits do.
+PAIRS, SHARE, MOST, RARELY, PEAKED, GRID = 10, 0.2, 4, 0.1, 3.0, 10
 CHANCE = 1e-4  # probability of such a gap by chance
 APART = 3  # least number of linkage distances between recipes
 LINKED = 3_000  # largest number of different designs among which recipes are searched
@@ -167,14 +167,17 @@ def units_told(data: "Designs", groups: str | None) -> list[str]:
 
 
 def _equal_scores(data: "Designs") -> list[str]:
-    """What to say of scores that occur a few times each, to the last digit, more often than numbers with so few decimals do."""
+    """What to say of scores that occur a few times each, to the last digit, more often than chance explains."""
     values, times = np.unique(data.y, return_counts=True)
     few = (times > 1) & (times <= MOST)
     rows, pairs = int(times[few].sum()), float((times[few] * (times[few] - 1) / 2).sum())
     if pairs < PAIRS or rows < SHARE * len(data) or (times > MOST).sum() > RARELY * few.sum():
         return []
-    digits = next((d for d in range(9) if np.allclose(data.y * 10**d, np.round(data.y * 10**d), rtol=0, atol=1e-6)), 15)
-    expected = len(data) ** 2 / 2 / max(np.ptp(values) * 10.0**digits / PEAKED, 1.0)
+    # The grid on which scores lie, if any: their least difference, or a part of it.
+    offsets, least = values - values[0], float(np.diff(values).min())
+    steps = (offsets / (least / parts) for parts in range(1, GRID + 1))
+    grid = next((int(each[-1]) + 1 for each in steps if np.allclose(each, np.round(each), rtol=0, atol=1e-3)), np.inf)
+    expected = len(data) ** 2 / 2 / max(grid / PEAKED, 1.0)
     if pairs < PAIRS * expected:
         return []
     return [

@@ -81,7 +81,8 @@ class Quality:
 
     @cached_property
     def _close(self) -> bool:
-        """Whether the correlation of predictions with scores is above the largest that permutations give, at `CLOSE`."""
+        """Whether the correlation of predictions with scores is above the quantile 1 - `CLOSE` of that of their permutations,
+        which is widened for the number of methods and, in cross-validation, as `limit` is."""
         rows = self._worth(np.ones(len(self.observed), bool), self.predicted, self.observed)
         weight = np.ones(len(self.observed)) if self.weight is None else self.weight
         off, apart = (np.asarray(each - np.average(each, weights=weight), float) for each in (self.predicted, self.observed))

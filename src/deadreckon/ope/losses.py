@@ -78,7 +78,7 @@ def _without_losses_in_rows(
             continue
         least, low, count = rewards[rows].min(), every[i, 1], float(effective(weights[None])[0])
         lacks = lacking(case, np.maximum(least - rewards, 0.0), count, alpha / len(out))
-        # Losses may come in rows, or in whole clusters, of which there are fewer.
+        # Losses may come in rows or in whole clusters, of which there are fewer: the greater chance counts.
         cluster = case.cluster[case.data.episode_of]
         clusters = float(effective(np.bincount(cluster, weights)[None])[0])
         hit = float((np.bincount(cluster, rewards < least) > 0).mean())

@@ -1,9 +1,9 @@
 """Whether the log supports estimates by ratios of occupancies (`drl`) and by what follows each row.
 
 They take rows with the same observation for the same state. Then the critics' errors r + discount V(s') - Q(s, a) have mean
-zero given all that came before. Two ways in which they do not, and which bias a gain, are tested: errors that depend on the
-previous action, beyond the step of the episode, and errors that depend on the step where actions do so too, so that the step is
-a confounder. Errors that depend on the step alone, as where all episodes end at one, bias both values alike.
+zero given all that came before. Two kinds of errors that bias a gain are tested for: those that depend on the previous action,
+beyond the step of the episode, and those that depend on the step where actions do so too, so that the step is a confounder.
+Errors that depend on the step alone, as where all episodes end at one, bias both values alike.
 
 Rows whose successor is not known are left out. That is a bias if their rewards differ from others of the same observation and
 action, as those of episodes that ended without a terminal, or if an action makes such ends more frequent.
@@ -25,7 +25,7 @@ from deadreckon.stats.interval import p_in_words
 
 LEVEL = 0.001  # error probability of all tests of one kind together (Bonferroni)
 WEAK = 0.05  # correlation below which a dependence is too weak to matter, however many rows show it
-TOO = 0.01  # the same of the test that actions depend on the step, too, where errors do
+TOO = 0.01  # error probability of the test that actions depend on the step, too, where errors do
 ACTIONS = 5  # most frequent actions that are looked at
 INSTEAD = "with logged propensities, dr-linear (--estimators dr-linear) needs no such column"
 
@@ -49,7 +49,7 @@ class _Rows(NamedTuple):
 
     @classmethod
     def of(cls, case: OPEInput) -> "_Rows | None":
-        """None if observations take many values, or all episodes have one step."""
+        """None if observations take many values, actions are continuous, or all episodes have one step."""
         data, size = case.data, case.plain.spec.observation_size  # positions stand before observations
         table = Table.of(case.plain) if case.positions else case.table
         if table is None or data.lengths.max() == 1:
@@ -69,7 +69,7 @@ def hidden_state(case: OPEInput, errors: np.ndarray) -> str | None:
             looked at: they depend on what came before also where only its actions do.
     """
     rows = _Rows.of(case)
-    if rows is None or int(case.cluster.max()) + 1 < UNITS:
+    if rows is None or int(case.cluster.max()) + 1 < UNITS or not np.isfinite(errors).all():
         return None
     tests = (
         (_after_action, "the previous action", "add the previous action as a column"),
@@ -99,13 +99,13 @@ def _after_action(case: OPEInput, rows: _Rows, errors: np.ndarray) -> Iterator[f
 
 
 def _at_step(case: OPEInput, rows: _Rows, errors: np.ndarray) -> Iterator[float]:
-    """p-values, corrected for their number, of errors that do not depend on the step, of all observations and in parts of them;
-    1 if actions do not go with how errors depend on it."""
+    """p-values, corrected for their number, of errors that do not depend on the step, of all observations and in parts of them,
+    where actions go with how errors depend on it."""
     actions = frequent(rows.taken, ACTIONS, ROWS)
     actions = actions[:1] if len(actions) == 2 else actions  # the other one is its opposite
     part = parts_of(rows.cell, int(rows.unit.max()) + 1)
     parts = [] if part is None else [case.followed & (part == each) for each in range(int(part.max()) + 1)]
-    groups = [case.followed, *parts]
+    groups, chances = [case.followed, *parts], {action: means_of(rows.cell, rows.taken == action) for action in actions}
     for group in groups:
         p_value = _depends(errors, rows.step, rows.unit, group)
         if p_value >= LEVEL:
@@ -113,12 +113,12 @@ def _at_step(case: OPEInput, rows: _Rows, errors: np.ndarray) -> Iterator[float]
         means = _of_others(rows.step[group], errors[group], rows.unit[group])
         for action in actions:
             taken = rows.taken == action
-            chance = means_of(rows.cell, taken)[group]
+            chance = chances[action][group]
             # Where all of few rows lack a rare action, their scatter says nothing, and its frequency does.
             least = float((np.square(means) * chance * (1.0 - chance)).sum())
             p_too, _ = _correlated(means, taken[group] - chance, rows.unit[group], least)
-            goes = p_too * len(groups) * len(actions) < TOO
-            yield len(groups) * p_value if goes else 1.0
+            if p_too * len(groups) * len(actions) < TOO:
+                yield len(groups) * p_value
 
 
 def _of_others(part: np.ndarray, values: np.ndarray, unit: np.ndarray) -> np.ndarray:
@@ -143,7 +143,9 @@ def _depends(errors: np.ndarray, column: np.ndarray, unit: np.ndarray, group: np
 def _correlated(a: np.ndarray, b: np.ndarray, unit: np.ndarray, least: float = 0.0) -> tuple[float, float]:
     """The two-sided p-value of (rows,) lists whose product has mean zero, with independent units; and their correlation. The
     sum of the products has the variance `least` or more."""
-    sums = np.bincount(unit, a * b)
+    sums = np.bincount(np.unique(unit, return_inverse=True)[1], a * b)
+    if len(sums) < 2:
+        return 1.0, 0.0
     error = np.sqrt(max(float(sums.var(ddof=1)) * len(sums), least))
     size = np.sqrt(np.square(a).sum() * np.square(b).sum())
     if not (error > 0 and size > 0):
@@ -176,7 +178,7 @@ def left_out(case: OPEInput) -> str | None:
     for action in actions:
         taken = rows.taken == action
         p_value, strength = _correlated(lost - means_of(rows.cell, lost), taken - means_of(rows.cell, taken), rows.unit)
-        if p_value * len(actions) < LEVEL and abs(strength) >= WEAK:
+        if p_value * len(actions) < LEVEL and strength >= WEAK:
             return (
                 f"recordings end without a terminal after {lost[taken].mean():.1%} of the rows with action "
                 f"{action_names(case.data)[action]} and after {lost[~taken].mean():.1%} of the others "

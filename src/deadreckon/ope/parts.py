@@ -4,7 +4,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 PARTS = 10  # most parts of a column
-ROWS = 20  # least number of clusters for each part
+ROWS = 20  # least number of clusters, or of rows, for each part
 
 
 def parts_of(column: np.ndarray, units: int) -> np.ndarray | None:

@@ -111,7 +111,7 @@ class Compared:
             compared; None if no test did.
         length: number of successive episodes that are compared as one, since values depend on those before; None: each by
             itself.
-        untested: the reason why no test was made; empty if one was.
+        untested: the reason why the last test that was due was not made; empty if it was, or none was due.
     """
 
     what: What
@@ -237,8 +237,8 @@ def drifts(
     old: Sample, new: Dataset, which: Sequence[What], first: bool, alpha: float, length: int | None = None,
     order: Order | None = None,
 ) -> tuple[list[Compared], int]:  # fmt: skip
-    """Compares every column with the reference; also returns the number of tests. The probability that any column is ever
-    reported without a change is at most `alpha`.
+    """Compares every column with the reference; also returns the number of tests that were due. The probability that any column
+    is ever reported without a change is at most `alpha`.
 
     Args:
         old: the reference.
@@ -259,7 +259,7 @@ def drifts(
             now = now if length is None else now.in_parts(length)
             if len(now.starts) < FEWEST:
                 continue
-            enough = True
+            tests, enough = tests + 1, True
             left = [i for i in range(len(which)) if i not in found]  # reported columns stay reported, and cannot hide others
             if order is not None:
                 left = [i for i in left if not order.follows(which[i], epoch.stop)]
@@ -269,7 +269,6 @@ def drifts(
             pairs = [_features(which[i], old, now) for i in left]
             sums = [[np.add.reduceat(pair[side], both.starts) for pair in pairs] for side, both in enumerate((old, now))]
             p = drift.test(sums[0], sums[1], (old.sizes, now.sizes), epoch.alpha, generator(0, "permutations", number))
-            tests += 1
             found |= {left[i]: (epoch.stop, epoch.stop - epoch.start) for i in np.flatnonzero(p <= epoch.alpha)}
     now = sample(new, some(np.arange(new.episodes), "all new episodes"), first)
     others = new.provenance.extra.get(OTHERS, {})
@@ -277,7 +276,7 @@ def drifts(
     why = FOLLOWS if enough else ""
     if length is not None:
         units = f"values depend on those of the episodes before, so parts of {length:,} episodes are compared"
-        due = next(stop for stop in (drift.FIRST * 2**k for k in range(64)) if stop >= FEWEST * length)
+        due = next(stop for stop in (drift.FIRST * 2**k for k in range(64)) if stop > (FEWEST - 1) * length)
         why = f"{units}, and the first test is made after {due:,} episodes"
         if len(old.starts) < FEWEST:
             why = f"{units}, of which the reference has {len(old.starts)}, and {FEWEST} are needed"

@@ -168,9 +168,10 @@ def monitor(
                 continue
             level = DRIFT * alpha * len(own) / len(which)
             found, made = compared.drifts(each, new, own, first, level, size, order if size is None else None)
-            columns = [*columns, *found]
             if size is None and not made:
                 untested = _untested(len(each.starts), new)
+                found = [replace(one, untested=untested.removeprefix("not tested: ")) for one in found]
+            columns = [*columns, *found]
     outside = compared.outside(old, new, which, first, OUTSIDE * alpha, lengths, order)
     value: Realised | str = "not compared: the new log was not made by the policy of the run"
     if told is not None and bool(told[0]["estimand"]["greedy"]) != greedy:
@@ -178,7 +179,8 @@ def monitor(
         value = f"not compared: the policy's {used} actions are in use, and its {judged} ones were estimated"
     elif made_by != "reference":
         value = realised(new, old, told, return_range, VALUE * alpha)
-    findings = [*_of_value(value, alpha), *_of_columns(columns, untested), *_of_outside(outside, columns, len(new))]
+    untested = untested if all(each.untested for each in columns) else ""
+    findings = [*_of_value(value, alpha), *_of_columns(columns), *_of_outside(outside, columns, len(new))]
     if by_policy and (line := rewards_to_come(new, RARE)) is not None:
         findings.append(Finding("value", "latest", False, line))
     findings.sort(key=lambda each: not each.alarm)
@@ -256,7 +258,7 @@ def _of_value(value: Realised | str, alpha: float) -> list[Finding]:
     return out
 
 
-def _of_columns(columns: Sequence[Compared], untested: str) -> list[Finding]:
+def _of_columns(columns: Sequence[Compared]) -> list[Finding]:
     out = []
     for each in columns:
         what = each.what
@@ -271,7 +273,7 @@ def _of_columns(columns: Sequence[Compared], untested: str) -> list[Finding]:
         if each.others:
             effect += f"; new levels: {others_of(each)}"
         if each.found is None:
-            why = f"not tested: {each.untested}" if each.untested else untested or "no drift"
+            why = f"not tested: {each.untested}" if each.untested else "no drift"
             if each.length is not None and not each.untested:
                 why += f" in parts of {each.length:,} episodes, as values depend on those of the episodes before"
             out.append(Finding(what.about, what.name, False, f"{why}; {effect}"))

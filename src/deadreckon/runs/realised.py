@@ -57,7 +57,7 @@ class Realised:
 
     @property
     def interval(self) -> Interval:
-        """The realised mean after all episodes, with its ends."""
+        """The realised mean after all episodes, or all whole parts of `length` of them, with its ends."""
         return Interval(*(float(ends[-1]) for ends in (self.sequence.means, self.sequence.low, self.sequence.high)))
 
 
@@ -164,9 +164,10 @@ def realised(
         return f"not compared: {together}, of which the new log has none"
     sequence = confidence_sequence(parts, given, 2 * alpha)
     below = refuted_at(parts, given, least, alpha) if np.isfinite(least) else None
-    sequence = sequence._replace(counts=sequence.counts * length)
-    below = None if below is None else below * length
-    return Realised(estimand, sequence, estimated, given, source, outside, below, among, length)
+    return Realised(
+        estimand, sequence._replace(counts=sequence.counts * length), estimated, given, source, outside,
+        None if below is None else below * length, among, length,
+    )  # fmt: skip
 
 
 def _together(old: Dataset, estimand: Estimand) -> int:

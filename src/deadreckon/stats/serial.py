@@ -16,6 +16,12 @@ EVENTS = 5  # least expected number of values other than the most frequent one i
 LEVEL, SHARE = 0.001, 0.01  # error probability, and least share of the variance between parts, of that comparison
 
 
+def _ranks(values: np.ndarray) -> np.ndarray:
+    from scipy.stats import rankdata  # slow to import, and few need it
+
+    return rankdata(values)
+
+
 def several(values: np.ndarray) -> bool:
     """Whether (n,) values differ often enough for a correlation: of a rare one, two neighbours that are alike suffice."""
     shares = np.unique(values, return_counts=True)[1] / len(values)
@@ -35,38 +41,31 @@ def depends(values: np.ndarray) -> bool:
 
 
 def _parts_differ(values: np.ndarray) -> bool:
-    from scipy.stats import rankdata  # slow to import, and few need it
-
     n = len(values)
     others = n - int(np.unique(values, return_counts=True)[1].max())
     count = min(PARTS, others // EVENTS)
     if count < 2:
         return False
-    ranks, part = rankdata(values), np.arange(n) * count // n
+    ranks, part = _ranks(values), np.arange(n) * count // n
     sizes = np.bincount(part)
     between = float((sizes * np.square(np.bincount(part, ranks) / sizes - ranks.mean())).sum() / ranks.var(ddof=1))
     share = (between - (count - 1)) / (n - 1)
     return share > SHARE and float(chdtrc(count - 1, between)) < LEVEL
 
 
-def reach(values: np.ndarray) -> int:
-    """The number of steps after which (n,) values no longer depend on each other: the first lag whose rank correlation is a
-    tenth of that of neighbours, or two standard errors, or less."""
-    from scipy.stats import rankdata  # slow to import, and few need it
-
-    n = len(values)
-    ranks = rankdata(values) - (n + 1) / 2
-    power = np.abs(np.fft.rfft(ranks, 2 * n)) ** 2
-    correlation = np.fft.irfft(power)[:n]
-    correlation /= correlation[0]
-    faded = np.flatnonzero(correlation[1:] < max(FADED * correlation[1], 2 / np.sqrt(n)))
-    return int(faded[0]) + 1 if len(faded) else n
-
-
 def together(values: np.ndarray) -> int:
-    """The number of successive (n,) values that depend on those before to take as one: twice as many as they reach, as a power
-    of two, so that columns that are alike are compared together, but never more than leaves `PARTS` parts."""
-    return max(min(2 ** int(np.ceil(np.log2(2 * reach(values)))), -(-len(values) // PARTS)), 1)
+    """The number of successive (n,) values that depend on those before to take as one: twice the lag at which their rank
+    correlation has fallen to a tenth of that of neighbours, or to two standard errors, as a power of two, so that columns that
+    are alike are compared together. At most n / `PARTS`, also where noise hides how far the dependence reaches."""
+    n = len(values)
+    most = max(-(-n // PARTS), 1)
+    ranks = _ranks(values) - (n + 1) / 2
+    correlation = np.fft.irfft(np.abs(np.fft.rfft(ranks, 2 * n)) ** 2)[:n]
+    near = correlation[1] / correlation[0]
+    if near < max(ALIKE, ERRORS / np.sqrt(n)):
+        return most
+    faded = np.flatnonzero(correlation[1:] / correlation[0] < max(FADED * near, 2 / np.sqrt(n)))
+    return min(2 ** int(np.ceil(np.log2(2 * (faded[0] + 1)))), most) if len(faded) else most
 
 
 def follows(values: np.ndarray, errors: float = SOON) -> bool:
@@ -75,11 +74,11 @@ def follows(values: np.ndarray, errors: float = SOON) -> bool:
     By the correlation r of successive differences of ranks: 1 + 2 r estimates the correlation of neighbours, also if the level
     changes now and then, because a change is in one difference only. Its standard error is sqrt(2 / n) for independent values.
     """
-    from scipy.stats import rankdata  # slow to import, and few need it
-
     n = len(values)
     if n < SHORT or not several(values):
         return False
-    steps = np.diff(rankdata(values))
+    steps = np.diff(_ranks(values))
     steps = steps - steps.mean()
+    if not steps.any():  # in order, one after the other
+        return True
     return 1.0 + 2.0 * float((steps[1:] * steps[:-1]).mean() / np.square(steps).mean()) > max(ALIKE, errors * np.sqrt(2 / n))
