@@ -177,6 +177,8 @@ def test_losses_of_whole_episodes_that_few_episodes_lack_by_chance():
         found = decide(OPEInput(log_of(actions, rewards, seen=seen), [first], logged=True)).choice
         assert not found.deploy
         met += "this happens by chance in" in found.reason
+        if met:
+            break
     assert met
 
 
