@@ -160,7 +160,8 @@ def test_no_round_looks_at_what_train_holds_out(tmp_path, monkeypatch):
     def estimated(folders, data, estimators, **settings):
         judged.append((set(data.episode_ids.tolist()), settings["counted"], settings["out"]))
         policies = [{"run": folder.name} for folder in folders]
-        return type("Judged", (), {"results": {"policies": policies, "results": [{"value": [1.0] * len(policies)}]}})
+        told = {"value": [1.0] * len(policies), "gain": [[0.0, -1.0, 1.0]] * len(policies)}
+        return type("Judged", (), {"results": {"policies": policies, "results": [told]}})
 
     monkeypatch.setattr(tune, "judge", estimated)
     ran: list[float] = []

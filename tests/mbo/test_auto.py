@@ -28,6 +28,13 @@ def quality(method, noise, scored=True):
     return dataclasses.replace(found, tried=3)
 
 
+def weak(method, rank, **more):
+    """The same with another rank correlation, of predictions that hardly go with the scores themselves."""
+    off, noise = Y - Y.mean(), np.random.default_rng(len(method)).normal(size=len(Y))
+    predicted = noise - (noise @ off) / (off @ off) * off + 1e-3 * off
+    return dataclasses.replace(quality(method, 1.0), predicted=predicted, rank_correlation=rank, **more)
+
+
 def test_the_best_order_is_taken_unless_the_process_is_as_good():
     assert chosen([quality("GP", 1.0), quality("net", 2.0), quality("rank", 3.0)])[0] == 0
     at, reason = chosen([quality("GP", 3.0), quality("net", 0.5), quality("rank", 0.3, scored=False)])
@@ -50,7 +57,7 @@ def test_the_standard_error_is_that_of_independent_correlations():
 
 def test_of_noise_no_method_is_praised():
     """The limit for the best of three is higher than for one."""
-    a = dataclasses.replace(quality("GP", 1.0), rank_correlation=0.105, tried=1)
+    a = weak("GP", 0.105, tried=1)
     assert a.skilled
     among = dataclasses.replace(a, tried=3)
     assert not among.skilled
@@ -65,13 +72,13 @@ def test_of_a_single_method_no_order_among_methods_is_told():
     good = dataclasses.replace(quality("GP", 1.0), tried=1)
     alone = "GP is the only method that could be compared"
     assert chosen([good]) == (0, f"{alone} ({good.rank_correlation:.3f})")
-    none = dataclasses.replace(good, rank_correlation=0.0)
+    none = weak("GP", 0.0, tried=1)
     assert chosen([none]) == (0, f"of {alone.replace(' is', ',')}, {none.doubt}; GP is taken")
 
 
 def test_a_method_without_skill_is_not_taken_where_another_has_skill():
     """Neither the process for being about as good, nor the greatest rank, of which the predictions fall with the scores."""
-    gp, net = (dataclasses.replace(quality(name, 1.0), rank_correlation=rank) for name, rank in (("GP", 0.11), ("net", 0.13)))
+    gp, net = weak("GP", 0.11), weak("net", 0.13)
     assert [gp.skilled, net.skilled] == [False, True]
     assert net.rank_correlation - gp.rank_correlation < standard_error(Y, gp.predicted, net.predicted)
     at, reason = chosen([gp, net])
