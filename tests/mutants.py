@@ -3058,8 +3058,8 @@ MUTANTS = (
     ),
     Mutant(
         "errors-of-the-step", "ope/markov.py",
-        'errors[known] - means_of(place.reshape(-1), errors[known])',
-        'errors[known]',
+        'own[known] - means_of(place, own[known])',
+        'own[known]',
         "rewards that change with the step seem to be effects of the previous action",
         ("ope/test_markov.py::test_a_step_that_actions_do_not_depend_on_and_one_that_is_observed_are_none",),
     ),
@@ -3157,14 +3157,14 @@ MUTANTS = (
     ),
     Mutant(
         "memory-of-the-behaviour", "ope/markov.py",
-        'for own in errors[: len(case.policies)]',
-        'for own in errors',
+        'errors[: len(case.policies)]), default',
+        'errors), default',
         "a behaviour policy with a memory is taken for a hidden state",
         ("ope/test_markov.py::test_a_behaviour_policy_with_a_memory_is_no_hidden_state",),
     ),
     Mutant(
         "losses-by-cluster", "ope/losses.py",
-        'chance=max(lacks.chance, (1.0 - hit) ** clusters)',
+        'chance=max(lacks.chance, (1.0 - hit) ** Basis.of(found, i).rest[0])',
         'chance=lacks.chance',
         "losses of whole episodes that few episodes lack by chance are a gain",
         ("ope/test_markov.py::test_losses_of_whole_episodes_that_few_episodes_lack_by_chance",),

@@ -26,9 +26,9 @@ class Predict:
     out: Annotated[str, tyro.conf.arg(metavar="FILE")]  # file to write, .csv or .parquet; an old one is replaced
     probabilities: bool = False  # whether to write the probability of every discrete action as well
     sampled: bool | None = None
-    """whether to sample actions instead of taking the deterministic (greedy) ones; None: as they were evaluated, or no"""
+    """whether to sample actions instead of taking the deterministic (greedy) ones; None: as in the evaluation, else no"""
     seed: int | None = None
-    """random seed of sampled actions, and of a mixture's members without episodes; None: another one, which is printed"""
+    """random seed of sampled actions, and of a mixture's members if rows name no episode; None: another one, printed"""
     outside: Literal["raise", "flag"] = "raise"
     """treatment of rows with unknown levels or values out of range: refuse the table (raise), or mark rows outside (flag)"""
     keep: Annotated[tuple[str, ...], tyro.conf.arg(metavar="COLUMN [COLUMN ...]")] = ()

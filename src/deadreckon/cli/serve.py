@@ -19,9 +19,9 @@ class Serve:
     port: int = 8000  # port to listen on; 0: any free one
     policy_seed: int | None = None  # seed of the run whose policy is served; None: the first that has not failed
     sampled: bool | None = None
-    """whether requests that do not say greedy=true or false get sampled actions; None: as they were evaluated, or no"""
+    """whether requests that do not say greedy=true or false get sampled actions; None: as in the evaluation, else no"""
     seed: int | None = None
-    """random seed of sampled actions, and of a mixture's members without episodes; None: another one in each process"""
+    """random seed of sampled actions, and of a mixture's members if rows name no episode; None: one for each process"""
     max_body: int = 1_000_000  # largest body of a request in bytes; a larger one is refused with status 413
     max_rows: int = 10_000  # largest number of rows in a request; more are refused with status 413
 

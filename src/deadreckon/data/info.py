@@ -16,8 +16,8 @@ from deadreckon.data.spec import Box
 from deadreckon.data.told import action_names, observation_names, schema_of
 
 # Words of columns that one minimises, and words beside these with which one does not.
-COSTS = {"cost", "costs", "loss", "losses", "penalty", "regret", "error", "errors", "damage", "delay", "waste", "downtime"}
-GAINS = {"saving", "savings", "saved", "free", "avoided", "reduction", "reduced", "less", "weight", "fewer"}
+_COSTS = {"cost", "costs", "loss", "losses", "penalty", "regret", "error", "errors", "damage", "delay", "waste", "downtime"}
+_GAINS = {"saving", "savings", "saved", "free", "avoided", "reduction", "reduced", "less", "weight", "fewer"}
 _SAMPLE = 200_000  # rows looked at where looking at all would be slow
 _SEVERAL = 10  # episodes, and different rewards of theirs, from which on equal rewards within episodes are told
 _NAMED = 8  # columns or actions named in a line
@@ -226,7 +226,7 @@ def _cost(log: Dataset) -> str | None:
     names = schema.named("reward") if schema else []
     for name in names:
         words = {word.lower() for word in re.findall("[A-Z]?[a-z]+|[A-Z]+", name)}
-        if COSTS & words and not GAINS & words:
+        if _COSTS & words and not _GAINS & words:
             return name
     return None
 

@@ -76,7 +76,8 @@ def kind_of(column: str, values: Any, role: Role, alone: bool, asked: Kind | Non
         doubt = f"holds numbers as texts, and is read as numbers (--kinds {column}=category)" if role == "observation" else ""
         return "number", "texts that are numbers", doubt
     if role == "observation" and kind == "category":
-        return kind, reason, _measured(values) or _alike(values)
+        levels = _texts(values)
+        return kind, reason, _measured(levels) or _alike(levels)
     if role in ("observation", "reward", "cost") and (doubt := placeholder(values)):
         return kind if role == "observation" else "number", reason, doubt
     if role == "observation" and (doubt := _rounded(values)):
@@ -91,7 +92,7 @@ def _action(column: str, values: Any, kind: Kind, alone: bool) -> tuple[Kind, st
     same = only is not None and len(only) == 1
     constant = "is an action that never changes, so nothing is known of other actions" if same else ""
     if kind == "category":
-        return kind, "texts", constant or _alike(values)
+        return kind, "texts", constant or _alike(_texts(values))
     levels = levels_of_whole_numbers(values)
     few = levels is not None and len(levels) <= FEW
     if not alone:
@@ -115,11 +116,16 @@ def _action(column: str, values: Any, kind: Kind, alone: bool) -> tuple[Kind, st
     return kind, f"{count} whole numbers", doubt
 
 
-def _alike(values: Any) -> str:
+def _texts(values: Any) -> list[str]:
+    """The different texts of a column, if they are few."""
+    levels = few_values(decoded(values))
+    return levels.to_pylist() if levels is not None and is_text(levels.type) else []
+
+
+def _alike(levels: list[str]) -> str:
     """What to say of texts that are empty, or differ in blanks or in upper and lower case alone and are probably one level."""
     found: dict[str, str] = {}
-    levels = few_values(decoded(values))
-    for level in levels.to_pylist() if levels is not None and is_text(levels.type) else ():
+    for level in levels:
         if not level.strip():
             return f"has the empty text {level!r} as a level like others; make it a missing value if it stands for none"
         other = found.setdefault(" ".join(level.lower().split()), level)
@@ -131,10 +137,10 @@ def _alike(values: Any) -> str:
     return ""
 
 
-def _measured(values: Any) -> str:
+def _measured(texts: list[str]) -> str:
     """What to say of texts most of which are a number and, perhaps, its unit."""
-    levels = few_values(decoded(values))
-    texts = levels.to_pylist() if levels is not None and len(levels) >= _FEWEST and is_text(levels.type) else []
+    if len(texts) < _FEWEST:
+        return ""
     found = {text: match for text in texts if (match := _NUMBER.fullmatch(text))}
     units = Counter(match["unit"] for match in found.values()).most_common(1)
     if not units or units[0][1] <= _MOSTLY * len(texts):

@@ -46,7 +46,7 @@ def _alike(log: Dataset) -> dict[int, float]:
 
 
 def in_order(log: Dataset) -> np.ndarray | None:
-    """(n,) different episodes, in order; None if a group column tells which belong together, so that others do not depend."""
+    """(n,) different episodes, in order, at most `_ROWS`; None if a group column tells which belong together."""
     return None if group_of(log) is not None else np.unique(origin(log))[:_ROWS]
 
 

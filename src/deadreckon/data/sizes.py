@@ -9,6 +9,7 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.spec import Spec, Statistics
 from deadreckon.data.told import observation_names
+from deadreckon.stats.interval import decimals, fixed
 
 LARGE, SMALL = 10.0, 0.1  # sizes beyond which numbers are told, and changed by `recommend`
 
@@ -53,14 +54,14 @@ def reward_options(log: Dataset) -> str:
     """The options of `train` that scale and shift rewards by `reward_units`."""
     scale, shift = reward_units(log)
     options = [f"--agent.reward-scale {scale:g}"] if scale != 1.0 else []
-    return " ".join([*options, f"--agent.reward-shift={shift:.2f}"] if round(shift, 2) else options)
+    return " ".join([*options, f"--agent.reward-shift={fixed(shift, decimals(shift))}"] if shift else options)
 
 
 def reward_words(log: Dataset) -> str:
     """`reward_units` of the column of a table, in words."""
     scale, shift = reward_units(log)
     parts = [f"multiply the column by {scale:g}"] if scale != 1.0 else []
-    return " and ".join([*parts, f"add {shift:.2f}"] if round(shift, 2) else parts)
+    return " and ".join([*parts, f"add {fixed(shift, decimals(shift))}"] if shift else parts)
 
 
 def about_observations(log: Dataset) -> str:

@@ -23,8 +23,8 @@ from deadreckon.stats.interval import LEVEL, NORMAL
 from deadreckon.stats.ranks import spearman
 
 FOLDS = 5
-CLOSE, PERMUTATIONS = 0.001, 2_000  # the same share by the predictions themselves, and permutations of these
-CHANCE = 0.025  # share of tables without any relation on which a method may be called skilled
+CHANCE = 0.025  # share of tables without any relation on which a method may be called skilled, by its order
+CLOSE, PERMUTATIONS = 0.001, 2_000  # the same share by the predictions themselves, and the number of their permutations
 ENOUGH = 2 * FEWEST  # least number of held-out designs: with fewer than 19 no factor covers 95 % (`conformal_factor`)
 
 # (m, variables) designs and (m,) standard errors of their scores, or None -> (m,) means and standard deviations of the scores
@@ -81,7 +81,7 @@ class Quality:
 
     @cached_property
     def _close(self) -> bool:
-        """Whether the correlation of predictions with scores is above the quantile 1 - `CLOSE` of that of their permutations,
+        """Whether the covariance of predictions with scores is above the quantile 1 - `CLOSE` of that of their permutations,
         which is widened for the number of methods and, in cross-validation, as `limit` is."""
         rows = self._worth(np.ones(len(self.observed), bool), self.predicted, self.observed)
         weight = np.ones(len(self.observed)) if self.weight is None else self.weight
@@ -89,11 +89,10 @@ class Quality:
         if rows < 5 or not np.ptp(off) or not np.ptp(apart):
             return False
         rng, pull = generator(0, "predictions"), weight * apart
-        spread = np.sqrt(weight.sum() * np.square(off).mean() * (pull @ apart))
-        chance = np.sort([off[rng.permutation(len(off))] @ pull for _ in range(PERMUTATIONS)]) / spread
+        chance = np.sort([off[rng.permutation(len(off))] @ pull for _ in range(PERMUTATIONS)])
         quantiles = [NormalDist().inv_cdf(1 - CLOSE / among) for among in (1, self.tried)]
         wider = quantiles[1] / quantiles[0] * np.sqrt((2.0 if self.crossed else 1.0) * len(off) / rows)
-        return bool(off @ pull / spread > wider * chance[int((1 - CLOSE) * PERMUTATIONS)])
+        return bool(off @ pull > wider * chance[int((1 - CLOSE) * PERMUTATIONS)])
 
     @property
     def limit(self) -> float:

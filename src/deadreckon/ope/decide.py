@@ -96,9 +96,9 @@ def decide(
         each.check(case)
     checked = support(case, model)
     estimates = [each.on(case) for each in asked]
-    costs = costs_of(case, asked[0], checked, limits_of(settings.cost_limit, case.given), alpha, model)
-    against = [[told for each in costs if (told := each.objection(i, 1 - alpha))] for i in range(len(case.policies))]
     first = asked[0]
+    costs = costs_of(case, first, checked, limits_of(settings.cost_limit, case.given), alpha, model)
+    against = [[told for each in costs if (told := each.objection(i, 1 - alpha))] for i in range(len(case.policies))]
     predicted = first.nuisances(case)[0] if isinstance(first, DoublyRobust) and first.kind == "marginal" else None
     ratios = None if predicted is None else predicted.weights
     for own, lucky in zip(against, without_losses(case, estimates[0], checked, model, alpha, ratios)):

@@ -82,11 +82,9 @@ class Estimates(Shown):
         if nuisance is not None:
             half = inference.beside(high - value, nuisance)
             low, high = value - half, value + half
-        if ess is not None:
-            spread = np.minimum(ess, more.get("diagnostics", {}).get("effective clusters", ess)) >= LEAST_ESS
-            low, high = np.where(spread, low, -np.inf), np.where(spread, high, np.inf)
         more |= {"influence": influence, "ess": ess, "nuisance": nuisance}
-        return cls(method, case.names, value, low, high, case.estimand, **more)
+        found = cls(method, case.names, value, low, high, case.estimand, **more)
+        return found.unbounded(~found.spread)
 
     @classmethod
     def of_members(cls, method: str, case: "OPEInput", found: np.ndarray, **more: Any) -> "Estimates":
@@ -98,6 +96,13 @@ class Estimates(Shown):
     def discount(self) -> float:
         """Discount of the returns, per step."""
         return self.estimand.discount
+
+    @property
+    def spread(self) -> np.ndarray:
+        """(policies,) whether the weights rest on enough episodes or clusters to vary; true without weights."""
+        if self.ess is None:
+            return np.ones(len(self.names), bool)
+        return np.minimum(self.ess, self.diagnostics.get("effective clusters", self.ess)) >= LEAST_ESS
 
     def unbounded(self, where: np.ndarray) -> "Estimates":
         """The same with infinite intervals for the policies for which `where` (policies,) is true."""

@@ -79,10 +79,8 @@ def _without_losses_in_rows(
         least, low, count = rewards[rows].min(), every[i, 1], float(effective(weights[None])[0])
         lacks = lacking(case, np.maximum(least - rewards, 0.0), count, alpha / len(out))
         # Losses may come in rows or in whole clusters, of which there are fewer: the greater chance counts.
-        cluster = case.cluster[case.data.episode_of]
-        clusters = float(effective(np.bincount(cluster, weights)[None])[0])
-        hit = float((np.bincount(cluster, rewards < least) > 0).mean())
-        lacks = lacks._replace(chance=max(lacks.chance, (1.0 - hit) ** clusters))
+        hit = float((np.bincount(case.cluster[case.data.episode_of], rewards < least) > 0).mean())
+        lacks = lacks._replace(chance=max(lacks.chance, (1.0 - hit) ** Basis.of(found, i).rest[0]))
         if lacks.chance > alpha / 2 / len(out) and low <= steps * lacks.most:
             out[i] = _words(count, "rows", "reward", least, lacks, low - steps * lacks.most)
     return out

@@ -9,6 +9,7 @@ Rows whose successor is not known are left out. That is a bias if their rewards 
 action, as those of episodes that ended without a terminal, or if an action makes such ends more frequent.
 """
 
+import itertools
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -49,7 +50,11 @@ class _Rows(NamedTuple):
 
     @classmethod
     def of(cls, case: OPEInput) -> "_Rows | None":
-        """None if observations take many values, actions are continuous, or all episodes have one step."""
+        """None if observations take many values, actions are continuous, or all episodes have one step. Made once."""
+        return case.once("rows of markov", lambda: cls._made(case))
+
+    @classmethod
+    def _made(cls, case: OPEInput) -> "_Rows | None":
         data, size = case.data, case.plain.spec.observation_size  # positions stand before observations
         table = Table.of(case.plain) if case.positions else case.table
         if table is None or data.lengths.max() == 1:
@@ -76,41 +81,42 @@ def hidden_state(case: OPEInput, errors: np.ndarray) -> str | None:
         (_at_step, "the step of the episode", "add the step as a column"),
     )
     for test, name, advice in tests:
-        p_value = min((each for own in errors[: len(case.policies)] for each in test(case, rows, own)), default=1.0)
-        if p_value * len(case.policies) < LEVEL:
+        if (p_value := min(test(case, rows, errors[: len(case.policies)]), default=1.0)) < LEVEL:
             return (
-                f"what follows an observation and an action depends on {name} ({p_in_words(p_value * len(case.policies))}), so "
-                f"observations do not hold all that matters: {advice}; {INSTEAD}"
+                f"what follows an observation and an action depends on {name} ({p_in_words(p_value)}), so observations do not "
+                f"hold all that matters: {advice}; {INSTEAD}"
             )
     return None
 
 
 def _after_action(case: OPEInput, rows: _Rows, errors: np.ndarray) -> Iterator[float]:
-    """p-values, corrected for their number, of errors that do not depend on the previous action, of all rows and of those with
-    each action."""
+    """p-values, corrected for their number, of each policy's errors that do not depend on the previous action, of all rows and
+    of those with each action."""
     known = case.followed & (rows.before >= 0)
     groups = [known, *(known & (rows.taken == action) for action in frequent(rows.taken, ACTIONS, ROWS))]
     # Less their means at each step with the same observation and action, which are not zero where all episodes end at a step.
-    _, place = np.unique(np.stack([rows.cell, rows.taken, rows.step], 1)[known], axis=0, return_inverse=True)
-    beyond = np.zeros(len(errors))
-    beyond[known] = errors[known] - means_of(place.reshape(-1), errors[known])
-    for group in groups:
-        yield len(groups) * _depends(beyond, rows.before, rows.unit, group)
+    place = (rows.cell * (int(rows.taken.max()) + 1) + rows.taken) * (int(rows.step.max()) + 1) + rows.step
+    place = np.unique(place[known], return_inverse=True)[1]
+    for own in errors:
+        beyond = np.zeros(len(own))
+        beyond[known] = own[known] - means_of(place, own[known])
+        for group in groups:
+            yield len(errors) * len(groups) * _depends(beyond, rows.before, rows.unit, group)
 
 
 def _at_step(case: OPEInput, rows: _Rows, errors: np.ndarray) -> Iterator[float]:
-    """p-values, corrected for their number, of errors that do not depend on the step, of all observations and in parts of them,
-    where actions go with how errors depend on it."""
+    """p-values, corrected for their number, of each policy's errors that do not depend on the step, of all observations and in
+    parts of them, where actions go with how errors depend on it."""
     actions = frequent(rows.taken, ACTIONS, ROWS)
     actions = actions[:1] if len(actions) == 2 else actions  # the other one is its opposite
     part = parts_of(rows.cell, int(rows.unit.max()) + 1)
     parts = [] if part is None else [case.followed & (part == each) for each in range(int(part.max()) + 1)]
     groups, chances = [case.followed, *parts], {action: means_of(rows.cell, rows.taken == action) for action in actions}
-    for group in groups:
-        p_value = _depends(errors, rows.step, rows.unit, group)
+    for own, group in itertools.product(errors, groups):
+        p_value = _depends(own, rows.step, rows.unit, group)
         if p_value >= LEVEL:
             continue
-        means = _of_others(rows.step[group], errors[group], rows.unit[group])
+        means = _of_others(rows.step[group], own[group], rows.unit[group])
         for action in actions:
             taken = rows.taken == action
             chance = chances[action][group]
@@ -118,7 +124,7 @@ def _at_step(case: OPEInput, rows: _Rows, errors: np.ndarray) -> Iterator[float]
             least = float((np.square(means) * chance * (1.0 - chance)).sum())
             p_too, _ = _correlated(means, taken[group] - chance, rows.unit[group], least)
             if p_too * len(groups) * len(actions) < TOO:
-                yield len(groups) * p_value
+                yield len(errors) * len(groups) * p_value
 
 
 def _of_others(part: np.ndarray, values: np.ndarray, unit: np.ndarray) -> np.ndarray:

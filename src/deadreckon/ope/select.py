@@ -13,7 +13,7 @@ import numpy as np
 from deadreckon.errors import UserError
 from deadreckon.ope.basis import Basis
 from deadreckon.ope.estimand import TAIL
-from deadreckon.ope.estimates import LEAST_ESS, LOGGED, Estimates
+from deadreckon.ope.estimates import LOGGED, Estimates
 from deadreckon.ope.support import Support
 from deadreckon.provided import Shown
 from deadreckon.stats import inference
@@ -69,7 +69,8 @@ def gains(found: Estimates, alpha: float = ALPHA, known: np.ndarray | None = Non
     """(policies, 3) gains over the behaviour policy with lower and upper ends that hold simultaneously for all policies.
 
     Intervals of policies that are not `known` (policies,) are infinite, as are those whose weights rest on fewer than two
-    episodes. With learned propensities they are wider by `MOVED` times the largest change from normalising the weights.
+    episodes or clusters. With learned propensities they are wider by `MOVED` times the largest change from normalising the
+    weights.
 
     Both values are estimated by the same method from the same episodes, so common errors cancel. With an influence function,
     the interval is by the studentised maximum (`inference.simultaneous`), and wider by the error of fitted models that the
@@ -83,9 +84,7 @@ def gains(found: Estimates, alpha: float = ALPHA, known: np.ndarray | None = Non
     if LOGGED not in found.names or (found.bootstrap is None and found.influence is None):
         raise UserError(f"{found.method} has no estimate of the behaviour policy; use OPEInput(..., logged=True)")
     logged = found.names.index(LOGGED)
-    known = np.ones(len(found.names), bool) if known is None else np.array(known)
-    if found.ess is not None:
-        known &= np.minimum(found.ess, found.diagnostics.get("effective clusters", found.ess)) >= LEAST_ESS
+    known = found.spread if known is None else found.spread & known
     each = alpha / max(len(found.names) - 1, 1)
     if found.influence is not None:
         middle, low, high = inference.gains(found.value, found.influence, logged, alpha, known)

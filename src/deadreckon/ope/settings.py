@@ -38,7 +38,7 @@ class EstimateSettings(FitSettings):
 
     discount: float = 0.995  # discount factor per step; 1 where episodes end or there is a horizon
     horizon: int | Literal["auto"] | None = None
-    """first steps of an episode that count; None: all; auto: as many as the longest has, if timeouts fall there, or all"""
+    """first steps of an episode that count; None: all; auto: those of the longest episode, if timeouts fall there, else all"""
     greedy: bool = False  # whether to evaluate deterministic (greedy) instead of sampled actions
 
     def estimand(self, log: Dataset) -> Estimand:

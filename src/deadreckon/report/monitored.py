@@ -91,6 +91,8 @@ def _value(found: Monitored) -> Markup:
         f"at once, however often one looks. It rests on returns between {number(low)} and {number(high)} ({value.source}). "
         f"{_sentence(str(value.estimand))}"
     )
+    if value.length > 1:
+        told += f" It is of means of {value.length:,} successive episodes, as returns depend on those of the episodes before."
     lost = f" {value.beyond:,} returns lie outside this range, so that the band is open on that side." if value.beyond else ""
     drawn = figure(chart, "Mean return of the new log's episodes, after each of them")
     line = "lower end of the estimate" if references else None

@@ -48,6 +48,7 @@ from deadreckon.runs.run import Run
 from deadreckon.runs.settings import JudgeSettings, RecommendSettings
 from deadreckon.runs.together import judge_of
 from deadreckon.runs.train import train
+from deadreckon.stats.interval import decimals, fixed
 from deadreckon.tasks.task import Task
 from deadreckon.training.fit import Chunk, Fit
 
@@ -443,7 +444,8 @@ def _changed(units: dict[str, Any]) -> str:
     """A line about the scaling of observations and rewards for candidates; empty without scaling."""
     parts = ["with standardised observations"] if "standardise" in units else []
     changes = [f"times {units['reward_scale']:g}"] if "reward_scale" in units else []
-    changes += [f"{units['reward_shift']:+.2f}"] if "reward_shift" in units else []
+    shift = units.get("reward_shift")
+    changes += [] if shift is None else [fixed(shift, decimals(shift), "+")]
     if changes:
         parts.append(f"on rewards {' '.join(changes)} where agents can scale them")
     return f"candidates are trained {' and '.join(parts)}, since numbers of this log are far from 1 in size" if parts else ""

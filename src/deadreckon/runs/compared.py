@@ -24,7 +24,7 @@ WITHIN = 100  # most rows of an episode that are compared
 FEWEST = 5  # fewest units of either sample: with fewer, permutations show nothing
 FOLLOWS = (
     "in the new log, and not in the reference, values follow those of the episode before, and the test needs independent "
-    "episodes; name the column that tells which belong together (--group, when the first log is read)"
+    "episodes; name the column that tells which belong together (--group, when the reference is read)"
 )
 UNKNOWN, MISSING = "a level that the log does not have", "a missing value"
 
@@ -132,20 +132,23 @@ class Order(NamedTuple):
 
     Attributes:
         episodes: (n,) different ones.
-        rows: those that are compared.
+        means: (n, dimensions) of each column, over the rows that are compared.
     """
 
     episodes: np.ndarray
-    rows: Sample
+    means: Mapping[What, np.ndarray]
 
     @classmethod
-    def of(cls, log: Dataset, first: bool) -> "Order | None":
+    def of(cls, log: Dataset, which: Sequence[What], first: bool) -> "Order | None":
         """None if a group column tells which belong together; `first` as for `rows_of`."""
-        return None if (episodes := in_order(log)) is None else cls(episodes, sample(log, episodes, first))
+        if (episodes := in_order(log)) is None:
+            return None
+        rows = sample(log, episodes, first)
+        return cls(episodes, {what: rows.means(what) for what in which})
 
     def follows(self, what: What, episodes: int) -> bool:
         """Whether means of a column follow those of the episode before, in the first so many episodes."""
-        values = self.rows.means(what)[self.episodes < episodes]
+        values = self.means[what][self.episodes < episodes]
         return any(serial.follows(column) for column in values.T)
 
 
@@ -250,7 +253,7 @@ def drifts(
         order: of the new episodes: while those of a column follow the ones before, it is not tested; None: tested anyway.
     """
     found: dict[int, tuple[int, int]] = {}
-    tests, tested, enough = 0, np.zeros(len(which), bool), False
+    tests, tested = 0, np.zeros(len(which), bool)
     old = old if length is None else old.in_parts(length)
     if len(old.starts) >= FEWEST:
         for number, epoch in enumerate(drift.epochs(new.episodes, alpha)):
@@ -259,7 +262,7 @@ def drifts(
             now = now if length is None else now.in_parts(length)
             if len(now.starts) < FEWEST:
                 continue
-            tests, enough = tests + 1, True
+            tests += 1
             left = [i for i in range(len(which)) if i not in found]  # reported columns stay reported, and cannot hide others
             if order is not None:
                 left = [i for i in left if not order.follows(which[i], epoch.stop)]
@@ -273,7 +276,7 @@ def drifts(
     now = sample(new, some(np.arange(new.episodes), "all new episodes"), first)
     others = new.provenance.extra.get(OTHERS, {})
     every = [_compared(what, old, now, tuple(others.get(what.name, ())), found.get(i)) for i, what in enumerate(which)]
-    why = FOLLOWS if enough else ""
+    why = FOLLOWS if tests else ""
     if length is not None:
         units = f"values depend on those of the episodes before, so parts of {length:,} episodes are compared"
         due = next(stop for stop in (drift.FIRST * 2**k for k in range(64)) if stop > (FEWEST - 1) * length)

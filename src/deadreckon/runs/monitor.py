@@ -159,7 +159,7 @@ def monitor(
         done, fresh = _acts(one, old, first, acts)
         sides = [[what for what in which if (what.about == "action") == acting] for acting in (False, True)]
         parts = [(each, side) for each, side in zip((before, done), sides) if side]
-    columns, untested, order = [], "", Order.of(new, first)
+    columns, untested, order = [], "", Order.of(new, which, first)
     lengths = compared.lengths_of(old, which, first, acts)
     for each, side in parts:
         for size in (None, *sorted({lengths[what] for what in side if what in lengths})):

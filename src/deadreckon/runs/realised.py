@@ -1,10 +1,11 @@
 """The realised value of a policy against its estimate, with an interval that is valid after every episode.
 
-The interval is a confidence sequence (`stats.confidence_sequence`) of the returns of finished episodes, in the order of time.
-It needs a range that contains all returns, which does not depend on the new log: as given, or that of the returns in the
-reference, widened on each side by half of its width unless these take few different values, such as 0 and 1. If an estimate
-lies above the range, the range is extended, as no return within it could support such an estimate. A return outside the range
-makes the end of the interval that is based on it infinite from then on, and is reported.
+The interval is a confidence sequence (`stats.confidence_sequence`) of the returns of finished episodes, in the order of time,
+or of means of successive ones if returns of the reference depend on those before (`stats.serial`). It needs a range that
+contains all returns, which does not depend on the new log: as given, or that of the returns in the reference, widened on each
+side by half of its width unless these take few different values, such as 0 and 1. If an estimate lies above the range, the
+range is extended, as no return within it could support such an estimate. A return outside the range makes the end of the
+interval that is based on it infinite from then on, and is reported.
 """
 
 from dataclasses import dataclass

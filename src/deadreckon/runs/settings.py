@@ -131,7 +131,7 @@ class JudgeSettings(DecisionSettings, EstimateSettings):
     """Settings of an evaluation from a log: what is estimated, what decides, on which episodes."""
 
     horizon: int | Literal["auto"] | None = "auto"
-    """first steps of an episode that count; None: all; auto: as many as the longest has, if timeouts fall there, or all"""
+    """first steps of an episode that count; None: all; auto: those of the longest episode, if timeouts fall there, else all"""
     out: Path | str | None = None  # folder of `estimates.json`, which has all results, and of checkpoints; None: none
     cluster: str | None = None
     """column whose values are resampled as one, such as a user; None: that of the holdout, if it has one"""

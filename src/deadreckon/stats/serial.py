@@ -7,7 +7,7 @@ from deadreckon.stats.ranks import spearman
 
 LEAST = 100  # values below which nothing is said of dependence
 ALIKE, ERRORS = 0.2, 5.0  # by which a rank correlation must be above 0: in itself, and in standard errors
-SOON = 2.0  # standard errors, where a wrong answer only delays a test
+SOON = 2.0  # standard errors from which on `follows` says so: a wrong answer only delays a test
 SHORT = 10  # values below which they are not said to follow each other
 FADED = 0.1  # share of the correlation of neighbours below which values no longer depend on each other
 RARE = 0.98  # probability that two values are equal, from which on there are too few others
