@@ -3170,6 +3170,37 @@ MUTANTS = (
         ("ope/test_markov.py::test_losses_of_whole_episodes_that_few_episodes_lack_by_chance",),
     ),
     Mutant(
+        "later-rows-evaluated", "ope/carry_over.py", "(place[before] >= 0)", "(place[before] >= 0) & (place[after] >= 0)",
+        "only evaluated rows are looked for behind evaluated rows, of which a fifth of a log has few",
+        ("ope/test_carry_over.py::test_rows_are_followed_beyond_those_that_are_evaluated",),
+    ),
+    Mutant(
+        "rows-that-take-turns", "ope/carry_over.py", "LAGS = 3", "LAGS = 1",
+        "only the next row is looked at, which is another machine's where machines take turns",
+        ("ope/test_carry_over.py::test_machines_that_take_turns_and_rewards_that_come_late",),
+    ),
+    Mutant(
+        "later-rows-of-clusters", "ope/carry_over.py", "orders.append((rows[own], cluster[own]))", "pass",
+        "the later rows of a user are not looked at where users take turns",
+        ("ope/test_carry_over.py::test_machines_that_take_turns_and_rewards_that_come_late",),
+    ),
+    Mutant(
+        "slow-effects", "ope/carry_over.py", "if (left := _less(values, known)).std()", "if (left := values - values.mean()).std()",
+        "a slow effect of an action on the next observation is hidden by the observation before",
+        ("ope/test_carry_over.py::test_a_slow_effect_is_seen_behind_what_a_row_tells_of_the_next",),
+    ),
+    Mutant(
+        "rewards-of-the-next-action", "ope/carry_over.py",
+        "np.column_stack([standard(next_), acted, np.square(acted)])", "standard(next_)",
+        "where actions take turns, the effect of the next action seems to be one of the action before",
+        ("ope/test_carry_over.py::test_what_follows_without_the_action_is_no_objection[rotation]",),
+    ),
+    Mutant(
+        "sorted-by-actions", "ope/carry_over.py", "if not _sorted(case.given, order, taken):", "if True:",
+        "a log that is sorted by its actions seems to have actions that change what comes next",
+        ("ope/test_carry_over.py::test_what_follows_without_the_action_is_no_objection[by action]",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

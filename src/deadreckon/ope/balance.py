@@ -113,9 +113,7 @@ def _dependence(case: OPEInput, model: BehaviorModel, folds: int) -> float:
     often = int(np.bincount(taken).argmax())
     if (np.diff(taken == often) != 0).sum() < len(taken) / 50 or sorted_by(rewards):
         return 1.0
-    seen = np.asarray(case.data.observations[: len(taken)], np.float64)[:, -min(COLUMNS, len(taken) // 20) :]
-    seen = (seen - seen.mean(0)) / np.where(seen.std(0) > 0, seen.std(0), 1.0)
-    seen = np.column_stack([np.ones(len(taken)), seen, np.square(seen)])
+    seen = standard(np.asarray(case.data.observations[: len(taken)], np.float64))
     rewards = rewards - seen @ np.linalg.lstsq(seen, rewards, rcond=None)[0]
     score = ((taken == often) - chances[: len(taken), often].astype(np.float64)) * rewards
     score -= score.mean()  # which is the effect of the action
@@ -124,6 +122,14 @@ def _dependence(case: OPEInput, model: BehaviorModel, folds: int) -> float:
     if product.sum() < WEAK * np.square(score).sum():
         return 1.0
     return float(stdtr(len(product) - 1, -product.sum() / np.sqrt(np.square(product).sum())))
+
+
+def standard(seen: np.ndarray) -> np.ndarray:
+    """(rows, n) columns for least squares: a constant, and the last standardised columns of (rows, columns) with their squares,
+    a tenth as many as there are rows at most."""
+    seen = seen[:, seen.shape[1] - min(seen.shape[1], COLUMNS, len(seen) // 20) :]
+    seen = (seen - seen.mean(0)) / np.where(seen.std(0) > 0, seen.std(0), 1.0)
+    return np.column_stack([np.ones(len(seen)), seen, np.square(seen)])
 
 
 def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced | None:
@@ -154,8 +160,8 @@ def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced 
         if log.spec.discrete and log.spec.action_size == 2:
             actions = actions[:1]
         learned = out_of_fold(case, model, folds, clipped=bool(case.clips.all()))
-        beyond = _beyond(learned, rows, taken, actions)
-        test = lambda part, a: apart(*beyond[a], part, unit)  # noqa: E731
+        left = beyond(learned, rows, taken, actions)
+        test = lambda part, a: apart(*left[a], part, unit)  # noqa: E731
     found = np.array([[test(part, a) for a in actions] for part in parts])  # (columns, actions, 2): p-values and strengths
     p_values = np.where(found[..., 1] >= WEAK, found[..., 0], 1.0) * found[..., 0].size
     if logged and p_values[0].min() < LEVEL:
@@ -169,7 +175,7 @@ def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced 
     return Unbalanced(observation_names(case.plain)[int(column)], action_names(log)[actions[action]], p_value, logged)
 
 
-def _beyond(
+def beyond(
     learned: Behavior, rows: np.ndarray, taken: np.ndarray, actions: list[int]
 ) -> dict[int, tuple[np.ndarray, np.ndarray, float]]:
     """What actions are beyond their learned propensities: for each (rows,) residuals, their variances by the propensities, and

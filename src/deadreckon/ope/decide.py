@@ -11,6 +11,7 @@ from deadreckon.errors import UserError
 from deadreckon.ope.balance import dependent, unbalanced
 from deadreckon.ope.basis import MANY, SHARE
 from deadreckon.ope.behavior_model import PROPENSITIES, BehaviorModel
+from deadreckon.ope.carry_over import carried_over
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.confounding import Confounding, one_step, possible
 from deadreckon.ope.costs import as_json, costs_of, limits_of
@@ -180,6 +181,8 @@ def _doubts(case: OPEInput, first: Estimator, predicted: OutOfFold | None, model
     predict if ratios of occupancies are its weights."""
     if (wrong := unbalanced(case, model)) is not None:
         yield wrong.words
+    if (later := carried_over(case, model)) is not None:
+        yield later
     if not isinstance(first, ImportanceSampling) and (lost := left_out(case)) is not None:
         yield lost
     if predicted is not None and (hidden := hidden_state(case, predicted.errors)) is not None:

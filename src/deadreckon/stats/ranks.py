@@ -23,5 +23,10 @@ def spearman_of_each(a: Float[np.ndarray, "n rows"], b: Float[np.ndarray, "n row
 
 def sorted_by(values: np.ndarray) -> bool:
     """Whether rows are in the order of these (rows,) values: nearly all changes from row to row have one direction."""
-    steps = np.sign(np.diff(values))
-    return max((steps > 0).sum(), (steps < 0).sum()) >= SORTED * max((steps != 0).sum(), 1)
+    return one_way(np.diff(values))
+
+
+def one_way(steps: np.ndarray) -> bool:
+    """Whether nearly all of these (n,) changes that are not 0 have one direction; not if all are 0."""
+    steps = np.sign(steps)
+    return bool(max((steps > 0).sum(), (steps < 0).sum()) >= SORTED * max((steps != 0).sum(), 1))
