@@ -3185,7 +3185,8 @@ MUTANTS = (
         ("ope/test_carry_over.py::test_machines_that_take_turns_and_rewards_that_come_late",),
     ),
     Mutant(
-        "slow-effects", "ope/carry_over.py", "if (left := _less(values, known)).std()", "if (left := values - values.mean()).std()",
+        "slow-effects", "ope/carry_over.py",
+        "if (left := _less(values, known)).std()", "if (left := values - values.mean()).std()",
         "a slow effect of an action on the next observation is hidden by the observation before",
         ("ope/test_carry_over.py::test_a_slow_effect_is_seen_behind_what_a_row_tells_of_the_next",),
     ),
@@ -3199,6 +3200,50 @@ MUTANTS = (
         "sorted-by-actions", "ope/carry_over.py", "if not _sorted(case.given, order, taken):", "if True:",
         "a log that is sorted by its actions seems to have actions that change what comes next",
         ("ope/test_carry_over.py::test_what_follows_without_the_action_is_no_objection[by action]",),
+    ),
+    Mutant(
+        "marks-of-the-log", "data/formats/tables.py",
+        "from_anybody(path, table, mapping, horizon, dialect=dialect)", "from_anybody(path, table, mapping, horizon)",
+        "a policy forgets its log's decimal marks, and reads 6.096 of the next file as 6.096 instead of 6096",
+        ("data/test_schema.py::test_a_drafted_schema_pins_the_dialect",),
+    ),
+    Mutant(
+        "marks-of-no-cell", "data/formats/dialect.py",
+        "None if self.unmarked else self.decimal", "self.decimal",
+        "whole numbers beside semicolons settle that the next file has decimal points",
+        ("data/formats/test_dialects.py::test_the_dialect_that_was_found",),
+    ),
+    Mutant(
+        "earlier-doses", "runs/explain.py", "    shown = _in_units(data, steps, x)", "    shown = x",
+        "an explanation's thresholds of earlier actions are those of the network, beside units of the log",
+        ("runs/test_explain.py::test_thresholds_of_earlier_actions_have_the_logs_units",),
+    ),
+    Mutant(
+        "rows-without-a-value", "runs/explained_tree.py",
+        "np.float32(fills[which]) <= threshold", "np.float32(fills[which]) > threshold",
+        "an explanation tells the wrong answer of rows without a value",
+        ("runs/test_explain.py::test_a_question_says_how_rows_without_a_value_answer_it",),
+    ),
+    Mutant(
+        "rows-of-pandas", "policies/table_rows.py", "    count, rows = None, _named(rows)", "    count = None",
+        "a row of pandas is read by the position of its values, and not by their names",
+        ("policies/test_table_encoder.py::test_a_row_with_names_is_read_by_them",),
+    ),
+    Mutant(
+        "rows-of-sqlite", "policies/table_rows.py",
+        "rows = list(map(_named, rows)) if isinstance(_named(rows[0]), Mapping) else rows", "rows = list(rows)",
+        "rows of sqlite3 are read by the position of their values, and not by their names",
+        ("policies/test_table_encoder.py::test_the_logs_own_rows_are_encoded_as_in_training[raise-sqlite3]",),
+    ),
+    Mutant(
+        "masked-cells", "policies/table_rows.py", "        out[np.ma.getmaskarray(values)] = None\n", "",
+        "values that are masked are taken for known",
+        ("policies/test_table_encoder.py::test_the_logs_own_rows_are_encoded_as_in_training[raise-masked]",),
+    ),
+    Mutant(
+        "names-of-episodes", "policies/table_predict.py", "name = text_of(name)  # a request", "pass  # a request",
+        "an episode 1 whose next request calls it \"1\" begins anew",
+        ("policies/test_table_predict.py::test_an_episode_goes_on_whether_its_name_is_a_number_or_a_text",),
     ),
     Mutant(
         "groups-kept", "ope/case.py",

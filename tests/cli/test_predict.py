@@ -65,8 +65,8 @@ def test_a_file_of_a_few_rows_is_read_as_the_log_was(run, tmp_path, rows):
     run, log = run
     part = table().iloc[rows][["zip", "open", "member", "age", "plan"]]
     want = run.predictor(0).encoder.named(run.policies[0](log.observations[rows])).tolist()
-    for how in ({}, {"sep": ";", "decimal": ","}):
-        code, out = predicted(run, part, tmp_path, "--outside", "flag", **how)
+    for words, how in (((), {}), (("--separator", ";", "--decimal", "comma"), {"sep": ";", "decimal": ","})):
+        code, out = predicted(run, part, tmp_path, "--outside", "flag", *words, **how)
         assert code == 0
         found = pd.read_csv(out)
         assert found["offer"].tolist() == want

@@ -7,6 +7,7 @@ from pyarrow import parquet
 from deadreckon.cli.main import main
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.describe import describe_table
+from deadreckon.data.formats.any_table import read_rows
 from deadreckon.data.formats.io import convert, read
 from deadreckon.data.schema import Column, Schema
 from deadreckon.errors import UserError
@@ -202,13 +203,17 @@ def test_a_drafted_schema_pins_the_dialect(tmp_path):
     schema, _ = describe_table(path, ignore="day")
     schema.save(tmp_path / "s.toml")
     assert Schema.load(tmp_path / "s.toml").table == {
-        "path": "january.csv", "separator": ";", "decimal": ",", "encoding": "utf-8", "dates": "day-first",
+        "path": "january.csv", "separator": ";", "decimal": ",", "dates": "day-first",
     }  # fmt: skip
     following = tmp_path / "february.csv"
     following.write_text("day;x;action;reward\n01.02.2024;1.234;0;2\n02.02.2024;2.345;1;3\n")
     alone = read(following, action="action", reward="reward", ignore="day")
     assert alone.observations[:, 0].tolist() == pytest.approx([1.234, 2.345])
     assert read(following, schema=tmp_path / "s.toml").observations[:, 0].tolist() == [1234, 2345]
+    # So is a file with further rows of a log without a schema of its own.
+    log = read(path, action="action", reward="reward", ignore="day")
+    table, _ = read_rows(following, Schema.from_json(log.provenance.extra["schema"]))
+    assert table["x"].to_pylist() == [1234, 2345]
     # The same table in a format that has no dialect.
     columns = {"day": ["2024-02-01"] * 2, "x": [1.5, 2.5], "action": [0, 1], "reward": [1.0, 2.0]}
     parquet.write_table(pa.table(columns), tmp_path / "march.parquet")

@@ -1,6 +1,7 @@
 """Rows are encoded at use as `data.encode` encoded the log, whatever they are given as, by numpy alone."""
 
 import json
+import sqlite3
 import subprocess
 import sys
 from decimal import Decimal
@@ -15,7 +16,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats import cells
 from deadreckon.policies import table_encoder
 from deadreckon.policies.table_encoder import TableEncoder
-from deadreckon.policies.table_rows import RowsError, flags_of, numbers_of
+from deadreckon.policies.table_rows import RowsError, columns_of, flags_of, numbers_of
 from deadreckon.runs.reading import noted
 
 ROWS = 60
@@ -43,10 +44,20 @@ def encoder(log):
     return TableEncoder(json.loads(json.dumps(noted(log))))
 
 
+def of_sqlite(frame):
+    """The rows of a frame as sqlite3 gives them."""
+    base = sqlite3.connect(":memory:")
+    base.row_factory = sqlite3.Row
+    frame.astype({"price": float, "on": int, "kind": object}).to_sql("t", base, index=False)
+    return base.execute("select * from t").fetchall()
+
+
 FORMS = {
     "pandas": lambda t: t, "arrow": pa.Table.from_pandas, "rows": lambda t: t.to_dict("records"),
     "columns": lambda t: {key: t[key].to_numpy() for key in t}, "lists": lambda t: {key: t[key].tolist() for key in t},
-    "nullable": lambda t: t.convert_dtypes(),
+    "nullable": lambda t: t.convert_dtypes(), "series": lambda t: [row[::-1] for _, row in t.iterrows()],
+    "tuples": lambda t: list(t[t.columns[::-1]].itertuples()), "sqlite3": lambda t: of_sqlite(t[t.columns[::-1]]),
+    "masked": lambda t: {key: np.ma.masked_array(t[key].fillna(77 if key == "temp" else "x"), t[key].isna()) for key in t},
 }  # fmt: skip
 
 
@@ -114,6 +125,7 @@ WRONG = {
     "infinite": ({"count": float("inf")}, "column count has inf in row 1, a finite number is needed"),
     "beyond float32": ({"count": 1e300}, "column count has 1e.300 in row 1, which float32 cannot hold"),
     "a list": ({"mode": ["auto"]}, r"column mode has \['auto'\] in row 1, which is none of its levels"),
+    "thousands of digits": ({"mode": 10**5_000}, "column mode has a whole number of thousands of digits in row 1, which is"),
     "huge": ({"count": 10**400}, "column count has 1000.* in row 1, a number is needed"),
     "digits of another script": ({"text": "١"}, "column text has '١' in row 1, a number is needed"),
 }  # fmt: skip
@@ -135,6 +147,30 @@ def test_dates_and_durations_are_no_numbers_in_any_unit(unit, kind):
         with pytest.raises(RowsError, match=f"column a has '.*' in row 1, {needed}"):
             reader("a", values, "rows")
         assert np.isnan(reader("a", values[:1], "rows")).all()
+
+
+def test_a_row_with_names_is_read_by_them(encoder, log):
+    for row in (table().iloc[3][::-1], next(table().iloc[3:].itertuples())):
+        found = encoder.encode(row)
+        assert found.single
+        np.testing.assert_array_equal(found.observations, log.observations[3:4])
+
+
+def test_what_has_no_rows_or_no_columns_yet(encoder):
+    class Relation:
+        """A table of a database whose columns are given by their names alone."""
+
+        columns = ("temp", "count")
+
+        def __getitem__(self, key):
+            raise TypeError
+
+    with pytest.raises(RowsError, match="rows: there are no rows"):
+        encoder.encode([])
+    with pytest.raises(RowsError, match="the columns of a Relation cannot be read; a data frame, an Arrow table or"):
+        encoder.encode(Relation())
+    with pytest.raises(RowsError, match="rows: column day is one value, 3, and others are columns"):
+        columns_of({"temp": [1.0, 2.0], "day": np.array(3)}, ["temp"], ["day"], "rows")
 
 
 def test_columns_that_are_not_there(encoder):

@@ -160,6 +160,13 @@ def test_histories_begin_anew_where_the_log_says_that_an_episode_ended(ends):
         past_of(frame, rows, **ends)
 
 
+def test_an_episode_goes_on_whether_its_name_is_a_number_or_a_text():
+    frame = pd.DataFrame({"x": np.arange(4.0), "action": [0, 1] * 2, "reward": 0.0, "who": [1, 1, 2, 2]})
+    rows = frame.to_dict("records")
+    rows[1]["who"], rows[3]["who"] = "1", 2.0
+    assert past_of(frame, rows, episode="who") == {0: (0, 0), 1: (0, 0), 2: (2, 2), 3: (2, 2)}
+
+
 def test_of_a_log_whose_rows_are_episodes_histories_have_one_step():
     frame = pd.DataFrame({"x": np.arange(3.0), "action": [0, 1, 0], "reward": 0.0})
     assert past_of(frame, frame) == {0: (0, 0), 1: (1, 1), 2: (2, 2)}

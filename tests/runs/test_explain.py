@@ -16,7 +16,7 @@ from deadreckon.errors import UserError
 from deadreckon.files import write_json
 from deadreckon.nets.mlp import MLP
 from deadreckon.policies import store
-from deadreckon.policies.deployed import EnvPolicy, Mixture
+from deadreckon.policies.deployed import EnvPolicy, History, Mixture
 from deadreckon.policies.kinds import Categorical, Deterministic
 from deadreckon.report.explained import _of, drawing
 from deadreckon.runs.explain import DEPTHS, Explained, _groups, _marks, _mean, _names, _parted, _units, explain
@@ -173,11 +173,43 @@ def test_marks_of_missing_values_are_told_from_columns_that_are_called_so(tmp_pa
     x[rng.random(ROWS) < 0.5] = np.nan
     table = {"x": x, "y_missing": rng.normal(size=ROWS), "action": ["a", "b"] * (ROWS // 2), "reward": np.zeros(ROWS)}
     data = dr.Dataset.from_frame(table, action="action", reward="reward")
-    for weights, words in (((0, 9, 0), "x is missing"), ((0, 0, 9), "y_missing <= ")):
+    for weights, words in (((0, 9, 0), "x has no value"), ((0, 0, 9), "y_missing <= ")):
         half = linear((0, 0, 0), weights)
         bias = jnp.asarray([sum(weights) / 2 if weights[1] else 0.0, 0.0])
         found = explain(saved(Categorical(MLP(half.net.weights, (bias,))), tmp_path / f"{weights[1]}.npz"), data)
         assert found.tree.text.startswith(words)
+
+
+def test_a_question_says_how_rows_without_a_value_answer_it(tmp_path):
+    """Missing numbers are replaced by the mean, which answers for them."""
+    rng = np.random.default_rng(3)
+    x = rng.normal(10.0, 1.0, size=ROWS)
+    x[rng.random(ROWS) < 0.2] = np.nan
+    table = {"x": x, "action": ["a", "b"] * (ROWS // 2), "reward": np.zeros(ROWS)}
+    data = dr.Dataset.from_frame(table, action="action", reward="reward")
+    for edge, words in ((9.0, "x <= 9"), (11.0, "x <= 11")):
+        half = linear((0, 0), (1, 0))
+        policy = Categorical(MLP(half.net.weights, (jnp.asarray([edge, 0.0]),)))
+        text = explain(saved(policy, tmp_path / f"{edge}.npz"), data).tree.text
+        assert text.startswith(words[:-1])
+        assert text.endswith(", or no value") == (edge == 11.0)
+
+
+def test_thresholds_of_earlier_actions_have_the_logs_units(tmp_path):
+    """A policy that turns the dose up where the dose before was below 70 mg, in a log of 0 to 100 mg."""
+    rng = np.random.default_rng(0)
+    dose = rng.uniform(0, 100, ROWS)
+    table = {"x": rng.normal(size=ROWS), "w": dose, "day": np.arange(ROWS) // 20, "reward": np.zeros(ROWS)}
+    columns = (Column("x", "observation"), Column("w", "action", unit="mg", low=0.0, high=100.0), Column("day", "episode"),
+               Column("reward", "reward"))  # fmt: skip
+    data = dr.Dataset.from_frame(table, schema=Schema(columns))
+    inner = Deterministic(MLP((jnp.asarray([[0.0], [-9.0], [0.0]]),), (jnp.asarray([9.0 * 0.4]),)))
+    policy = History.of(EnvPolicy(inner, None, None, jnp.zeros(1), 100 * jnp.ones(1)), 2, data.spec)
+    store.save(tmp_path / "p.npz", policy)
+    question = explain(tmp_path / "p.npz", data).tree.text
+    assert question.startswith("action w, 1 back <= ")
+    assert question.endswith(" mg")
+    assert 60 < float(question.split()[-2]) < 80
 
 
 def test_the_tree_is_drawn_with_all_its_texts():
@@ -309,7 +341,7 @@ def test_what_numbers_of_zero_and_one_say_in_each_step_of_a_history():
     frame = {"plan": rng.choice(["a", "b"], 60), "x": x, "day": np.arange(60) // 6, "action": ["on", "off"] * 30,
              "legal_on": np.ones(60, int), "legal_off": np.ones(60, int), "reward": np.zeros(60)}  # fmt: skip
     data = dr.Dataset.from_frame(frame, episode="day", legal=["legal"])
-    now = {"plan=a": "plan is a", "plan=b": "plan is b", "x_missing": "x is missing", "legal=off": "legal is off",
+    now = {"plan=a": "plan is a", "plan=b": "plan is b", "x_missing": "x has no value", "legal=off": "legal is off",
            "legal=on": "legal is on"}  # fmt: skip
     before = {f"{name}, 1 back": f"{text}, 1 back" for name, text in now.items()}
     assert {_names(data, 2)[i]: text for i, text in _marks(data, 2).items()} == before | now

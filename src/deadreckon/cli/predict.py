@@ -68,6 +68,8 @@ def predict(args: Sequence[str]) -> None:
     schema = Schema.from_json(policy.encoder.schema, str(found.file)).read_as(own)
     kept: dict[str, Any] = dict.fromkeys(options.keep)  # which reading fills in
     table, told = read_rows(source, schema, plain=kept, **(own or {}) | mapping_options(options.file))
+    if not table.num_rows:
+        raise UserError(f"{source}: the table has no rows")
     sampled = found.sampled if options.sampled is None else options.sampled
     for line in (*found.doubts(sampled), *told):
         print(f"! {line}", file=sys.stderr)

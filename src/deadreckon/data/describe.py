@@ -47,7 +47,7 @@ def describe_table(source: Any, **asked: Any) -> Drafted:
 
         ways = {key: asked.pop(key) for key in READING if key in asked}
         table, dialect, lines = table_of_kind(file, sniff(file, ways.get("separator")), ways, levels_in(asked))
-        ways = pinned(dialect) | ways
+        ways = ({} if dialect is None else dialect.options) | ways
     schema, told = draft(table, Asked(**asked), name, needed=False)
     for role in ("action", "reward"):
         if not schema.having(role):
@@ -65,16 +65,6 @@ def describe_table(source: Any, **asked: Any) -> Drafted:
             found = [replace(resolved[column.name], reason=column.reason, doubt=column.doubt) for column in found]
     where: Mapping[str, Any] = {"path": file.name, **ways} if file else {}
     return Drafted(Schema(tuple(found), where), [*lines, *told])
-
-
-def pinned(dialect: Dialect | None) -> dict[str, str]:
-    """How the file was read, as options, so that the schema reads the next such file alike whatever its cells suggest."""
-    if dialect is None:
-        return {}
-    found = {"separator": dialect.separator, "decimal": dialect.decimal, "thousands": dialect.thousands,
-             "encoding": dialect.encoding, "dates": dialect.dates}  # fmt: skip
-    # Where nothing marks thousands the next file may: what its marks mean is settled by the mark of decimals.
-    return {key: value for key, value in found.items() if value}
 
 
 def _leaks(read: FrameColumns, name: str) -> tuple[str, ...]:

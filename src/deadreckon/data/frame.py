@@ -98,17 +98,18 @@ def frame_columns(
     from deadreckon.data.formats.words import levels_in  # which formats need, and these need this module
 
     table, order, told = with_dates(to_arrow(frame, name), dates, levels_in({"schema": schema}).texts if schema else ())
-    read = table_columns(table, schema, name, order=order, **asked)
+    read = table_columns(table, schema, name, dialect=None if order is None else Dialect(dates=order), **asked)
     return read._replace(warnings=[*told, *read.warnings])
 
 
 def table_columns(
     table: pa.Table, schema: Schema | Mapping[str, Any] | Path | str | None, name: str, scratch: Scratch | None = None,
-    *, order: str | None = None, **asked: Any,
+    *, dialect: Dialect | None = None, **asked: Any,
 ) -> FrameColumns:  # fmt: skip
-    """As `frame_columns`, of a table whose texts of dates are read already, in an order that is noted for further rows.
+    """As `frame_columns`, of a table whose texts of dates are read already.
 
-    `scratch`, or memory, is where columns are kept.
+    `scratch`, or memory, is where columns are kept, and `dialect` how the table's file was read, noted for files of further
+    rows.
     """
     if table.num_rows == 0:
         raise UserError(f"{name}: the table has no rows")
@@ -125,8 +126,8 @@ def table_columns(
         found = as_schema(schema)
         warnings = _checked(table, found, name)
         table = with_flags(table, [column.name for column in found.columns if column.kind == "flag"])
-    if order is not None:
-        found = replace(found, table={**found.table, "dates": order})
+    if dialect is not None:
+        found = replace(found, table={**found.table, **dialect.options})
     read = _log_columns(table, found, warnings, name, scratch or Scratch())
     return read if function is None else read._replace(columns={**read.columns, "legal": function})
 

@@ -9,7 +9,6 @@ import numpy as np
 import pyarrow as pa
 
 from deadreckon.data.arrow import flat, is_category, is_missing, is_number
-from deadreckon.data.describe import pinned
 from deadreckon.data.kinds import check_column
 from deadreckon.data.roles import row_numbers
 from deadreckon.errors import UserError
@@ -91,7 +90,8 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
     told += [f"{each} in every row, and the draft has it as a constraint of proposals" for each in sums]
     told += of_inputs(variables, x, rows, rules=Rules.of(variables, constraints=sums, name=name))
     told += [] if y is None else of_outcomes(variables, x, target, y)
-    return DesignSchema(columns, constraints=tuple(sums), table=pinned(dialect) | ways), told
+    ways = ({} if dialect is None else dialect.options) | ways
+    return DesignSchema(columns, constraints=tuple(sums), table=ways), told
 
 
 def _counted(values: np.ndarray) -> str:

@@ -146,7 +146,7 @@ class Category:
 
 def no_level(name: str, key: str, value: Any, row: int, levels: Sequence[Any]) -> RowsError:
     """The error for a value that is none of a column's levels."""
-    close = near(str(value), levels, "they are")
+    close = near(text_of(value), levels, "they are")
     return RowsError(f"{name}: column {key} has {shown(value)} in row {row}, which is none of its levels{close}")
 
 
@@ -202,12 +202,17 @@ class Legal:
             ways = [[self.words(_bare(part.strip())) for part in parts if part.strip()] for parts in ways]
             parts = next((parts for parts in ways if all(part in self.places for part in parts)), max(ways, key=len))
         else:
-            parts = [self._named(each) for each in (found if isinstance(found, list | tuple | np.ndarray) else [found])]
+            parts = [self._named(each) for each in (found if _is_several(found) else [found])]
         for part in parts:
             if part not in self.places:
                 close = near(part, self.actions, "actions")
                 raise RowsError(f"{name}: column {key} has {shown(part)} in row {row}, which is no action{close}")
         return parts
+
+
+def _is_several(cell: Any) -> bool:
+    """Whether a cell is a list of actions."""
+    return isinstance(cell, list | tuple) or (isinstance(cell, np.ndarray) and cell.ndim > 0)
 
 
 def _unwrapped(cell: str) -> Any:

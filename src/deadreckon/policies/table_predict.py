@@ -5,7 +5,7 @@ With the other modules called `table_` it needs numpy alone, so that they can be
 """
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from datetime import datetime
 from typing import Any, NamedTuple, Protocol
 
@@ -257,8 +257,9 @@ class _Episodes(NamedTuple):
         for row, name in enumerate(names):
             if is_missing(name):
                 raise RowsError(f"{encoder.name}: column {key} is empty in row {row}; it identifies episodes")
-            if isinstance(name, list | dict | np.ndarray):
+            if not isinstance(name, Hashable):
                 raise RowsError(f"{encoder.name}: column {key} has {shown(name)} in row {row}, a text or a number is needed")
+            name = text_of(name)  # a request may have 1, and the next one "1"
             before = last[going[name]] if name in going else None
             if before is None or ended[before]:
                 going[name], before = len(last), None

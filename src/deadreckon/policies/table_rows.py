@@ -36,7 +36,8 @@ def columns_of(
     """Rows by columns.
 
     Args:
-        rows: a data frame (pandas, polars, Arrow), a mapping of columns, a sequence of mappings or one mapping.
+        rows: a data frame (pandas, polars, Arrow), a mapping of columns, a sequence of mappings or one mapping, or rows with
+            names that are no mappings, such as named tuples and the rows of pandas and sqlite3.
         needed: columns without which rows are of no use; one value of them says whether a mapping is one row.
         more: columns that are of use where they are there.
         name: of the rows, for errors.
@@ -48,26 +49,36 @@ def columns_of(
     Raises:
         RowsError: columns differ in length, or a row lacks a column that others have.
     """
-    count = None
+    count, rows = None, _named(rows)
+    if isinstance(rows, Sequence) and not isinstance(rows, str | bytes):
+        if not len(rows):
+            raise RowsError(f"{name}: there are no rows")
+        rows = list(map(_named, rows)) if isinstance(_named(rows[0]), Mapping) else rows
     if isinstance(rows, Mapping):
         given: dict[str, Any] = {str(key): value for key, value in rows.items()}
         if any(not _is_many(given[key]) for key in needed if key in given) or (
             given and not any(map(_is_many, given.values()))
         ):
             return {key: _array([value]) for key, value in given.items()}, 1, True
-    elif isinstance(rows, Sequence) and not isinstance(rows, str | bytes) and len(rows) and isinstance(rows[0], Mapping):
+    elif isinstance(rows, list) and isinstance(rows[0], Mapping):
         given, count = _of_mappings(rows, needed, more, name), len(rows)
     elif hasattr(rows, "columns") and hasattr(rows, "__getitem__"):
         frame: Any = rows
         keys = list(frame.column_names if hasattr(frame, "column_names") else frame.columns)  # Arrow's; of the others
         if len(set(map(str, keys))) < len(keys):
             raise RowsError(f"{name}: two columns have one name; rename one")
-        given = {str(key): frame[key] for key in keys}
+        try:
+            given = {str(key): frame[key] for key in keys}
+        except TypeError:  # a relation of a database, whose columns are none yet
+            wanted = "a data frame, an Arrow table or dictionaries are needed"
+            raise RowsError(f"{name}: the columns of a {type(rows).__name__} cannot be read; {wanted}") from None
     else:
         return None
     columns = {key: _array(value) if key in needed or key in more else value for key, value in given.items()}
     for key in [key for key in columns if key in needed or key in more]:
         values = columns[key]
+        if not values.ndim:
+            raise RowsError(f"{name}: column {key} is one value, {shown(values.item())}, and others are columns")
         count = len(values) if count is None else count
         if values.ndim != 1 or len(values) != count:
             shape = "x".join(map(str, values.shape))
@@ -95,6 +106,16 @@ def _of_mappings(
     return out
 
 
+def _named(row: Any) -> Any:
+    """A row with names that is no mapping, such as a named tuple or a row of pandas or sqlite3, as a mapping; else as it is."""
+    if isinstance(row, Mapping | list | np.ndarray) or hasattr(row, "columns"):
+        return row
+    if isinstance(row, tuple):
+        return dict(zip(row._fields, row, strict=True)) if hasattr(row, "_fields") else row
+    names = list(row.keys()) if callable(getattr(row, "keys", None)) else []
+    return {key: row[key] for key in names} if names and all(isinstance(key, str) for key in names) else row
+
+
 def _is_many(value: Any) -> bool:
     """Whether a value is that of a column, and not of a cell."""
     return isinstance(value, list | tuple) or (hasattr(value, "__array__") and np.ndim(value) > 0)
@@ -102,6 +123,10 @@ def _is_many(value: Any) -> bool:
 
 def _array(values: Any) -> np.ndarray:
     """(rows,) values of a column; texts and what is mixed as objects, so that no value becomes another."""
+    if isinstance(values, np.ma.MaskedArray):
+        out = np.array(values.data, object)
+        out[np.ma.getmaskarray(values)] = None
+        return out
     if not isinstance(values, list | tuple):
         if not str(getattr(values, "type", "")).startswith("dictionary"):
             return np.asarray(values)
@@ -227,7 +252,10 @@ def _plain(level: Any) -> Any:
 def text_of(level: Any) -> str:
     """A level as text: 2.0 as 2, true and false as in a file."""
     level = _plain(level)
-    return str(int(level)) if isinstance(level, float) and level.is_integer() else str(level)
+    try:
+        return str(int(level)) if isinstance(level, float) and level.is_integer() else str(level)
+    except ValueError:  # a whole number of thousands of digits, which Python does not write in decimals
+        return hex(level)
 
 
 def first(where: np.ndarray) -> int:
@@ -251,7 +279,10 @@ def listed(names: Iterable[str]) -> str:
 
 def shown(value: Any) -> str:
     """A value in a message, which may be long."""
-    text = " ".join(repr(value).split())
+    try:
+        text = " ".join(repr(value).split())
+    except ValueError:
+        return "a whole number of thousands of digits"
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.history import stacked
+from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.split import units_of
 from deadreckon.data.told import action_names, columns_of, observation_names, schema_of
 from deadreckon.errors import UserError, extra
@@ -165,8 +166,9 @@ def _explained(name: str, function: Pure, data: Dataset, steps: int) -> Explaine
 
     base: Any = np.bincount(done[first]).argmax() if discrete else done[first].mean(0)
     constant = lambda part: np.broadcast_to(base, done[part].shape)  # noqa: E731
-    trees = [None, *(_fitted(x[first], done[first], depth, discrete) for depth in DEPTHS)]
-    guess = lambda tree, part: constant(part) if tree is None else np.asarray(tree.predict(x[part]))  # noqa: E731
+    shown = _in_units(data, steps, x)
+    trees = [None, *(_fitted(shown[first], done[first], depth, discrete) for depth in DEPTHS)]
+    guess = lambda tree, part: constant(part) if tree is None else np.asarray(tree.predict(shown[part]))  # noqa: E731
     losses = np.stack([loss(guess(tree, chooses), chooses) for tree in trees])
     depth = _simplest(losses, unit[chooses])
     own, plain = loss(guess(trees[depth], fresh), fresh), loss(constant(fresh), fresh)
@@ -177,8 +179,10 @@ def _explained(name: str, function: Pure, data: Dataset, steps: int) -> Explaine
     said = action_names(data)
     tree = None
     if explains:
-        measures = _measures(data, names), said, _measures(data, said)
-        tree = node_of(trees[depth], x, names, _marks(data, steps), *measures, discrete)
+        units, acts = _measures(data)
+        measures = [*(units + acts) * (steps - 1), *units]
+        marks, fills = _marks(data, steps), _fills(data, steps)
+        tree = node_of(trees[depth], shown, names, marks, fills, measures, said, acts, discrete)
     again = lambda other: ask(other, fresh)  # noqa: E731
     matters = _matters(again, x[fresh], done[fresh], unit[fresh], _groups(data, steps), scale, discrete, rng)
     ends = fidelity.value, fidelity.low, fidelity.high
@@ -291,7 +295,7 @@ def _marks(data: Dataset, steps: int) -> dict[int, str]:
         if each.role == "observation" and each.kind == "category":
             said |= {i: f"{each.name} is {names[i].removeprefix(f'{each.name}=')}" for i in each.dimensions}
         if each.marked and each.dimensions:
-            said[each.dimensions[-1]] = f"{each.name} is missing"
+            said[each.dimensions[-1]] = f"{each.name} has no value"
     legal = range(len(names) - data.spec.mask_size, len(names))
     said |= {i: f"legal is {names[i].removeprefix('legal=')}" for i in legal if names[i].startswith("legal=")}
     width, now = len(names) + len(action_names(data)), steps - 1
@@ -299,11 +303,31 @@ def _marks(data: Dataset, steps: int) -> dict[int, str]:
     return past | {now * width + i: text for i, text in said.items()}
 
 
-def _measures(data: Dataset, names: Sequence[str]) -> list[str]:
-    """The unit of measurement of each number or action, empty where the log's schema has none."""
+def _fills(data: Dataset, steps: int) -> dict[int, float]:
+    """The indices of numbers of an observation or a history that are set where a value is missing, and what they are set to."""
+    schema, width = schema_of(data), len(observation_names(data)) + len(action_names(data))
+    known = {column.name: column.fill for column in schema.columns if column.fill is not None} if schema else {}
+    own = {each.dimensions[0]: known[each.name] for each in columns_of(data) if each.marked and each.name in known}
+    return {step * width + i: fill for step in range(steps) for i, fill in own.items()}
+
+
+def _in_units(data: Dataset, steps: int, x: np.ndarray) -> np.ndarray:
+    """(rows, size) observations or histories with earlier continuous actions as they were logged."""
+    if data.spec.discrete or steps == 1:
+        return x
+    size, acts, view = data.spec.observation_size, data.spec.action_size, Normalizer.of(data.spec)
+    out = x.copy()
+    for start in range(size, (steps - 1) * (size + acts), size + acts):
+        out[:, start : start + acts] = view.from_unit(x[:, start : start + acts])
+    return out
+
+
+def _measures(data: Dataset) -> tuple[list[str], list[str]]:
+    """The units of measurement of each number of an observation and of each action, empty where the log's schema has none."""
     schema = schema_of(data)
     known = {column.name: column.unit for column in schema.columns} if schema else {}
-    return [known.get(name, known.get(name.rpartition(", ")[0], "")) for name in names]  # of a history "age, 1 back"
+    acts = [known.get(name, "") if not data.spec.discrete else "" for name in action_names(data)]
+    return [known.get(name, "") for name in observation_names(data)], acts
 
 
 def _groups(data: Dataset, steps: int) -> list[tuple[str, list[int]]]:

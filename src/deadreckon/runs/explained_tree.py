@@ -49,8 +49,8 @@ class Node:
 
 
 def node_of(
-    tree: Any, rows: np.ndarray, names: Sequence[str], marks: Mapping[int, str], units: Sequence[str], actions: Sequence[str],
-    of_actions: Sequence[str], discrete: bool,
+    tree: Any, rows: np.ndarray, names: Sequence[str], marks: Mapping[int, str], fills: Mapping[int, float],
+    units: Sequence[str], actions: Sequence[str], of_actions: Sequence[str], discrete: bool,
 ) -> Node:  # fmt: skip
     """The root of a fitted tree of scikit-learn.
 
@@ -59,6 +59,7 @@ def node_of(
         rows: (rows, inputs) which the tree in names divides as the fitted one does.
         names: of its input numbers.
         marks: by the index of each input that is 0 or 1, the meaning of 1, such as "plan is new".
+        fills: by the index of each input that is set where a value is missing, what it is set to.
         units: of its input numbers, empty if unknown.
         actions: names of discrete actions, or of the dimensions of continuous ones.
         of_actions: units of continuous actions.
@@ -78,8 +79,10 @@ def node_of(
         which = int(inner.feature[i])
         if which in marks:  # not by its name, which may look like that of a level, such as "NaCl=g/l"
             return Node(marks[which], share, no, yes)
-        edge = _edge(float(inner.threshold[i]), rows[:, which])
-        return Node(_measured(f"{names[which]} <= {edge}", units[which]), share, yes, no)
+        threshold = float(inner.threshold[i])
+        question = _measured(f"{names[which]} <= {_edge(threshold, rows[:, which])}", units[which])
+        missing = which in fills and np.float32(fills[which]) <= threshold
+        return Node(f"{question}, or no value" if missing else question, share, yes, no)
 
     return made(0)
 

@@ -9,7 +9,7 @@ import csv
 import io
 import re
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -42,6 +42,7 @@ class Dialect:
         quote: character around texts.
         dates: `iso` (only year-month-day is a date), `day-first` or `month-first`; None: determined from the dates.
         skip: lines above the line of names.
+        unmarked: whether no cell shows a mark of decimals or thousands, so that `decimal` is only the usual one.
     """
 
     separator: str | None = None
@@ -51,6 +52,16 @@ class Dialect:
     quote: str | None = None
     dates: str | None = None
     skip: int | None = None
+    unmarked: bool = False
+
+    @property
+    def options(self) -> dict[str, str]:
+        """The reader's options with which the next such file is read alike, whatever its cells suggest."""
+        decimal = None if self.unmarked else self.decimal
+        found = {"separator": self.separator, "decimal": decimal, "thousands": self.thousands,
+                 "encoding": self.encoding, "dates": self.dates}  # fmt: skip
+        # Where nothing marks thousands the next file may: what its marks mean is settled by the mark of decimals.
+        return {key: value for key, value in found.items() if value}
 
     @classmethod
     def asked(
@@ -167,7 +178,8 @@ def sniff(path: Path | str, head: bytes, whole: bool, asked: Dialect) -> tuple[D
     marks = Marks.of(rows, whole and len(rows) < _ROWS)
     decimal, thousands, lines = marks.resolve(asked.decimal, asked.thousands, separator)
     told += [*lines, *of_digits(names, rows)]
-    return replace(Dialect(separator, decimal, thousands, encoding, quote), dates=asked.dates, skip=layout.skip), told
+    unmarked = asked.decimal is None and not marks.found
+    return Dialect(separator, decimal, thousands, encoding, quote, asked.dates, layout.skip, unmarked), told
 
 
 def encoding_of(head: bytes, whole: bool = False) -> str:

@@ -60,6 +60,11 @@ class Marks:
         elif match := _DECIMAL.fullmatch(cell):
             self.decimals[match["decimal"]].setdefault(column, cell)
 
+    @property
+    def found(self) -> bool:
+        """Whether any cell shows a separator."""
+        return any((*self.decimals.values(), *self.thousands.values(), *self.open.values()))
+
     def resolve(self, decimal: str | None, thousands: str | None, separator: str) -> tuple[str, str, list[str]]:
         """The separators of decimals and thousands, and messages.
 

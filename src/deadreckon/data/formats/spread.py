@@ -13,6 +13,7 @@ from deadreckon.data.asked import Asked
 from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.build import arrays_of, last_rows
+from deadreckon.data.formats.dialect import Dialect
 from deadreckon.data.formats.header import Header, damaged
 from deadreckon.data.frame import ALONE, FrameColumns, table_columns
 from deadreckon.data.roles import like, not_observed, numbered, ours, row_numbers
@@ -87,7 +88,7 @@ def told_shapes(path: Path | str, header: Header) -> Shapes:
 
 def from_anybody(
     path: Path | str, table: pa.Table, mapping: dict[str, Any], horizon: int | None, scratch: Scratch | None = None,
-    order: str | None = None,
+    dialect: Dialect | None = None,
 ) -> FrameColumns:  # fmt: skip
     """The columns of a log from a table that this package did not write, with notes for the provenance and warnings.
 
@@ -98,7 +99,7 @@ def from_anybody(
             names, or others with roles, or both.
         horizon: steps after which episodes of columns with our names are cut off, or None.
         scratch: where columns are kept; None: in memory.
-        order: of day and month in the texts of dates that were read; None: there were none, or they do not have one order.
+        dialect: how the file was read; None: nothing of it is noted for files of further rows.
 
     Raises:
         UserError: one line with file, column and row.
@@ -122,7 +123,7 @@ def from_anybody(
         given = _beside(groups)
     if horizon is not None:
         raise UserError(f"{path}: where columns are named, --timeout names the one that marks time limits; no horizon")
-    return table_columns(table, given.pop("schema", None), str(path), scratch, order=order, **given)
+    return table_columns(table, given.pop("schema", None), str(path), scratch, dialect=dialect, **given)
 
 
 def _written(groups: Groups) -> bool:

@@ -140,7 +140,7 @@ def convert_table(
     with alone(work, what=str(target)), resumable(work):
         try:
             if kind == "csv":
-                mapping, table, order, told = _of_text(source, work, mapping, progress)
+                mapping, table, dialect, told = _of_text(source, work, mapping, progress)
             else:
                 schema = None if mapping.get("schema") is None else as_schema(mapping["schema"])
                 own = {} if schema is None else schema.options()
@@ -149,12 +149,11 @@ def convert_table(
                 table, told = _spooled(source, kind, work, progress)
                 table, order, lines = with_dates(table, dates, levels_in({"schema": schema}).texts)
                 told += lines
+                dialect = None if order is None else Dialect(dates=order)
             columns = work / "columns"
             shutil.rmtree(columns, ignore_errors=True)  # of a call that was killed
             columns.mkdir()
-            found, extra, warnings, space = from_anybody(
-                source, table, mapping, horizon, Scratch(columns), order
-            )
+            found, extra, warnings, space = from_anybody(source, table, mapping, horizon, Scratch(columns), dialect)
             log = build(
                 source, found, source=kind, extra=extra, warnings=[*told, *warnings], strict=strict, name=name, horizon=horizon,
                 action_space=space,
@@ -172,8 +171,8 @@ def convert_table(
 
 def _of_text(
     source: Path | str, work: Path, mapping: dict[str, Any], progress: Progress
-) -> tuple[dict[str, Any], pa.Table, str | None, list[str]]:
-    """The roles of columns, a text file's table, memory-mapped below `work`, the order of its dates, and messages."""
+) -> tuple[dict[str, Any], pa.Table, Dialect, list[str]]:
+    """The roles of columns, a text file's table, memory-mapped below `work`, its dialect, and messages."""
     if "schema" in mapping:
         mapping["schema"] = as_schema(mapping["schema"])
         mapping = mapping["schema"].options() | mapping
@@ -184,7 +183,7 @@ def _of_text(
     shutil.rmtree(cells, ignore_errors=True)  # of a call that was killed
     cells.mkdir(parents=True)
     table, dialect, told = read_delimited(source, Dialect.asked(**ways), Spool(cells, progress), levels_in(mapping))
-    return mapping, table, dialect.dates, [*known, *told, *of_totals(table)]
+    return mapping, table, dialect, [*known, *told, *of_totals(table)]
 
 
 def _spooled(source: Path | str, kind: str, work: Path, progress: Progress) -> tuple[pa.Table, list[str]]:

@@ -50,8 +50,7 @@ def read_tabular(
     table, dialect, told = table_of_kind(path, kind, ways, levels_in(mapping))
     text = (table.schema.metadata or {}).get(_HEADER) if kind == "parquet" else None
     if text is None or any(value is not None for value in mapping.values()):
-        order = None if dialect is None else dialect.dates
-        columns, extra, warnings, space = from_anybody(path, table, mapping, horizon, order=order)
+        columns, extra, warnings, space = from_anybody(path, table, mapping, horizon, dialect=dialect)
         header = None
     else:
         header = Header.parse(path, text)
