@@ -3246,6 +3246,28 @@ MUTANTS = (
         ("policies/test_table_predict.py::test_an_episode_goes_on_whether_its_name_is_a_number_or_a_text",),
     ),
     Mutant(
+        "no-spread-evaluated", "stats/crossed.py", "    if np.ptp(values) == 0:", "    if False:",
+        "a policy that never succeeds in ten episodes is certain never to succeed",
+        ("runs/test_train.py::test_interval_of_a_mean_by_hand",),
+    ),
+    Mutant(
+        "episodes-of-the-log", "runs/diagnostics.py",
+        "(returns - each * lengths)", "(returns - returns.mean())",
+        "the interval of a log's mean reward per step is that of its episodes' returns",
+        ("runs/test_train.py::test_logged_value_of_whole_episodes_and_of_cut_ones",),
+    ),
+    Mutant(
+        "variance-of-tasks", "stats/comparison.py",
+        "_pool([(each / len(tasks) ** 2, size - 1)", "_pool([(each / len(tasks), size - 1)",
+        "the interval of a mean over tasks is as wide as that of one",
+        ("stats/test_scores.py::test_the_mean_over_tasks_has_students_interval",),
+    ),
+    Mutant(
+        "same-but-for-rounding", "stats/comparison.py", "ROUNDING = 1e-12", "ROUNDING = 0.0",
+        "differences that are the same but for rounding decide a claim",
+        ("stats/test_scores.py::test_differences_that_are_the_same_but_for_rounding_are_the_same",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

@@ -150,6 +150,7 @@ def test_the_best_mean_over_tasks_and_seeds_is_chosen(tmp_path):
     found = tune(asked, settings, **run)
     assert found.best.fields == {"alpha": 5.0}
     assert found.best.scores.tolist() == [[50.0, 51.0]] * 2
+    assert "the chosen setting has the best of these scores, by chance too: evaluate it again with fresh seeds" in str(found)
     assert json.loads((tmp_path / "tuned.json").read_text())["best"] == {"alpha": 5.0}
 
 

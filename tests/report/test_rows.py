@@ -60,6 +60,9 @@ def test_difference_to_an_estimate_carries_its_uncertainty():
     gap = against(np.full((1, 4), 10.0), Interval(4.0, 3.0, 5.0))
     assert gap.value == pytest.approx(6)
     assert (gap.low, gap.high) == pytest.approx((5, 7), abs=0.1)
+    gap = against(np.array([[9.0, 11.0]]), Interval(4.0, np.nan, np.nan))  # of a log of one episode
+    assert gap.value == pytest.approx(6)
+    assert np.isnan([gap.low, gap.high]).all()
 
 
 @pytest.mark.parametrize(("seeds", "between"), [(1, 0.0), (3, 2.0), (3, 0.3), (3, 0.0), (20, 0.5)])
@@ -94,6 +97,9 @@ def test_the_simulator_compares_and_decides_nothing(tmp_path, runs):
     found = compared(read([*runs, seed]))
     assert found.best.label == "SAC"
     assert "1 of 2 seeds of SAC failed" in " ".join(found.caveats)
+    assert "One seed of" not in " ".join(found.caveats)
+    lone = compared(read([*runs, write_run(tmp_path / "lone", "awac", 10.0, seeds=1)]))
+    assert "One seed of AWAC: differences are those of these policies" in " ".join(lone.caveats)
     assert "chance" in compared(read([write_run(tmp_path / "same", "sac", 25.0)])).headline
     assert "below the behaviour policy" in compared(read([write_run(tmp_path / "worse", "sac", -80.0)])).headline
     assert "not finished" in compared(read([write_run(tmp_path / "now", "sac", 300.0, finished=False)])).caveats[0]

@@ -3,6 +3,7 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import deadreckon as dr
 from deadreckon import temporaries
@@ -352,9 +353,11 @@ def test_interval_of_a_mean_by_hand():
     assert (apart.value, apart.high) == pytest.approx((5.0, 5.0 + 5.0 * 12.7062), rel=1e-4)
     alone = mean_interval(np.array([1.0, 2.0, 3.0]))
     assert (alone.value, alone.high) == pytest.approx((2.0, 2.0 + 4.302653 / 3**0.5), rel=1e-4)
-    one = mean_interval(np.array([[7.0]]))
-    assert one.value == 7.0
-    assert np.isnan(one.low)
+    for few in ([[7.0]], [[7.0] * 10] * 3):  # the same values, such as no success at all, show no spread
+        one = mean_interval(np.array(few))
+        assert one.value == 7.0
+        assert np.isnan([one.low, one.high]).all()
+        assert f"{one:.1f}" == "7.0"
 
 
 @pytest.mark.slow
@@ -376,13 +379,20 @@ def test_interval_of_a_mean_covers(policies, episodes, between, starts):
 def test_logged_value_of_whole_episodes_and_of_cut_ones(log):
     cut = logged_value(log, task("maze2d-umaze"))
     np.testing.assert_allclose(cut["mean"], log.rewards.mean() * 300, rtol=1e-6)
-    assert cut["low"] < cut["mean"] < cut["high"]
+    returns, lengths = np.add.reduceat(np.asarray(log.rewards, float), log.starts), log.lengths
+    left = 300 * (returns - log.rewards.mean() * lengths) / lengths.mean()  # of a ratio, by linearisation
+    half = stats.t.ppf(0.975, len(lengths) - 1) * left.std(ddof=1) / np.sqrt(len(lengths))
+    np.testing.assert_allclose([cut["low"], cut["high"]], [cut["mean"] - half, cut["mean"] + half], rtol=1e-5)
     assert "times the horizon of 300" in cut["how"]
     whole = dr.Dataset.from_arrays(
         observations=np.zeros((600, 4)), actions=np.zeros((600, 2)), rewards=np.repeat([0.0, 1.0], 300),
         timeouts=np.arange(600) % 300 == 299,
     )  # fmt: skip
-    assert logged_value(whole, task("maze2d-umaze"))["mean"] == 150.0
+    found = logged_value(whole, task("maze2d-umaze"))
+    assert found["mean"] == 150.0
+    assert found["high"] == pytest.approx(150 + 12.7062 * 150, rel=1e-4)  # of two episodes
+    alone = logged_value(whole.select(np.array([1])), task("maze2d-umaze"))
+    assert (alone["mean"], alone["low"], alone["high"]) == (300.0, None, None)
 
 
 def test_two_sample_mmd_equals_numpy_and_the_probe_tells_copies_from_strangers(log, run):

@@ -11,7 +11,16 @@ from scipy import stats
 
 from deadreckon.errors import UserError
 from deadreckon.stats import scores as s
-from deadreckon.stats.comparison import between, bold, more_runs, paired, paired_within, variance_ratio
+from deadreckon.stats.comparison import (
+    between,
+    bold,
+    gap_of,
+    more_runs,
+    over_tasks,
+    paired,
+    paired_within,
+    variance_ratio,
+)
 
 FEW = 200  # resamples
 UNEVEN = [np.array([1.0, 5.0, 2.0]), np.array([10.0]), np.array([-3.0, 4.0, 8.0, 7.0, 90.0])]
@@ -235,6 +244,26 @@ def test_paired_holds_its_level_with_three_seeds():
     assert np.mean(held) > 0.93
     assert held == [x.p > 0.05 for x in found]
     assert 0.4 < np.mean([x.p_better > 0.5 for x in found]) < 0.6
+
+
+def test_the_mean_over_tasks_has_students_interval():
+    own = np.array([1.0, 2.0, 6.0])
+    found = over_tasks({"a": own})
+    assert (found.value, found.low) == pytest.approx((3.0, 3.0 - stats.t.ppf(0.975, 2) * own.std(ddof=1) / 3**0.5))
+    scores = {"a": own, "b": np.array([0.0, 1.0, 0.5]), "c": np.full(3, 4.0)}
+    with_nothing = paired(scores, {task: np.zeros(3) for task in scores})
+    found = over_tasks(scores)
+    assert (found.value, found.low, found.high) == pytest.approx((with_nothing.value, with_nothing.low, with_nothing.high))
+    for none in ({"a": own[:1]}, {"a": np.full(3, 4.0), "b": np.full(2, 1.0)}):
+        assert np.isnan(over_tasks(none).low)
+
+
+def test_differences_that_are_the_same_but_for_rounding_are_the_same():
+    ours, theirs = np.array([0.2, 0.3, 0.7]), np.array([0.1, 0.2, 0.6])
+    assert np.ptp(ours - theirs) > 0
+    assert np.ptp(gap_of(ours, theirs)) == 0
+    assert paired({"a": ours}, {"a": theirs}).p == 0.0
+    assert np.ptp(gap_of(ours, theirs + np.array([0, 0, 1e-9]))) > 0
 
 
 def test_paired_without_spread():

@@ -11,7 +11,8 @@ Where a test has `again`, a second suite with fresh seeds, and is open with all 
 is made there, of those cells alone, with intervals of 1 - alpha / 2 and 1 - alpha / 2k, and what it says counts. It may have an
 `again` of its own, a third stage with alpha / 4, and so on. As stages share no run, at most a share of alpha + alpha / 2 +
 alpha / 4 + ... of the comparisons whose true gain is the margin, in each stage on its own scale, is decided: less than 2 alpha,
-however many stages there are, and also if later ones are declared when earlier ones are known.
+however many stages there are, and also if later ones are declared when earlier ones are known. This is so of means of runs that
+are about normal: where a method fails in one of ten runs, most suites of three seeds lack the failure (`docs/benchmarks.md`).
 
 Where a test has `beside`, another suite, the same methods are compared on its logs: the gain is the difference of means over
 tasks, which are taken as samples, with Welch's interval (`stats.comparison.between`). Logs of one task are averaged first.
@@ -35,7 +36,7 @@ from deadreckon.bench.plan import plan
 from deadreckon.bench.store import Store
 from deadreckon.bench.suite import read
 from deadreckon.errors import UserError, unknown
-from deadreckon.stats.comparison import between, paired, paired_within, variance_ratio
+from deadreckon.stats.comparison import between, gap_of, paired, paired_within, variance_ratio
 from deadreckon.stats.interval import ALPHA, Interval
 from deadreckon.tasks.registry import of_log
 
@@ -328,7 +329,9 @@ def _compared(
     if test.less:
         ours, theirs = theirs, ours
     gain, strict = (_gain(test, ours, theirs, level) for level in (1.0 - alpha, 1.0 - alpha / count))
-    same = () if test.among or test.beside is not None else (log for log in ours if np.ptp(ours[log] - theirs[log]) == 0.0)
+    same = []
+    if not test.among and test.beside is None:
+        same = [log for log in ours if np.ptp(gap_of(ours[log], theirs[log])) == 0.0]
     return Comparison(
         test, rival, on, gain, strict, *needed, 1.0 - alpha, tuple(same), collections=several, diverged=diverged
     )

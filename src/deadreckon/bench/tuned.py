@@ -69,6 +69,8 @@ class Tuned:
             lines.append("  ".join(words))
         if any(len(trial.values) > 1 for trial in self.trials):
             lines.append(f"intervals ({PERCENT}) are over seeds of training; uncertainty from few episodes is not included")
+        if self.by == "simulator" and len(self.trials) > 1:
+            lines.append("the chosen setting has the best of these scores, by chance too: evaluate it again with fresh seeds")
         if len(self.best.gains):
             lines.append(self._by_episodes())
         if self.lost is not None:

@@ -88,7 +88,9 @@ def to_score(task: Task | None, returns: Interval) -> Interval | None:
 def behavior(entry: Entry) -> Interval | None:
     """The return of the policy that made the run's log."""
     known = entry.behavior
-    return Interval(known["mean"], known["low"], known["high"]) if known else None
+    if not known:
+        return None
+    return Interval(known["mean"], *(np.nan if known[end] is None else known[end] for end in ("low", "high")))
 
 
 def versus(a: Row, b: Row, miss: float = ALPHA) -> Difference | None:

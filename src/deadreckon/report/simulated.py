@@ -216,8 +216,11 @@ def _caveats(judged: list[Row], best: Row, beside: list[Row]) -> list[str]:
     if len(judged) > 1:
         out.append(f"{best.label}'s own mean is that of the best of {len(judged)}, so it is slightly too high on average.")
     seeds = len(best.per_seed)
-    if seeds == 1:
-        out.append("One seed: nothing here shows how much of the result is due to chance in one training run.")
-    elif seeds < 5:
+    if alone := [r.label for r in judged if len(r.per_seed) == 1]:
+        out.append(
+            f"One seed of {words(alone)}: differences are those of these policies, and training again may give others. Nothing "
+            "here shows how much of the result is due to chance in one training run."
+        )
+    if 1 < seeds < 5:
         out.append(f"With {seeds} seeds the interval is unreliable: so few runs say little about their spread.")
     return out

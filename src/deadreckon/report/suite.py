@@ -11,8 +11,8 @@ from deadreckon.report.markup import Markup, join, tag
 from deadreckon.report.page import document, save_page
 from deadreckon.report.parts import figure, heads_of, note, scroll
 from deadreckon.report.text import words
+from deadreckon.stats.comparison import over_tasks
 from deadreckon.stats.interval import PERCENT, Interval
-from deadreckon.stats.scores import interval, mean
 from deadreckon.tasks.registry import names as tasks
 from deadreckon.tasks.registry import of_log, task
 
@@ -89,8 +89,8 @@ def _bars(table: Table) -> Markup | None:
     if not drawn:
         return None
     text = (
-        f"Means over logs of means over seeds, with {PERCENT} bootstrap intervals over seeds, which with three seeds hold in "
-        "no more than 89 %. No bar: runs are missing or failed."
+        f"Means over logs of means over seeds, with Student's {PERCENT} intervals over seeds. No bar: runs are missing or "
+        "failed."
     )
     if ticks:
         text += " Upright ticks: the thesis's numbers."
@@ -101,7 +101,7 @@ def _spread(cells: dict[str, Cell]) -> Interval:
     """Mean over logs with its interval; nothing where one is missing, for a mean of the easy ones misleads."""
     if not all(cell.sound for cell in cells.values()):
         return Interval(np.nan, np.nan, np.nan)
-    found = interval({on: cell.scores for on, cell in cells.items()}, mean)
+    found = over_tasks({on: cell.scores for on, cell in cells.items()})
     ends = (found.value if np.isnan(end) else end for end in (found.low, found.high))  # one seed has no spread
     return Interval(found.value, *ends)
 
@@ -123,6 +123,6 @@ def _table(table: Table) -> Markup:
         rows.append(tag("tr", tds))
     text = (
         f"Means over seeds with Student's {PERCENT} intervals. Bold: the best, and all that Welch's t-test does not "
-        "distinguish from it."
+        "distinguish from it (p > 0.05, of each pair alone: of many equal methods some are not bold by chance)."
     )
     return join(scroll(tag("table", heads_of(("", *table.cells)), tag("tbody", rows))), note(text))

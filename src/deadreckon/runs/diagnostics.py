@@ -14,7 +14,8 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.policies.deployed import EnvPolicy, first_actions
 from deadreckon.runs.evaluate import action_key
-from deadreckon.stats.interval import ALPHA, LEVEL
+from deadreckon.stats.interval import LEVEL
+from deadreckon.stats.means import student_interval
 from deadreckon.tasks.task import Task
 from deadreckon.training.pictures import Seen, of_pictures
 
@@ -108,21 +109,19 @@ def logged_value(log: Dataset, task: Task) -> dict[str, Any]:
     that change on the way), the mean reward per step is extrapolated to the horizon.
 
     Returns:
-        `mean`, `low`, `high` (bootstrap over episodes), and `how` in words.
+        `mean`, `low`, `high` (Student's interval over episodes, of a ratio by its linearisation; None where there is none), and
+        `how` in words.
     """
-    returns, lengths = task.logged_returns(log), log.lengths
-    whole = bool(log.terminals.any()) or lengths.mean() >= 0.9 * task.horizon
-    rng, means = np.random.default_rng(0), np.empty(1000)
-    for i in range(len(means)):  # one at a time: a log may have very many short episodes
-        picks = rng.integers(0, len(returns), len(returns))
-        means[i] = returns[picks].mean() if whole else returns[picks].sum() / lengths[picks].sum() * task.horizon
-    if whole:
-        mean, how = returns.mean(), "mean return of the logged episodes"
+    returns, lengths = np.asarray(task.logged_returns(log), np.float64), log.lengths
+    if bool(log.terminals.any()) or lengths.mean() >= 0.9 * task.horizon:
+        values, how = returns, "mean return of the logged episodes"
     else:
-        mean = returns.sum() / lengths.sum() * task.horizon
+        each = returns.sum() / lengths.sum()
+        values = task.horizon * (each + (returns - each * lengths) / lengths.mean())
         how = f"mean logged reward per step, times the horizon of {task.horizon}"
-    low, high = np.quantile(means, [ALPHA / 2, 1 - ALPHA / 2])
-    return {"mean": float(mean), "low": float(low), "high": float(high), "how": how}
+    found = student_interval(values)
+    low, high = (None if np.isnan(end) else end for end in (found.low, found.high))
+    return {"mean": found.value, "low": low, "high": high, "how": how}
 
 
 def log_segments(log: Dataset) -> np.ndarray:

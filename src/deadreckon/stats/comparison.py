@@ -13,6 +13,7 @@ from deadreckon.stats.by_task import Scores, by_task, check_level, pairs_of, sam
 from deadreckon.stats.interval import ALPHA, LEVEL, Interval
 
 _SIDES = "our scores", "their scores"
+ROUNDING = 1e-12  # of the largest score: differences that vary by less are the same
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,24 @@ def paired(ours: Scores, theirs: Scores, level: float = LEVEL) -> Difference:
     return _student(value, *_pool([(_moments(gap)[1] / len(gaps) ** 2, len(gap) - 1) for gap in gaps]), level)
 
 
+def over_tasks(scores: Scores, level: float = LEVEL) -> Interval:
+    """Mean over tasks of the means over runs, with Student's interval: as `paired`, of one method. Runs that are the same on
+    every task show no spread, and have no interval.
+
+    Raises:
+        UserError: what `scores.interval` raises.
+    """
+    check_level(level)
+    tasks = [_moments(runs) for runs in by_task(scores, "scores").values()]
+    sizes = [len(runs) for runs in by_task(scores, "scores").values()]
+    value = float(np.mean([mean for mean, _ in tasks]))
+    spread = sum(variance for _, variance in tasks)
+    if min(sizes) < 2 or spread == 0.0:
+        return Interval(value, math.nan, math.nan)
+    found = _student(value, *_pool([(each / len(tasks) ** 2, size - 1) for (_, each), size in zip(tasks, sizes)]), level)
+    return Interval(value, found.low, found.high)
+
+
 def _gaps(ours: Scores, theirs: Scores) -> list[np.ndarray]:
     """Differences between runs of the same seed, for each task."""
     pairs = pairs_of(ours, theirs)
@@ -61,7 +80,13 @@ def _gaps(ours: Scores, theirs: Scores) -> list[np.ndarray]:
                 f"paired runs share seeds, but task {task!r} has {len(x)} runs of ours and {len(y)} of theirs: "
                 "give as many, or use probability_of_improvement"
             )
-    return [x - y for _, x, y in pairs]
+    return [gap_of(x, y) for _, x, y in pairs]
+
+
+def gap_of(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(runs,) differences x - y, which are exactly equal where they are but for rounding."""
+    gap = x - y
+    return np.full(len(gap), gap[0]) if np.ptp(gap) <= ROUNDING * max(np.abs(x).max(), np.abs(y).max()) else gap
 
 
 def paired_within(ours: Scores, theirs: Scores, extent: float, level: float = LEVEL) -> Interval:
