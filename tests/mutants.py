@@ -3186,7 +3186,7 @@ MUTANTS = (
     ),
     Mutant(
         "slow-effects", "ope/carry_over.py",
-        "if (left := _less(values, known)).std()", "if (left := values - values.mean()).std()",
+        "_less(next_, standard(own)).T", "(next_ - next_.mean(0)).T",
         "a slow effect of an action on the next observation is hidden by the observation before",
         ("ope/test_carry_over.py::test_a_slow_effect_is_seen_behind_what_a_row_tells_of_the_next",),
     ),

@@ -237,6 +237,8 @@ def weighted(gain, spread, diagnostics, ess=100.0, count=200):
     [
         ({}, 100.0, None),
         ({"effective share": 0.1}, 40.0, "rest on 40.0 episodes, 50 or 20 % of all"),
+        ({"effective share": 0.1}, 4.0, "policy; if an action has no effect on later rows, read each row as an episode"),
+        ({}, 4.0, "10 are needed; record more episodes, or evaluate a policy closer to the behaviour policy"),
         ({"effective share": 0.1}, 60.0, None),
         ({"effective share": 0.3}, 40.0, None),
         ({"mean weight": 0.6, "mean weight high": 0.9}, 100.0, "average 0.60 instead of 1"),

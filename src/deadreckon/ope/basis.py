@@ -21,7 +21,8 @@ HEAVY = 0.7  # Pareto k of the weights above which their mean is not reliable (V
 # With less, the episodes with the largest weights are probably not in the log, and no interval from the others is valid.
 SHARE, MANY = 0.2, 50.0
 ROUNDING = 1e-6  # rounding error of mean weights near one, if propensities are stored as float32
-MORE = "; record more episodes, or evaluate a policy closer to the behaviour policy"
+MORE = "record more episodes, or evaluate a policy closer to the behaviour policy"
+ALONE = "if an action has no effect on later rows, read each row as an episode (--group in place of --episode)"
 
 
 class Basis(NamedTuple):
@@ -89,12 +90,13 @@ class Basis(NamedTuple):
         In dm_control's cheetah-run and fish-swim, where weights are based on one episode, 4 of 13 such intervals covered it.
         """
         own, told = [], self.diagnostics
+        more = f"{MORE}; {ALONE}" if "effective share" in told else MORE
         if not self.overlaps:
-            own.append(f"its weights rest on {self.rest[1]}, {FEW:g} are needed{MORE}")
+            own.append(f"its weights rest on {self.rest[1]}, {FEW:g} are needed; {more}")
         elif told.get("effective share", 1.0) < SHARE and self.ess < MANY:
             own.append(
                 f"its weights, which are multiplied along an episode, rest on {self.ess:.1f} episodes, {MANY:g} or "
-                f"{100 * SHARE:g} % of all are needed{MORE}"
+                f"{100 * SHARE:g} % of all are needed; {more}"
             )
         if told.get("mean weight high", 1.0) < 1.0 - ROUNDING:
             own.append(

@@ -99,7 +99,9 @@ def _orders(case: OPEInput, taken: np.ndarray) -> Iterator[tuple[np.ndarray, np.
 
 
 def _sorted(log: Dataset, order: np.ndarray, taken: np.ndarray) -> bool:
-    """Whether rows in an order are sorted by rewards or actions, or by columns and, where these are equal, by actions."""
+    """Whether the first rows of an order are sorted by rewards or actions, or by columns and, where these are equal, by
+    actions."""
+    order = order[:MOST]
     codes = taken[order] if taken.ndim == 1 else taken[order, 0]
     if sorted_by(np.asarray(log.rewards)[order]) or (np.diff(codes) != 0).mean() < SWITCHES:
         return True
@@ -141,9 +143,9 @@ def _later(log: Dataset, rows: np.ndarray, after: np.ndarray, taken: np.ndarray)
     then = taken[after]
     acted = np.eye(int(taken.max()) + 1)[then] if then.ndim == 1 else then
     yield "the reward", _less(np.asarray(log.rewards)[after], np.column_stack([standard(next_), acted, np.square(acted)]))
-    known, names = standard(own), observation_names(log)
-    for name, values in zip(names[len(names) - own.shape[1] :], next_.T):
-        if (left := _less(values, known)).std() > EXACT * values.std():
+    names = observation_names(log)
+    for name, values, left in zip(names[len(names) - own.shape[1] :], next_.T, _less(next_, standard(own)).T):
+        if left.std() > EXACT * values.std():
             yield f"column {name}", left
 
 
@@ -155,5 +157,5 @@ def _observations(log: Dataset, rows: np.ndarray) -> np.ndarray:
 
 
 def _less(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """(rows,) residuals of least squares on (rows, n) columns."""
+    """(rows, ...) residuals of least squares on (rows, n) columns."""
     return values - known @ np.linalg.lstsq(known, values, rcond=None)[0]
