@@ -3192,9 +3192,9 @@ MUTANTS = (
     ),
     Mutant(
         "rewards-of-the-next-action", "ope/carry_over.py",
-        "np.column_stack([standard(next_), acted, np.square(acted)])", "standard(next_)",
+        "for name, part in later[follows:]:", "for name, part in later:",
         "where actions take turns, the effect of the next action seems to be one of the action before",
-        ("ope/test_carry_over.py::test_what_follows_without_the_action_is_no_objection[rotation]",),
+        ("ope/test_carry_over.py::test_what_follows_without_the_action_is_no_objection[clicks in blocks]",),
     ),
     Mutant(
         "sorted-by-actions", "ope/carry_over.py", "if not _sorted(case.given, order, taken):", "if True:",
@@ -3246,7 +3246,8 @@ MUTANTS = (
         ("policies/test_table_predict.py::test_an_episode_goes_on_whether_its_name_is_a_number_or_a_text",),
     ),
     Mutant(
-        "no-spread-evaluated", "stats/crossed.py", "    if np.ptp(values) == 0:", "    if False:",
+        "no-spread-evaluated", "stats/crossed.py",
+        "    if same(values):", "    if False:",
         "a policy that never succeeds in ten episodes is certain never to succeed",
         ("runs/test_train.py::test_interval_of_a_mean_by_hand",),
     ),
@@ -3263,9 +3264,20 @@ MUTANTS = (
         ("stats/test_scores.py::test_the_mean_over_tasks_has_students_interval",),
     ),
     Mutant(
-        "same-but-for-rounding", "stats/comparison.py", "ROUNDING = 1e-12", "ROUNDING = 0.0",
+        "same-but-for-rounding", "stats/interval.py", "ROUNDING = 1e-12", "ROUNDING = 0.0",
         "differences that are the same but for rounding decide a claim",
         ("stats/test_scores.py::test_differences_that_are_the_same_but_for_rounding_are_the_same",),
+    ),
+    Mutant(
+        "logged-chances-of-later-rows", "ope/carry_over.py",
+        "not log.spec.discrete or learns(case, \"auto\")\n", "True\n",
+        "rows of users of two kinds, which logged propensities know, are an objection",
+        ("ope/test_carry_over.py::test_logged_propensities_account_for_what_is_not_in_the_log[2]",),
+    ),
+    Mutant(
+        "marks-of-another-file", "data/formats/any_table.py", "        own = alone\n", "        pass\n",
+        "a file with another separator, which is named, is read with the decimal marks of the log",
+        ("data/test_schema.py::test_a_drafted_schema_pins_the_dialect",),
     ),
     Mutant(
         "groups-kept", "ope/case.py",

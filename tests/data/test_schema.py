@@ -214,6 +214,13 @@ def test_a_drafted_schema_pins_the_dialect(tmp_path):
     log = read(path, action="action", reward="reward", ignore="day")
     table, _ = read_rows(following, Schema.from_json(log.provenance.extra["schema"]))
     assert table["x"].to_pylist() == [1234, 2345]
+    # Who writes columns otherwise may write numbers otherwise.
+    other, schema = tmp_path / "other.csv", Schema.from_json(log.provenance.extra["schema"])
+    other.write_text("day,x,action,reward\n2024-02-01,1.234,0,2\n2024-02-02,2.345,1,3\n")
+    for ways in ({}, {"separator": ","}, {"separator": ",", "decimal": "."}):
+        assert read_rows(other, schema, **ways)[0]["x"].to_pylist() == pytest.approx([1.234, 2.345])
+    other.write_text("day;x;action;reward\n2024-02-01;1.234;0;2\n2024-02-02;2.345;1;3\n")
+    assert read_rows(other, schema, decimal=".")[0]["x"].to_pylist() == pytest.approx([1.234, 2.345])
     # The same table in a format that has no dialect.
     columns = {"day": ["2024-02-01"] * 2, "x": [1.5, 2.5], "action": [0, 1], "reward": [1.0, 2.0]}
     parquet.write_table(pa.table(columns), tmp_path / "march.parquet")

@@ -9,7 +9,7 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.data.normalizer import Normalizer
 from deadreckon.data.spec import Box
 from deadreckon.ope import OPEInput, parts
-from deadreckon.ope.balance import _above, dependent, unbalanced
+from deadreckon.ope.balance import above, dependent, unbalanced
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.decide import decide
 from deadreckon.ope.parts import parts_of
@@ -164,7 +164,7 @@ def test_the_statistics_by_hand():
     excess = ((np.square([1.0, -0.5]) - variance) / 2).sum() / 4
     np.testing.assert_allclose(strength, np.sqrt(max(excess, 0) / (0.75 * 0.25)))
     weight = np.array([2.0, 2.0, 0.0, 0.0])
-    p_value, mean = _above(weight, part, np.arange(4))
+    p_value, mean = above(weight, part, np.arange(4))
     assert mean == 1.0
     error = np.sqrt(4.0)  # of w (w - 1) in the first part; the sums 1, 1, 0, 0 have the variance 4 / 3
     np.testing.assert_allclose(p_value, 4 * stats.t.sf(2.0 / error, 3))

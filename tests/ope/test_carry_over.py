@@ -42,7 +42,7 @@ def test_a_store_that_is_emptied_is_no_row_of_single_decisions():
     assert found.choice.low > 0  # of always emptying it
     assert not found.choice.deploy
     assert "goes with column x of the next row (p < 0.001)" in found.choice.reason
-    assert "read them as steps of episodes (--episode)" in found.choice.reason
+    assert "rows may be steps of episodes (--episode)" in found.choice.reason
 
 
 def test_rows_are_followed_beyond_those_that_are_evaluated():
@@ -88,6 +88,9 @@ def independent(kind, seed, rows=800):
     if kind == "blocks":
         actions = np.arange(rows) // 12 % 2
     rewards = seen[:, 0] + actions + rng.normal(size=rows)
+    if kind.startswith("clicks"):  # their spread differs by action
+        actions = np.arange(rows) % 2 if kind == "clicks in turns" else np.arange(rows) // 12 % 2
+        rewards = (rng.random(rows) < np.where(actions, 0.3, 0.05)).astype(float)
     order = np.arange(rows)
     if kind == "by action":
         order = np.argsort(actions, kind="stable")
@@ -99,9 +102,33 @@ def independent(kind, seed, rows=800):
     return seen[order], actions[order], rewards[order]
 
 
-@pytest.mark.parametrize("kind", ["weather", "rotation", "blocks", "by action", "by reward", "by x and action"])
+KINDS = "weather", "rotation", "blocks", "clicks in turns", "clicks in blocks", "by action", "by reward"
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_what_follows_without_the_action_is_no_objection(kind):
     assert carried_over(case_of(*independent(kind, seed=0)), SMALL) is None
+
+
+@pytest.mark.parametrize("actions", [2, 3])
+def test_logged_propensities_account_for_what_is_not_in_the_log(actions):
+    """Users of two kinds take turns of ten rows; what they are shown, and what they do, depends on their kind alone."""
+    rng = np.random.default_rng(0)
+    kind = rng.integers(0, 2, 150).repeat(10)
+    chances = np.array([[0.8, 0.1, 0.1], [0.1, 0.3, 0.6]])[:, :actions]
+    chances = (chances / chances.sum(1, keepdims=True))[kind]
+    taken = (rng.random((1_500, 1)) > chances.cumsum(1)).sum(1).clip(max=actions - 1)
+    columns = {"x": kind + 1.5 * rng.normal(size=1_500), "action": taken, "reward": 2.0 * kind + rng.normal(size=1_500)}
+    logged = columns | {"propensity": chances[np.arange(1_500), taken]}
+    policy = constant(np.full(actions, 1 / actions))
+    for frame, alarm in ((columns, True), (logged, False)):
+        known = "propensity" if "propensity" in frame else None
+        log = Dataset.from_frame(frame, action="action", reward="reward", propensity=known)
+        found = carried_over(OPEInput(log, [policy], discount=0.0, logged=True), SMALL)
+        assert (found is not None) == alarm
+    late = logged | {"reward": np.append(0.0, taken[:-1] == 0) * 3 + rng.normal(size=1_500)}
+    log = Dataset.from_frame(late, action="action", reward="reward", propensity="propensity")
+    assert "the reward of the next row" in str(carried_over(OPEInput(log, [policy], discount=0.0, logged=True), SMALL))
 
 
 def test_only_orders_that_sort_actions_are_left_out():

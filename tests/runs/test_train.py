@@ -353,9 +353,9 @@ def test_interval_of_a_mean_by_hand():
     assert (apart.value, apart.high) == pytest.approx((5.0, 5.0 + 5.0 * 12.7062), rel=1e-4)
     alone = mean_interval(np.array([1.0, 2.0, 3.0]))
     assert (alone.value, alone.high) == pytest.approx((2.0, 2.0 + 4.302653 / 3**0.5), rel=1e-4)
-    for few in ([[7.0]], [[7.0] * 10] * 3):  # the same values, such as no success at all, show no spread
+    for few in ([[7.0]], [[7.0] * 10] * 3, [[7.0, 7.0 + 2e-15]]):  # the same values, such as no success at all, show no spread
         one = mean_interval(np.array(few))
-        assert one.value == 7.0
+        assert one.value == pytest.approx(7.0)
         assert np.isnan([one.low, one.high]).all()
         assert f"{one:.1f}" == "7.0"
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from deadreckon.ope.metrics import Metrics
 from deadreckon.stats.interval import PERCENT, decimals, fixed
-from deadreckon.stats.means import student
+from deadreckon.stats.means import student_interval
 
 By = Literal["ope", "simulator"]
 
@@ -109,7 +109,4 @@ def standing_of(trial: Trial, by: By) -> float:
 
 
 def _interval(values: np.ndarray) -> str:
-    if len(values) < 2:
-        return f"{values.mean():.1f}"
-    low, high = student(values)
-    return f"{values.mean():.1f} [{low:.1f}, {high:.1f}]"
+    return f"{student_interval(values):.1f}"

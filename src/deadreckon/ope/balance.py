@@ -155,7 +155,7 @@ def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced 
     if logged:
         weight = np.exp(np.minimum(-np.asarray(log.extras[LOG_PROBS][rows], np.float64), 50.0))
         parts = [np.zeros(len(rows), int), *parts]  # all rows together first
-        test = lambda part, a: _above(np.where(taken == a, weight, 0.0), part, unit)  # noqa: E731
+        test = lambda part, a: above(np.where(taken == a, weight, 0.0), part, unit)  # noqa: E731
     else:
         if log.spec.discrete and log.spec.action_size == 2:
             actions = actions[:1]
@@ -199,7 +199,7 @@ def beyond(
     return out
 
 
-def _above(weight: np.ndarray, part: np.ndarray | None, unit: np.ndarray) -> tuple[float, float]:
+def above(weight: np.ndarray, part: np.ndarray | None, unit: np.ndarray) -> tuple[float, float]:
     """The p-value of means of an action's weights (rows,), 0 in rows without it, that are not above one in any part, and by how
     much they are.
 

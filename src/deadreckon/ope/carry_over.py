@@ -4,29 +4,36 @@ The value of a policy in single steps is the mean reward of its actions in the o
 in use only if its actions change neither later observations nor later rewards. Then, given the observation, an action must not
 go with anything in the rows that follow: 1{A = a} - p(a|x) has mean zero in all parts of what the next rows hold, however these
 depend on x. What of the next rows is known without the action is taken away first by least squares, so that slow effects show:
-what the row itself tells of observations, and the next observation and action of rewards.
+what the row itself tells of observations, and the next observation and action of rewards. The spread of rewards may differ by
+action, too, so they are tested only where actions do not follow each other.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.neighbours import origin
 from deadreckon.data.told import action_names, observation_names
-from deadreckon.ope.balance import ACTIONS, COLUMNS, LEVEL, MOST, WEAK, beyond, standard
+from deadreckon.ope.balance import ACTIONS, COLUMNS, LEVEL, MOST, WEAK, above, beyond, standard
 from deadreckon.ope.basis import UNITS
 from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
-from deadreckon.ope.parts import ROWS, apart, frequent, parts_of
+from deadreckon.ope.importance import learns
+from deadreckon.ope.parts import PARTS, ROWS, apart, frequent, means_of, parts_of
 from deadreckon.randomness import generator
-from deadreckon.stats.interval import p_in_words
+from deadreckon.stats.interval import ALPHA, p_in_words
 from deadreckon.stats.ranks import one_way, sorted_by
 
 LAGS = 3  # later rows that are looked at: rows of a few machines may take turns
 SWITCHES = 0.02  # share of rows with another action than the row before; below, a log is in the order of its actions
+FOLLOW = 0.05  # correlation of an action with the later row's from which on that row's reward is not tested
+TINY = np.exp(-50.0)  # least probability, as for the balance
 EXACT = 1e-4  # of a column's standard deviation: below, a column of the next row is known from the row itself
+
+Test = Callable[[np.ndarray, np.ndarray | None, np.ndarray], tuple[float, float]]  # of rows, their parts and units
 
 
 def carried_over(case: OPEInput, model: BehaviorModel, folds: int = 5) -> str | None:
@@ -44,16 +51,10 @@ def carried_over(case: OPEInput, model: BehaviorModel, folds: int = 5) -> str | 
 
 
 def _carried_over(case: OPEInput, model: BehaviorModel, folds: int) -> str | None:
-    log = case.given
+    log, taken = case.given, np.asarray(case.given.actions)
     if int(case.cluster.max()) + 1 < UNITS:
         return None
-    learned = out_of_fold(case, model, folds, clipped=bool(not log.spec.discrete and case.clips.all()))
-    taken = np.asarray(log.actions)
-    if log.spec.discrete:
-        actions = frequent(taken[case.held], ACTIONS, ROWS)
-        actions = actions[:1] if log.spec.action_size == 2 else actions  # the other one is its opposite
-    else:
-        actions = list(range(min(log.spec.action_size, ACTIONS)))
+    tested = _tests(case, model, folds)
     tests, found = 0, []
     for order, group in _orders(case, taken):
         for lag in range(1, LAGS + 1):
@@ -61,11 +62,14 @@ def _carried_over(case: OPEInput, model: BehaviorModel, folds: int) -> str | Non
             if len(place) < UNITS * 2:
                 continue
             rows, unit = case.held[place], np.unique(case.cluster[place], return_inverse=True)[1]
-            left = beyond(learned, place, taken[rows], actions)
-            for name, values in _later(log, rows, after, taken):
-                part = parts_of(values, int(unit.max()) + 1)
-                for action in actions:
-                    p_value, strength = apart(*left[action], part, unit)
+            units, then = int(unit.max()) + 1, _acted(log, taken[after])
+            later = [(name, parts_of(values, units)) for name, values in _later(log, rows, after, then)]
+            acts = [parts_of(column, units) for column in (then.T if then.ndim > 1 else [then])]
+            for action, test in tested.items():
+                # Where actions follow each other, what goes with the reward may be the effect of the later action.
+                follows = any(p < ALPHA and strength >= FOLLOW for p, strength in (test(place, part, unit) for part in acts))
+                for name, part in later[follows:]:
+                    p_value, strength = test(place, part, unit)
                     tests += 1
                     if strength >= WEAK:
                         found.append((p_value, -strength, name, action, lag))
@@ -76,9 +80,37 @@ def _carried_over(case: OPEInput, model: BehaviorModel, folds: int) -> str | Non
         return None
     row = "the next row" if lag == 1 else f"the row {lag} rows later"
     return (
-        f"action {action_names(log)[action]} goes with {name} of {row} ({p_in_words(p_value)}), so rows that follow each other "
-        "are not decisions of their own: read them as steps of episodes (--episode)"
+        f"action {action_names(log)[action]} goes with {name} of {row} ({p_in_words(p_value)}), beyond what the row shows: "
+        "rows may be steps of episodes (--episode), rewards may belong to other rows, or a column may be missing that actions "
+        "depend on, such as the user; a table must begin with its oldest rows"
     )
+
+
+def _tests(case: OPEInput, model: BehaviorModel, folds: int) -> dict[int, Test]:
+    """For frequent actions, tests of whether they are beyond their propensities in no part of some evaluated rows.
+
+    Learned propensities are those of `balance.beyond`. Of two actions with logged ones, that of the other is known, too; of
+    more it is not, and the test is that of `balance.unbalanced`.
+    """
+    log, taken = case.data, np.asarray(case.data.actions)
+    discrete, learned = log.spec.discrete, not log.spec.discrete or learns(case, "auto")
+    actions = frequent(taken, ACTIONS, ROWS) if discrete else list(range(min(log.spec.action_size, ACTIONS)))
+    two = discrete and log.spec.action_size == 2
+    actions = actions[:1] if two else actions  # the other one is its opposite
+    if not learned and not two:
+        weight = 1.0 / np.maximum(np.exp(np.asarray(log.extras[LOG_PROBS], np.float64)), TINY)
+        return {a: lambda rows, part, unit, a=a: above(np.where(taken == a, weight, 0.0)[rows], part, unit) for a in actions}
+    if learned:
+        clipped = bool(not discrete and case.clips.all())
+        left = beyond(out_of_fold(case, model, folds, clipped=clipped), np.arange(len(log)), taken, actions)
+    else:
+        own, left = np.exp(np.asarray(log.extras[LOG_PROBS], np.float64)), {}
+        for a in actions:
+            chance, share = np.where(taken == a, own, 1.0 - own), float((taken == a).mean())
+            left[a] = (taken == a) - chance, chance * (1.0 - chance), share * (1.0 - share)
+    return {
+        a: lambda rows, part, unit, own=own: apart(own[0][rows], own[1][rows], own[2], part, unit) for a, own in left.items()
+    }
 
 
 def _orders(case: OPEInput, taken: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -130,19 +162,28 @@ def _pairs(case: OPEInput, order: np.ndarray, group: np.ndarray, lag: int) -> tu
     return before, after
 
 
-def _later(log: Dataset, rows: np.ndarray, after: np.ndarray, taken: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+def _acted(log: Dataset, actions: np.ndarray) -> np.ndarray:
+    """(rows,) discrete actions, those that are rare as one, or (rows, n) numbers of continuous ones."""
+    if not log.spec.discrete:
+        return actions.reshape(len(actions), -1)[:, :ACTIONS]
+    often = np.array(frequent(actions, PARTS, ROWS), int)
+    return np.where(np.isin(actions, often), actions, -1)
+
+
+def _later(log: Dataset, rows: np.ndarray, after: np.ndarray, then: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     """The reward and the columns of later rows, each with a name and (rows,) values less what is known without the action.
 
     Args:
         log: of single steps.
         rows: numbers of some rows.
         after: numbers of those that follow them.
-        taken: (rows of the log, ...) all actions.
+        then: (rows, ...) actions of those.
     """
     own, next_ = _observations(log, rows), _observations(log, after)
-    then = taken[after]
-    acted = np.eye(int(taken.max()) + 1)[then] if then.ndim == 1 else then
-    yield "the reward", _less(np.asarray(log.rewards)[after], np.column_stack([standard(next_), acted, np.square(acted)]))
+    rewards = np.asarray(log.rewards[after], np.float64)
+    if then.ndim == 1:
+        rewards = rewards - means_of(np.unique(then, return_inverse=True)[1], rewards)
+    yield "the reward", _less(rewards, standard(next_))
     names = observation_names(log)
     for name, values, left in zip(names[len(names) - own.shape[1] :], next_.T, _less(next_, standard(own)).T):
         if left.std() > EXACT * values.std():
@@ -153,7 +194,7 @@ def _observations(log: Dataset, rows: np.ndarray) -> np.ndarray:
     """(rows, columns) of flat observations, of the last `COLUMNS`; without columns for images."""
     if len(log.spec.observation_shape) != 1:
         return np.zeros((len(rows), 0))
-    return np.asarray(log.observations[rows], np.float64)[:, -COLUMNS:]
+    return np.asarray(log.observations[rows])[:, -COLUMNS:].astype(np.float64)
 
 
 def _less(values: np.ndarray, known: np.ndarray) -> np.ndarray:

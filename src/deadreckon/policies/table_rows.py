@@ -124,6 +124,8 @@ def _is_many(value: Any) -> bool:
 def _array(values: Any) -> np.ndarray:
     """(rows,) values of a column; texts and what is mixed as objects, so that no value becomes another."""
     if isinstance(values, np.ma.MaskedArray):
+        if values.dtype.kind in "mM":
+            return np.where(np.ma.getmaskarray(values), np.array("NaT", values.dtype), values.data)
         out = np.array(values.data, object)
         out[np.ma.getmaskarray(values)] = None
         return out

@@ -15,7 +15,7 @@ from deadreckon.data.normalizer import Normalizer
 from deadreckon.policies.deployed import EnvPolicy, first_actions
 from deadreckon.runs.evaluate import action_key
 from deadreckon.stats.interval import LEVEL
-from deadreckon.stats.means import student_interval
+from deadreckon.stats.means import student
 from deadreckon.tasks.task import Task
 from deadreckon.training.pictures import Seen, of_pictures
 
@@ -119,9 +119,8 @@ def logged_value(log: Dataset, task: Task) -> dict[str, Any]:
         each = returns.sum() / lengths.sum()
         values = task.horizon * (each + (returns - each * lengths) / lengths.mean())
         how = f"mean logged reward per step, times the horizon of {task.horizon}"
-    found = student_interval(values)
-    low, high = (None if np.isnan(end) else end for end in (found.low, found.high))
-    return {"mean": found.value, "low": low, "high": high, "how": how}
+    low, high = student(values) if len(values) > 1 else (None, None)
+    return {"mean": float(values.mean()), "low": low, "high": high, "how": how}
 
 
 def log_segments(log: Dataset) -> np.ndarray:

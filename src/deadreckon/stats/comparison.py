@@ -10,10 +10,9 @@ from scipy.special import fdtri, stdtr, stdtrit
 
 from deadreckon.errors import UserError
 from deadreckon.stats.by_task import Scores, by_task, check_level, pairs_of, same_tasks
-from deadreckon.stats.interval import ALPHA, LEVEL, Interval
+from deadreckon.stats.interval import ALPHA, LEVEL, Interval, same
 
 _SIDES = "our scores", "their scores"
-ROUNDING = 1e-12  # of the largest score: differences that vary by less are the same
 
 
 @dataclass(frozen=True)
@@ -86,7 +85,7 @@ def _gaps(ours: Scores, theirs: Scores) -> list[np.ndarray]:
 def gap_of(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """(runs,) differences x - y, which are exactly equal where they are but for rounding."""
     gap = x - y
-    return np.full(len(gap), gap[0]) if np.ptp(gap) <= ROUNDING * max(np.abs(x).max(), np.abs(y).max()) else gap
+    return np.full(len(gap), gap[0]) if same(gap, max(np.abs(x).max(), np.abs(y).max())) else gap
 
 
 def paired_within(ours: Scores, theirs: Scores, extent: float, level: float = LEVEL) -> Interval:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import stdtrit
 
-from deadreckon.stats.interval import ALPHA, NORMAL, Interval
+from deadreckon.stats.interval import ALPHA, NORMAL, Interval, same
 
 MANY = 1e9  # degrees of freedom of a variance that is known
 
@@ -74,7 +74,7 @@ def mean_interval(values: np.ndarray) -> Interval:
     that are far from normal see `docs/benchmarks.md`. Values that are all the same show no spread, and have no interval.
     """
     values = np.atleast_2d(np.asarray(values, np.float64))
-    if np.ptp(values) == 0:
+    if same(values):
         return Interval(float(values.mean()), math.nan, math.nan)
     return Effects.of(values).interval(float(values.mean()))
 

@@ -4,10 +4,13 @@ import math
 from dataclasses import dataclass
 from statistics import NormalDist
 
+import numpy as np
+
 REVISION = 3  # of the computation of intervals in all of `stats`; raised when their ends change (see bench/identity.py)
 ALPHA = 0.05  # share of cases in which an interval misses
 LEVEL = 1.0 - ALPHA
 NORMAL = NormalDist().inv_cdf(1.0 - ALPHA / 2)  # half of a normal's interval at `LEVEL`, in standard deviations
+ROUNDING = 1e-12  # of the largest number: values that vary by less are the same
 PERCENT = f"{100 * LEVEL:g} %"  # the level in words
 
 
@@ -32,6 +35,16 @@ class Interval:
 
     def __str__(self) -> str:
         return f"{self:.4g}"
+
+
+def same(values: np.ndarray, size: float = 0.0) -> bool:
+    """Whether values are the same but for rounding, so that they show no spread.
+
+    Args:
+        values: finite ones, at least one.
+        size: of the largest number that they were computed from, if that is more.
+    """
+    return bool(np.ptp(values) <= ROUNDING * max(float(np.abs(values).max()), size))
 
 
 def decimals(*values: float) -> int:

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import special  # scipy.stats takes seconds to import
 
-from deadreckon.stats.interval import ALPHA, Interval
+from deadreckon.stats.interval import ALPHA, Interval, same
 
 
 def student(x: np.ndarray, alpha: float = ALPHA) -> tuple[float, float]:
@@ -17,7 +17,7 @@ def student(x: np.ndarray, alpha: float = ALPHA) -> tuple[float, float]:
 
 def student_interval(x: np.ndarray) -> Interval:
     """The mean with Student's interval at `LEVEL`, whose ends are NaN for numbers that show no spread: one, or all the same."""
-    return Interval(float(x.mean()), *(student(x) if len(x) > 1 and np.ptp(x) > 0 else (np.nan, np.nan)))
+    return Interval(float(x.mean()), *(student(x) if len(x) > 1 and not same(x) else (np.nan, np.nan)))
 
 
 def hoeffding(x: np.ndarray, low: float, high: float, alpha: float = ALPHA) -> tuple[float, float]:

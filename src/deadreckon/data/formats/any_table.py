@@ -1,5 +1,7 @@
 """Reading of tables from files as pyarrow tables: CSV in its dialects, Parquet, spreadsheets, SQLite and DuckDB."""
 
+import contextlib
+import functools
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +16,8 @@ from deadreckon.data.formats.words import is_word
 from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
 from deadreckon.foreign.parquet import read_parquet
+
+_OF_SEPARATOR = ("separator", "decimal", "thousands")  # what another program that writes tables has otherwise
 
 
 def table_of_kind(
@@ -102,17 +106,27 @@ def read_rows(
     given = {key: value for key, value in ways.items() if value is not None}
     kind = sniff(path, given.get("separator", schema.options().get("separator")))
     own = {key: value for key, value in schema.options().items() if key in DIALECT and kind in READING[key]}
-    assumed = "separator" in own and "separator" not in given
+    alone = {key: value for key, value in own.items() if key not in _OF_SEPARATOR}
+    asked = Dialect.asked(separator=given.get("separator")).separator
+    if asked is not None and asked != Dialect.asked(separator=own.get("separator")).separator:
+        own = alone
+    if given.keys() & {"decimal", "thousands"}:  # each says something of the other
+        own = {key: value for key, value in own.items() if key not in ("decimal", "thousands")}
+    fits = lambda found: any(each.name in found[0].column_names for each in used)  # noqa: E731
+    reading = functools.partial(table_of_kind, path, kind, known=known)
+    failure, found = None, None
     try:
-        table, _, told = table_of_kind(path, kind, {**own, **given}, known)
+        found = reading({**own, **given})
     except UserError as error:
-        if not assumed or "separat" not in str(error):
-            raise
-        how = f"read with the separator {own['separator']!r} of the schema's log; --separator names another"
-        raise UserError(f"{error} ({how})") from error
-    if assumed and not any(each.name in table.column_names for each in used):
-        head, here = " ".join(table.column_names), table.num_columns - 1  # a name may contain a separator
-        if other := next((mark for mark in SEPARATORS if mark != own["separator"] and head.count(mark) > here), None):
-            text = f"it is read with the separator {own['separator']!r}, as the schema's log was, and seems to have {other!r}"
-            raise UserError(f"{path}: {text}; say --separator {other!r} and, if its decimals have a comma, --decimal comma")
-    return table, told
+        failure = error
+    if "separator" in own and asked is None and (found is None or not fits(found)):
+        with contextlib.suppress(UserError):
+            if fits(other := reading({**alone, **given})):
+                mark = str(other[1].separator if other[1] is not None else None)
+                text = f"columns are separated by {SEPARATORS.get(mark, mark)}, and in the log of the schema by"
+                line = f"{text} {SEPARATORS.get(own['separator'], own['separator'])}, so marks of numbers are detected anew"
+                return other[0], [line, *other[2]]
+    if found is None:
+        assert failure is not None
+        raise failure
+    return found[0], found[2]

@@ -72,10 +72,9 @@ def _read(
     told += _of_zeros(source, table, dialect, spool) + _of_large(source, table, dialect)
     told += _of_names(table.column_names)
     table = _named(path, table)
-    sure = asked.encoding is not None or not head.isascii()
-    table, lines = _decoded(path, table, dialect, known=sure)
+    table, lines = _decoded(path, table, dialect, known=asked.encoding is not None or not head.isascii())
     told += lines
-    dialect = dialect if sure and not lines else replace(dialect, encoding=None)  # it may be any, or it has two
+    dialect = replace(dialect, encoding=None if lines else asked.encoding)  # it has two, or the next file may have another
     table, lines = _without_empty(table)
     told += lines
     told += _of_quotes(path, table, dialect)
