@@ -3194,12 +3194,12 @@ MUTANTS = (
         "rewards-of-the-next-action", "ope/carry_over.py",
         "for name, part in later[follows:]:", "for name, part in later:",
         "where actions take turns, the effect of the next action seems to be one of the action before",
-        ("ope/test_carry_over.py::test_what_follows_without_the_action_is_no_objection[clicks in blocks]",),
+        ("ope/test_carry_over.py::test_what_follows_without_the_action_is_no_objection",),
     ),
     Mutant(
         "sorted-by-actions", "ope/carry_over.py", "if not _sorted(case.given, order, taken):", "if True:",
         "a log that is sorted by its actions seems to have actions that change what comes next",
-        ("ope/test_carry_over.py::test_what_follows_without_the_action_is_no_objection[by action]",),
+        ("ope/test_carry_over.py::test_what_follows_without_the_action_is_no_objection",),
     ),
     Mutant(
         "marks-of-the-log", "data/formats/tables.py",
@@ -3233,12 +3233,12 @@ MUTANTS = (
         "rows-of-sqlite", "policies/table_rows.py",
         "rows = list(map(_named, rows)) if isinstance(_named(rows[0]), Mapping) else rows", "rows = list(rows)",
         "rows of sqlite3 are read by the position of their values, and not by their names",
-        ("policies/test_table_encoder.py::test_the_logs_own_rows_are_encoded_as_in_training[raise-sqlite3]",),
+        ("policies/test_table_encoder.py::test_the_logs_own_rows_are_encoded_as_in_training",),
     ),
     Mutant(
         "masked-cells", "policies/table_rows.py", "        out[np.ma.getmaskarray(values)] = None\n", "",
         "values that are masked are taken for known",
-        ("policies/test_table_encoder.py::test_the_logs_own_rows_are_encoded_as_in_training[raise-masked]",),
+        ("policies/test_table_encoder.py::test_the_logs_own_rows_are_encoded_as_in_training",),
     ),
     Mutant(
         "names-of-episodes", "policies/table_predict.py", "name = text_of(name)  # a request", "pass  # a request",
@@ -3272,12 +3272,17 @@ MUTANTS = (
         "logged-chances-of-later-rows", "ope/carry_over.py",
         "not log.spec.discrete or learns(case, \"auto\")\n", "True\n",
         "rows of users of two kinds, which logged propensities know, are an objection",
-        ("ope/test_carry_over.py::test_logged_propensities_account_for_what_is_not_in_the_log[2]",),
+        ("ope/test_carry_over.py::test_logged_propensities_account_for_what_is_not_in_the_log",),
     ),
     Mutant(
         "marks-of-another-file", "data/formats/any_table.py", "        own = alone\n", "        pass\n",
         "a file with another separator, which is named, is read with the decimal marks of the log",
         ("data/test_schema.py::test_a_drafted_schema_pins_the_dialect",),
+    ),
+    Mutant(
+        "rewards-that-are-empty", "data/encode.py", "(empty[[each == level for each in values]].mean()", "(empty.mean()",
+        "an error about empty rewards tells the same share of them after all actions",
+        ("data/formats/test_tables.py::test_empty_rewards_are_told_by_action",),
     ),
     Mutant(
         "groups-kept", "ope/case.py",
@@ -3960,8 +3965,8 @@ MUTANTS = (
         "the share of missing cells is that of values", ("runs/test_compared.py",),
     ),
     Mutant(
-        "explain-units-by-place", "runs/explain.py", 'return [known.get(name, known.get(name.rpartition(", ")[0], ""))',
-        'return [next(iter(known.values()), "")', "actions have the unit of the first column", ("runs/test_explain.py",),
+        "explain-units-by-place", "runs/explain.py", 'acts = [known.get(name, "") if not',
+        'acts = [next(iter(known.values()), "") if not', "actions have the unit of the first column", ("runs/test_explain.py",),
     ),
     Mutant(
         "flag-codes", "policies/table_encoder.py", "codes.get(flag) for flag", "int(flag) for flag",

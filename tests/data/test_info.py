@@ -174,9 +174,10 @@ def test_sparse_rewards():
 def test_costs_are_no_rewards_to_maximise():
     """Larger is better: what a column of costs is called is the only sign of its direction."""
     frame = {"x": np.arange(30.0), "action": np.arange(30) % 2, "cost_eur": np.arange(30.0), "closs": np.arange(30.0)}
-    frame |= {"TotalCost": frame["cost_eur"], "cost_savings": frame["cost_eur"]}
-    names = ["cost_eur", "closs", "TotalCost", "cost_savings"]
-    for name, told in zip(names, (True, False, True, False)):
+    more = {"TotalCost": True, "cost_savings": False, "churned": True, "no_churn": False, "daysToRecovery": True, "day": False}
+    frame |= dict.fromkeys(more, frame["cost_eur"])
+    names = ["cost_eur", "closs", *more]
+    for name, told in zip(names, (True, False, *more.values())):
         other = [each for each in names if each != name]
         log = Dataset.from_frame(frame, action="action", reward=name, ignore=other)
         assert any("negate it if smaller is" in line for line in warnings_for(log)) is told

@@ -34,6 +34,7 @@ from deadreckon.errors import UserError
 from deadreckon.names import natural
 
 OTHERS = "other_levels"  # the entry of `Provenance.extra`: values that are none of a column's levels, by column
+_ACTIONS = 8  # most actions whose shares of empty rewards are told
 _SHOWN, _KEPT = 5, 50  # unknown levels named in a message, and kept in `extra`
 _NATURAL = 100_000  # names of episodes that are put in the order of the numbers in them; of more it would take long
 
@@ -251,11 +252,28 @@ class Encoder:
         self.warnings.append(f"{text}; they are numbered 0 .. {len(found) - 1}")
         return np.searchsorted(found, codes)
 
-    def rewards(self, column: Column) -> np.ndarray:
-        """(rows,) float64 of a column of numbers."""
+    def rewards(self, column: Column, actions: Sequence[Column]) -> np.ndarray:
+        """(rows,) float64 of a column of numbers; where some are empty, the error says after which of the actions."""
+        if (empty := is_missing(flat(self.table, column.name))).any():
+            raise UserError(f"{self.name}: column {column.name} is empty in {self._empty(empty, actions)}")
         values = numbers(self.name, self.table, column.name)
         self._in_range(column, values)
         return values
+
+    def _empty(self, empty: np.ndarray, actions: Sequence[Column]) -> str:
+        """Which rewards are empty, and why this is no reason to leave their rows out."""
+        told = f"row {int(np.argmax(empty))}"
+        if empty.sum() > 1:
+            told += f" and {int(empty.sum()) - 1:,} more"
+            values = flat(self.table, actions[0].name).to_pylist() if len(actions) == 1 else []
+            levels = sorted(set(values), key=str)
+            if 2 <= len(levels) <= _ACTIONS:
+                shares = (empty[[each == level for each in values]].mean() for level in levels)
+                told += f" ({', '.join(f'{share:.0%} of the rows of {level}' for level, share in zip(levels, shares))})"
+        return (
+            f"{told}: a reward that is not known may be unlike the others, and more so if it is missing after one action more "
+            "often; find it out, and neither leave its row out nor fill it in without knowing why it is missing"
+        )
 
     def flags(self, column: Column | None) -> np.ndarray:
         """(rows,) bool of a flag; all false where there is no such column."""

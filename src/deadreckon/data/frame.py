@@ -160,7 +160,7 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
     terminal, timeout, propensity = (schema.one(role) for role in ("terminal", "timeout", "propensity"))
     assert reward is not None  # a schema without one is refused before
     columns: dict[str, Any] = {
-        "observations": encoder.observations(observed), "rewards": scratch.keep(encoder.rewards(reward)),
+        "observations": encoder.observations(observed), "rewards": scratch.keep(encoder.rewards(reward, actions)),
         "actions": encoder.actions(actions), "terminals": encoder.flags(terminal), "timeouts": encoder.flags(timeout),
     }  # fmt: skip
     unknown = np.zeros(table.num_rows, bool)  # rows without a next observation

@@ -16,8 +16,14 @@ from deadreckon.data.spec import Box
 from deadreckon.data.told import action_names, observation_names, schema_of
 
 # Words of columns that one minimises, and words beside these with which one does not.
-_COSTS = {"cost", "costs", "loss", "losses", "penalty", "regret", "error", "errors", "damage", "delay", "waste", "downtime"}
-_GAINS = {"saving", "savings", "saved", "free", "avoided", "reduction", "reduced", "less", "weight", "fewer"}
+_COSTS = {
+    "cost", "costs", "loss", "losses", "penalty", "regret", "error", "errors", "damage", "delay", "waste", "downtime", "churn",
+    "churned", "complaint", "complaints", "complained", "defect", "defects", "defective", "failure", "failures", "failed",
+    "death", "deaths", "died", "mortality", "readmission", "readmitted", "refund", "refunded", "default", "defaulted",
+    "duration", "latency", "unsubscribed", "returned", "rework", "scrap",
+}  # fmt: skip
+_TIMES = "days_to", "hours_to", "minutes_to", "seconds_to", "time_to", "days_until", "hours_until", "time_until"
+_GAINS = {"saving", "savings", "saved", "free", "avoided", "reduction", "reduced", "less", "weight", "fewer", "no", "not"}
 _SAMPLE = 200_000  # rows looked at where looking at all would be slow
 _SEVERAL = 10  # episodes, and different rewards of theirs, from which on equal rewards within episodes are told
 _NAMED = 8  # columns or actions named in a line
@@ -226,7 +232,8 @@ def _cost(log: Dataset) -> str | None:
     names = schema.named("reward") if schema else []
     for name in names:
         words = {word.lower() for word in re.findall("[A-Z]?[a-z]+|[A-Z]+", name)}
-        if _COSTS & words and not _GAINS & words:
+        waited = "_".join(re.findall("[a-z]+", name.lower())).startswith(_TIMES)
+        if (waited or _COSTS & words) and not _GAINS & words:
             return name
     return None
 

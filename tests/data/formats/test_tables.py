@@ -143,6 +143,16 @@ def test_bad_csv_is_told_in_one_line(tmp_path, text, words):
     assert "\n" not in str(caught.value)
 
 
+def test_empty_rewards_are_told_by_action(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("x,arm,paid\n1,a,1\n2,b,\n3,b,\n4,a,\n5,a,2\n")
+    with pytest.raises(UserError, match=r"paid is empty in row 1 and 2 more \(33% of the rows of a, 100% of the rows of b\):"):
+        read(path, action="arm", reward="paid")
+    path.write_text("x,arm,paid\n1,a,1\n2,b,\n")
+    with pytest.raises(UserError, match="paid is empty in row 1: a reward that is not known may be unlike the others"):
+        read(path, action="arm", reward="paid")
+
+
 def test_mapped_columns(tmp_path):
     path = tmp_path / "clicks.csv"
     path.write_text("user,arm,click,p\na,x,1,0.5\nb,y,0,0.25\n")
