@@ -231,9 +231,9 @@ def _cost(log: Dataset) -> str | None:
     schema = schema_of(log)
     names = schema.named("reward") if schema else []
     for name in names:
-        words = {word.lower() for word in re.findall("[A-Z]?[a-z]+|[A-Z]+", name)}
-        waited = "_".join(re.findall("[a-z]+", name.lower())).startswith(_TIMES)
-        if (waited or _COSTS & words) and not _GAINS & words:
+        words = [word.lower() for word in re.findall("[A-Z]?[a-z]+|[A-Z]+", name)]
+        waited = "_".join(words).startswith(_TIMES)
+        if (waited or _COSTS & set(words)) and not _GAINS & set(words):
             return name
     return None
 
