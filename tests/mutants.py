@@ -3285,6 +3285,12 @@ MUTANTS = (
         ("data/formats/test_tables.py::test_empty_rewards_are_told_by_action",),
     ),
     Mutant(
+        "newest-first", "data/row_order.py",
+        "if not steps or any((each >= 0).all() for each in steps.values()):", "if not steps or True:",
+        "nothing is said of single decisions of which the newest come first",
+        ("data/test_misreadings.py::test_single_decisions_that_are_not_in_the_order_of_their_dates",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

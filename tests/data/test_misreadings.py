@@ -726,6 +726,23 @@ def test_times_that_are_observed_have_next_ones():
     np.testing.assert_array_equal(log.next_observations[:, 0], STEP + 1)
 
 
+def test_single_decisions_that_are_not_in_the_order_of_their_dates(rng):
+    days = np.datetime64("2024-01-01") + np.arange(60) // 3
+    born = np.datetime64("1980-01-01") + rng.integers(0, 9_000, 60)
+
+    def lines(**dates):
+        frame = {"x": rng.normal(size=60), "action": rng.integers(0, 2, 60), "reward": np.ones(60)} | dates
+        log = Dataset.from_frame(frame, action="action", reward="reward", ignore=list(dates))
+        return [line for line in log.warnings if "not in the order of" in line]
+
+    for named in (days[::-1], rng.permutation(days), days[::-1].astype(str)):
+        (line,) = lines(day=named)
+        assert re.match(r"rows are not in the order of day, which falls in \d+ of 59 steps: .* the oldest row first", line)
+    assert not lines(day=days)
+    assert not lines(born=born, day=days)  # one column of dates is in order
+    assert not lines(day=np.full(60, days[0]))
+
+
 def test_rows_in_the_order_of_time_over_all_customers_are_no_pieces():
     table = base(customer=np.tile(np.arange(12), 10), visit_no=np.repeat(np.arange(10), 12), date=np.arange(N))
     log = Dataset.from_frame(table, episode="customer", time="date")

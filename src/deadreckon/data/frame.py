@@ -17,7 +17,7 @@ from deadreckon.data.formats.dialect import Dialect
 from deadreckon.data.held import HELD, held
 from deadreckon.data.kinds import asked_kinds
 from deadreckon.data.legal_columns import listed_levels, masks, with_levels
-from deadreckon.data.row_order import about_order, missing_steps
+from deadreckon.data.row_order import about_dates, about_order, missing_steps
 from deadreckon.data.schema import Column, Schema, as_schema
 from deadreckon.data.scratch import BLOCK, Scratch
 from deadreckon.data.spec import Box, Discrete
@@ -222,7 +222,7 @@ def _in_order(
     """
     order, ends = _order(table.num_rows, codes, moments)
     if order is None:
-        return columns, unknown, ends, []
+        return columns, unknown, ends, about_dates(table, schema)
     told = about_order(table, schema, codes, moments, order)
     columns, unknown = {key: scratch.ordered(column, order) for key, column in columns.items()}, unknown[order]
     if (time := schema.one("time")) is not None and moments is not None:

@@ -100,14 +100,33 @@ def _apart(table: pa.Table, columns: list[str], codes: np.ndarray) -> list[str]:
     return [f"{text}: they are taken in the table's order (--time COLUMN orders them)"]
 
 
-def _falling(table: pa.Table, columns: list[str], codes: np.ndarray) -> list[str]:
-    """What to say of dates that fall from row to row of an episode and never rise."""
-    told, found = [], {}
+def about_dates(table: pa.Table, schema: Schema) -> list[str]:
+    """What to say of a table whose order is that of the rows, as no column gives one, and not that of its dates."""
+    steps = {name: np.diff(ordered_moments(dates)) for name, dates in _dates(table, schema.named("ignore", "keep")).items()}
+    if not steps or any((each >= 0).all() for each in steps.values()):
+        return []
+    name, falls = max(((name, int((each < 0).sum())) for name, each in steps.items()), key=lambda each: each[1])
+    if falls < _LEAST:
+        return []
+    text = f"rows are not in the order of {name}, which falls in {falls:,} of {table.num_rows - 1:,} steps"
+    why = "changes along the log, and its latest part, are looked for in the table's order"
+    return [f"{text}: if it says when rows were recorded, sort the table by it, the oldest row first, as {why}"]
+
+
+def _dates(table: pa.Table, columns: list[str]) -> dict[str, pa.Array]:
+    """Those of the columns that hold dates, without a missing one."""
+    found = {}
     for name in columns:
         kind = table.schema.field(name).type
         dates = as_dates(flat(table, name)) if pa.types.is_temporal(kind) or is_text(kind) else None
         if dates is not None and not is_missing(dates).any():
             found[name] = dates
+    return found
+
+
+def _falling(table: pa.Table, columns: list[str], codes: np.ndarray) -> list[str]:
+    """What to say of dates that fall from row to row of an episode and never rise."""
+    told, found = [], _dates(table, columns)
     if not found:
         return []
     order = np.argsort(codes, kind="stable")
