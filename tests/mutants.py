@@ -3291,6 +3291,11 @@ MUTANTS = (
         ("data/test_misreadings.py::test_single_decisions_that_are_not_in_the_order_of_their_dates",),
     ),
     Mutant(
+        "piles-by-action", "data/info.py", "rewards[taken == i]) for i, name", "rewards) for i, name",
+        "rewards that were cut off are told as the same share of all actions",
+        ("data/test_info.py::test_rewards_that_pile_up_at_a_value_are_told_by_action",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

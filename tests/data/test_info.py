@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 from small_logs import images, make_log
@@ -169,6 +171,22 @@ def test_sparse_rewards():
         observations=np.random.default_rng(0).normal(size=(400, 1)), actions=np.zeros((400, 1)), rewards=rewards
     )
     assert any("rewards are sparse: 0.25% of the rows have one" in line for line in warnings_for(log))
+
+
+def test_rewards_that_pile_up_at_a_value_are_told_by_action():
+    rng = np.random.default_rng(0)
+    action, rewards = rng.integers(0, 2, 1_000), rng.normal(80, 20, 1_000)
+
+    def lines(rewards):
+        frame = {"x": rng.normal(size=1_000), "action": np.where(action, "b", "a"), "reward": rewards}
+        return [line for line in warnings_for(Dataset.from_frame(frame)) if "cut off" in line]
+
+    (line,) = lines(np.where(action, rewards + 15, rewards).clip(max=100))
+    assert re.match(r".* of the rewards are 100, the largest value \(1\d\.\d% of those of a, 4\d\.\d% of those of b\):", line)
+    (line,) = lines(np.where(action & (rng.random(1_000) < 0.2), 80.5, rewards))
+    assert "are 80.5, a value between others (0.0% of those of a, 2" in line
+    for fine in (rewards, np.where(action, 0.0, rewards), rng.poisson(80, 1_000), np.round(rewards), rng.integers(0, 2, 1_000)):
+        assert not lines(fine)
 
 
 def test_costs_are_no_rewards_to_maximise():

@@ -12,7 +12,7 @@ from deadreckon.data.neighbours import about_neighbours
 from deadreckon.data.propensities import about_propensities
 from deadreckon.data.repeats import Copies
 from deadreckon.data.sizes import about_observations, about_rewards, reward_options
-from deadreckon.data.spec import Box
+from deadreckon.data.spec import Box, Discrete
 from deadreckon.data.told import action_names, observation_names, schema_of
 
 # Words of columns that one minimises, and words beside these with which one does not.
@@ -24,6 +24,8 @@ _COSTS = {
 }  # fmt: skip
 _TIMES = "days_to", "hours_to", "minutes_to", "seconds_to", "time_to", "days_until", "hours_until", "time_until"
 _GAINS = {"saving", "savings", "saved", "free", "avoided", "reduction", "reduced", "less", "weight", "fewer", "no", "not"}
+# Of this many different rewards, one that this share of the rows has, and this many times as many as any other, is told.
+_MANY, _SHARE, _TIMES_MORE = 50, 0.01, 10
 _SAMPLE = 200_000  # rows looked at where looking at all would be slow
 _SEVERAL = 10  # episodes, and different rewards of theirs, from which on equal rewards within episodes are told
 _NAMED = 8  # columns or actions named in a line
@@ -209,6 +211,7 @@ def _rewards(log: Dataset, info: Info) -> list[str]:
         out.append(f"rewards are mostly zero ({info.reward_zero_share:.0%} of the rows)")
     if _totals(log):
         out.append("rewards are the same in all rows of an episode: if they are its total, give it in the last row alone")
+    out += _piled(log)
     if (column := _cost(log)) is not None and info.rewards[-1] > 0:
         out.append(f"the reward is column {column}: larger is taken to be better; negate it if smaller is")
     if told := about_rewards(log.spec):
@@ -224,6 +227,25 @@ def _totals(log: Dataset) -> bool:
     first = rewards[log.starts][longer]
     same = (np.maximum.reduceat(rewards, log.starts) == np.minimum.reduceat(rewards, log.starts))[longer]
     return bool(same.all()) and len(np.unique(first)) >= _SEVERAL
+
+
+def _piled(log: Dataset) -> list[str]:
+    """Advice on one value that many rewards have and that is not 0, where others have many values."""
+    rewards = np.asarray(log.rewards[:_SAMPLE])
+    values, counts = np.unique(rewards[rewards != 0], return_counts=True)
+    if len(values) < _MANY:
+        return []
+    often = int(counts.argmax())
+    share, rest = counts[often] / len(rewards), int(np.delete(counts, often).max())
+    if share < _SHARE or counts[often] < _TIMES_MORE * rest:
+        return []
+    where = {0: "the smallest value", len(values) - 1: "the largest value"}.get(often, "a value between others")
+    text = f"{share:.1%} of the rewards are {values[often]:.6g}, {where}"
+    if isinstance(log.action_space, Discrete) and 2 <= log.action_space.n <= _NAMED:
+        taken, names = np.asarray(log.actions[:_SAMPLE]), action_names(log)
+        shares = [(name, rewards[taken == i]) for i, name in enumerate(names) if (taken == i).any()]
+        text += f" ({', '.join(f'{(own == values[often]).mean():.1%} of those of {name}' for name, own in shares)})"
+    return [f"{text}: if they were cut off, held or filled in, the true ones are not known, and may differ by action"]
 
 
 def _cost(log: Dataset) -> str | None:
