@@ -3259,7 +3259,7 @@ MUTANTS = (
     ),
     Mutant(
         "variance-of-tasks", "stats/comparison.py",
-        "_pool([(each / len(tasks) ** 2, size - 1)", "_pool([(each / len(tasks), size - 1)",
+        "_moments(runs)[1] / len(tasks) ** 2", "_moments(runs)[1] / len(tasks)",
         "the interval of a mean over tasks is as wide as that of one",
         ("stats/test_scores.py::test_the_mean_over_tasks_has_students_interval",),
     ),

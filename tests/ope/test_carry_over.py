@@ -102,7 +102,7 @@ def independent(kind, seed, rows=800):
     return seen[order], actions[order], rewards[order]
 
 
-KINDS = "weather", "rotation", "blocks", "clicks in turns", "clicks in blocks", "by action", "by reward"
+KINDS = "weather", "rotation", "blocks", "clicks in turns", "clicks in blocks", "by action", "by reward", "by x and action"
 
 
 @pytest.mark.parametrize("kind", KINDS)

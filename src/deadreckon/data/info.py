@@ -22,7 +22,7 @@ _COSTS = {
     "death", "deaths", "died", "mortality", "readmission", "readmitted", "refund", "refunded", "default", "defaulted",
     "duration", "latency", "unsubscribed", "returned", "rework", "scrap",
 }  # fmt: skip
-_TIMES = "days_to", "hours_to", "minutes_to", "seconds_to", "time_to", "days_until", "hours_until", "time_until"
+_DURATIONS = "days_to", "hours_to", "minutes_to", "seconds_to", "time_to", "days_until", "hours_until", "time_until"
 _GAINS = {"saving", "savings", "saved", "free", "avoided", "reduction", "reduced", "less", "weight", "fewer", "no", "not"}
 # Of this many different rewards, one that this share of the rows has, and this many times as many as any other, is told.
 _MANY, _SHARE, _TIMES_MORE = 50, 0.01, 10
@@ -254,7 +254,7 @@ def _cost(log: Dataset) -> str | None:
     names = schema.named("reward") if schema else []
     for name in names:
         words = [word.lower() for word in re.findall("[A-Z]?[a-z]+|[A-Z]+", name)]
-        waited = "_".join(words).startswith(_TIMES)
+        waited = "_".join(words).startswith(_DURATIONS)
         if (waited or _COSTS & set(words)) and not _GAINS & set(words):
             return name
     return None

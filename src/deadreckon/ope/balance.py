@@ -124,6 +124,11 @@ def _dependence(case: OPEInput, model: BehaviorModel, folds: int) -> float:
     return float(stdtr(len(product) - 1, -product.sum() / np.sqrt(np.square(product).sum())))
 
 
+def inverse(log_probs: np.ndarray) -> np.ndarray:
+    """(rows,) inverse propensities, of which the largest are bounded, by their logarithms."""
+    return np.exp(np.minimum(-np.asarray(log_probs, np.float64), 50.0))
+
+
 def standard(seen: np.ndarray) -> np.ndarray:
     """(rows, n) columns for least squares: a constant, and the last standardised columns of (rows, columns) with their squares,
     a tenth as many as there are rows at most."""
@@ -153,7 +158,7 @@ def _unbalanced(case: OPEInput, model: BehaviorModel, folds: int) -> Unbalanced 
     if not actions or not parts:
         return None
     if logged:
-        weight = np.exp(np.minimum(-np.asarray(log.extras[LOG_PROBS][rows], np.float64), 50.0))
+        weight = inverse(log.extras[LOG_PROBS][rows])
         parts = [np.zeros(len(rows), int), *parts]  # all rows together first
         test = lambda part, a: above(np.where(taken == a, weight, 0.0), part, unit)  # noqa: E731
     else:

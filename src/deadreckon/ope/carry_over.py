@@ -16,7 +16,7 @@ from deadreckon.data.columns import LOG_PROBS
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.neighbours import origin
 from deadreckon.data.told import action_names, observation_names
-from deadreckon.ope.balance import ACTIONS, COLUMNS, LEVEL, MOST, WEAK, above, beyond, standard
+from deadreckon.ope.balance import ACTIONS, COLUMNS, LEVEL, MOST, WEAK, above, beyond, inverse, standard
 from deadreckon.ope.basis import UNITS
 from deadreckon.ope.behavior import out_of_fold
 from deadreckon.ope.behavior_model import BehaviorModel
@@ -30,7 +30,6 @@ from deadreckon.stats.ranks import one_way, sorted_by
 LAGS = 3  # later rows that are looked at: rows of a few machines may take turns
 SWITCHES = 0.02  # share of rows with another action than the row before; below, a log is in the order of its actions
 FOLLOW = 0.05  # correlation of an action with the later row's from which on that row's reward is not tested
-TINY = np.exp(-50.0)  # least probability, as for the balance
 EXACT = 1e-4  # of a column's standard deviation: below, a column of the next row is known from the row itself
 
 Test = Callable[[np.ndarray, np.ndarray | None, np.ndarray], tuple[float, float]]  # of rows, their parts and units
@@ -98,7 +97,7 @@ def _tests(case: OPEInput, model: BehaviorModel, folds: int) -> dict[int, Test]:
     two = discrete and log.spec.action_size == 2
     actions = actions[:1] if two else actions  # the other one is its opposite
     if not learned and not two:
-        weight = 1.0 / np.maximum(np.exp(np.asarray(log.extras[LOG_PROBS], np.float64)), TINY)
+        weight = inverse(log.extras[LOG_PROBS])
         return {a: lambda rows, part, unit, a=a: above(np.where(taken == a, weight, 0.0)[rows], part, unit) for a in actions}
     if learned:
         clipped = bool(not discrete and case.clips.all())

@@ -45,11 +45,7 @@ def paired(ours: Scores, theirs: Scores, level: float = LEVEL) -> Difference:
         UserError: different tasks or numbers of runs, or what `scores.interval` raises.
     """
     check_level(level)
-    gaps = _gaps(ours, theirs)
-    value = float(np.mean([_moments(gap)[0] for gap in gaps]))
-    if min(map(len, gaps)) < 2:
-        return Difference(value, *[math.nan] * 5)
-    return _student(value, *_pool([(_moments(gap)[1] / len(gaps) ** 2, len(gap) - 1) for gap in gaps]), level)
+    return _mean_of(_gaps(ours, theirs), level)
 
 
 def over_tasks(scores: Scores, level: float = LEVEL) -> Interval:
@@ -60,14 +56,18 @@ def over_tasks(scores: Scores, level: float = LEVEL) -> Interval:
         UserError: what `scores.interval` raises.
     """
     check_level(level)
-    tasks = [_moments(runs) for runs in by_task(scores, "scores").values()]
-    sizes = [len(runs) for runs in by_task(scores, "scores").values()]
-    value = float(np.mean([mean for mean, _ in tasks]))
-    spread = sum(variance for _, variance in tasks)
-    if min(sizes) < 2 or spread == 0.0:
-        return Interval(value, math.nan, math.nan)
-    found = _student(value, *_pool([(each / len(tasks) ** 2, size - 1) for (_, each), size in zip(tasks, sizes)]), level)
-    return Interval(value, found.low, found.high)
+    tasks = list(by_task(scores, "scores").values())
+    found = _mean_of(tasks, level)
+    ends = (math.nan, math.nan) if all(map(same, tasks)) else (found.low, found.high)
+    return Interval(found.value, *ends)
+
+
+def _mean_of(tasks: Sequence[np.ndarray], level: float) -> Difference:
+    """The mean of the tasks' means of (runs,) numbers, with what their variances say of it; see `paired`."""
+    value = float(np.mean([_moments(runs)[0] for runs in tasks]))
+    if min(map(len, tasks)) < 2:
+        return Difference(value, *[math.nan] * 5)
+    return _student(value, *_pool([(_moments(runs)[1] / len(tasks) ** 2, len(runs) - 1) for runs in tasks]), level)
 
 
 def _gaps(ours: Scores, theirs: Scores) -> list[np.ndarray]:
