@@ -253,6 +253,10 @@ def test_the_mean_over_tasks_has_students_interval():
     scores = {"a": own, "b": np.array([0.0, 1.0, 0.5]), "c": np.full(3, 4.0)}
     with_nothing = paired(scores, {task: np.zeros(3) for task in scores})
     found = over_tasks(scores)
+    parts = np.array([runs.var(ddof=1) / 3 / 3**2 for runs in scores.values()])  # of the mean over three tasks
+    freedom = parts.sum() ** 2 / (np.square(parts) / 2).sum()
+    half = stats.t.ppf(0.975, freedom) * np.sqrt(parts.sum())
+    assert (found.low, found.high) == pytest.approx((found.value - half, found.value + half))
     assert (found.value, found.low, found.high) == pytest.approx((with_nothing.value, with_nothing.low, with_nothing.high))
     for none in ({"a": own[:1]}, {"a": np.full(3, 4.0), "b": np.full(2, 1.0)}):
         assert np.isnan(over_tasks(none).low)
