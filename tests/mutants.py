@@ -3296,6 +3296,26 @@ MUTANTS = (
         ("data/test_info.py::test_rewards_that_pile_up_at_a_value_are_told_by_action",),
     ),
     Mutant(
+        "clusters-without-places", "ope/over_time.py", "(waves(log, episode), places(case.clusters, episode))",
+        "(waves(log, episode),)", "an action of first contacts is praised, since no test looks along clusters",
+        ("ope/test_over_time.py::test_an_action_of_first_contacts_is_not_praised",),
+    ),
+    Mutant(
+        "models-without-places", "ope/positions.py", "np.concatenate([waves(log, each), places(clusters, each)], 1)",
+        "waves(log, each)", "models do not see the position of an episode in its cluster",
+        ("ope/test_over_time.py::test_places_are_cosines_of_their_ranks",),
+    ),
+    Mutant(
+        "places-along-the-log", "ope/positions.py", "    place[order] = np.arange", "    place[:] = np.arange",
+        "the positions in clusters are those of a sorted log",
+        ("ope/test_over_time.py::test_places_are_cosines_of_their_ranks",),
+    ),
+    Mutant(
+        "changes-along-clusters-untold", "ope/over_time.py", "within=min(found) < found[0])", "within=False)",
+        "a change along clusters is told as one along the log",
+        ("ope/test_over_time.py::test_an_action_of_first_contacts_is_not_praised",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

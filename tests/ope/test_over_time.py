@@ -14,7 +14,7 @@ from deadreckon.ope import FQE, DoublyRobust, LinearFQE, OPEInput
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.decide import automatic, decide
 from deadreckon.ope.over_time import adjusted, change_of, p_value
-from deadreckon.ope.positions import WAVES, waves, with_positions
+from deadreckon.ope.positions import PLACES, WAVES, places, waves, with_positions
 from deadreckon.policies import BlackBoxPolicy
 from deadreckon.runs.offline import grounds, judge
 
@@ -70,7 +70,8 @@ def test_an_action_of_good_times_is_not_praised():
         unadjusted = decide(case_of(log), [DR], model=MODEL, stationary=True)
         assert unadjusted.choice.deploy
         assert unadjusted.choice.name == "often"
-        assert unadjusted.more["over_time"] == {"stationary": True, "p_value": None, "adjusted": False}
+        expected = {"stationary": True, "p_value": None, "adjusted": False, "within_clusters": False}
+        assert unadjusted.more["over_time"] == expected
 
 
 def test_logged_propensities_of_their_time_are_right_with_positions_too():
@@ -80,6 +81,63 @@ def test_logged_propensities_of_their_time_are_right_with_positions_too():
     assert not found.choice.deploy
     assert (found.choice.gains[:, 1] <= 0).all()
     assert (found.choice.gains[:, 2] >= 0).all()
+
+
+def contacts(seed, users=500, effect=0.0, shuffled=True):
+    """One-step log of users who are contacted until they answer, up to six times, and called more and more often; how readily
+    they answer is not recorded. Also the user of each row."""
+    rng = np.random.default_rng(seed)
+    contact, user = np.tile(np.arange(6), users), np.repeat(np.arange(users), 6)
+    actions = (rng.random(6 * users) < np.array([0.15, 0.3, 0.5, 0.65, 0.8, 0.85])[contact]).astype(int)
+    answered = rng.random(6 * users) < np.repeat(rng.beta(0.5, 0.8, users), 6) * 0.8 + effect * actions
+    before = np.cumsum(answered.reshape(users, 6), 1) - answered.reshape(users, 6)
+    rows = np.flatnonzero(before.ravel() == 0)
+    if shuffled:  # users come and go, and their contacts stay in order
+        mixed = rng.permutation(user[rows])
+        rows = rows[np.argsort(np.argsort(mixed, kind="stable"), kind="stable")]
+    log = Dataset.from_arrays(
+        observations=rng.normal(size=(len(rows), 2)), actions=actions[rows], rewards=answered[rows].astype(float),
+        terminals=np.ones(len(rows)),
+    )  # fmt: skip
+    return log, user[rows]
+
+
+def test_an_action_of_first_contacts_is_not_praised():
+    """Whoever is left for later contacts answers less often; before, the policy that seldom calls was deployed."""
+    for seed in range(3):
+        log, user = contacts(seed, shuffled=bool(seed))
+        case = case_of(log, clusters=user)
+        found = decide(case, [DR], model=MODEL)
+        assert not found.choice.deploy
+        assert (found.choice.gains[:, 1] <= 0).all()
+        assert (found.choice.gains[:, 2] >= 0).all()
+        assert found.more["over_time"]["adjusted"]
+        assert found.more["over_time"]["within_clusters"]
+        [line] = [each for each in found.choice.warnings if "the behaviour policy changed along each cluster" in each]
+        assert "(p < 0.001)" in line
+        assert "same position in the cluster" in line
+        unadjusted = decide(case, [DR], model=MODEL, stationary=True).choice
+        assert unadjusted.name == "seldom"
+        assert unadjusted.low > 0
+    assert not change_of(case_of(log)).within  # no cluster, no position in it
+    better, user = contacts(0, users=1500, effect=0.2)
+    found = decide(case_of(better, clusters=user), [DR], model=MODEL)
+    assert found.choice.deploy
+    assert found.choice.name == "often"
+
+
+def test_places_are_cosines_of_their_ranks():
+    """Of clusters of one to three episodes: three first ones, two second ones and a third one."""
+    clusters = np.array([1, 0, 1, 2, 0, 1])
+    rank = np.array([1.5, 1.5, 4.0, 1.5, 4.0, 5.5]) / 6
+    expected = np.cos(np.pi * rank[:, None] * np.arange(1, PLACES + 1))
+    np.testing.assert_allclose(places(clusters, np.arange(6)), expected, atol=1e-6)
+    np.testing.assert_allclose(places(clusters, np.array([5, 0])), expected[[5, 0]], atol=1e-6)
+    assert places(np.arange(6), np.arange(6)).shape == (6, 0)
+    log = campaign(0, rows=6)
+    found, [part] = with_positions(log, clusters, None, 1)
+    assert part.start == WAVES + PLACES + 6  # and indicators of different observations
+    np.testing.assert_allclose(found.observations[:, WAVES : WAVES + PLACES], expected, atol=1e-6)
 
 
 def test_a_true_effect_is_found_beside_the_changes():
@@ -353,13 +411,13 @@ def test_positions_stand_before_histories_legal_actions_and_indicators_of_few_ob
         observations=states[:, None], actions=rng.integers(0, 2, 40), rewards=np.zeros(40),
         terminals=np.arange(40) % 4 == 3, final_observations=states[3::4, None],
     )  # fmt: skip
-    found, [part] = with_positions(log, None, 1)
+    found, [part] = with_positions(log, np.arange(10), None, 1)
     np.testing.assert_array_equal(found.observations[:, WAVES : WAVES + 3], np.eye(3)[states])
     np.testing.assert_array_equal(found.observations[:, part], log.observations)
     np.testing.assert_array_equal(found.final_observations[:, part], log.final_observations)
     np.testing.assert_array_equal(found.final_observations[:, :WAVES], found.observations[3::4, :WAVES])
     pair = stacked(campaign(0, rows=50), 2)
-    found, parts = with_positions(pair, [slice(4, 6), slice(0, 6)], 2)
+    found, parts = with_positions(pair, np.arange(50), [slice(4, 6), slice(0, 6)], 2)
     np.testing.assert_array_equal(found.observations[:, parts[0]], pair.observations[:, 4:6])
     np.testing.assert_array_equal(found.observations[:, parts[1]], np.asarray(pair.observations))
     mask = np.array([[1.0, 1.0], [1.0, 0.0]] * 30, np.float32)
@@ -368,7 +426,7 @@ def test_positions_stand_before_histories_legal_actions_and_indicators_of_few_ob
         observations=seen, actions=np.zeros(60, int), rewards=np.zeros(60), terminals=np.ones(60), next_observations=seen,
         action_space=Discrete(2, masked=True),
     )  # fmt: skip
-    found, _ = with_positions(masked, None, 1)
+    found, _ = with_positions(masked, np.arange(60), None, 1)
     np.testing.assert_array_equal(found.observations[:, -2:], mask)
     assert found.spec.mask_size == 2
 
@@ -384,7 +442,7 @@ def test_a_log_of_the_catalogue_is_that_of_a_simulator_and_stationary(tmp_path):
         return found["choice"]["over_time"]["adjusted"], told, found["looks"]["number"]
 
     out = tmp_path / "estimates"
-    told = "the behaviour policy changed along the log (p < 0.001), and actions of about the same position in it are compared"
+    told = "the behaviour policy changed along the log (p < 0.001), and actions of about the same position are compared"
     assert judged(out=out) == (True, told, 1)
     assert judged(out=out) == (True, told, 1)
     assert judged(out=out, stationary=True) == (False, "the system is taken for stationary", 2)  # which is another look

@@ -126,13 +126,13 @@ class OPEInput(Fits):
         flat = [one for own in each for one in own]
         whose = [name for name, own in zip(self.names, each) for _ in own]
         data, seen = with_features(data, flat, whose) if pictures else with_histories(data, flat)
+        self.clusters = clusters_of(self.given) if clusters is None else np.unique(clusters, return_inverse=True)[1]
         self.positions, plain = positions, data
         if positions:
-            data, seen = with_positions(data, seen, len(flat))
+            data, seen = with_positions(data, self.clusters, seen, len(flat))
         self.log = self.estimand.cut(data)
         self.plain = self.estimand.cut(plain) if positions else self.log
         self.data = self.log if held is None else self.log.select(self.held)
-        self.clusters = clusters_of(self.given) if clusters is None else np.unique(clusters, return_inverse=True)[1]
         if len(set(self.names)) < len(self.names) or LOGGED in self.names:
             raise UserError(f"names must differ, and from {LOGGED!r}, got {', '.join(self.names)}")
         self._parts = [np.asarray(p.which)[self.held] if isinstance(p, CrossFitted) else None for p in self.policies]

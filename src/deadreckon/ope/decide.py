@@ -51,8 +51,8 @@ class Decision(NamedTuple):
         support: of the policies in the log.
         choice: by the first of the estimates.
         more: for the chosen policy, as JSON values: `confounding`, and, if requested, `guarantee`, `groups` and `tail`; for all
-            policies `over_time`, whether the behaviour policy changed along the log, and the chosen policy's gain in the latest
-            part (`ope.latest`), and `costs`, if the log has some.
+            policies `over_time`, whether the behaviour policy changed along the log or its clusters, and the chosen policy's
+            gain in the latest part (`ope.latest`), and `costs`, if the log has some.
     """
 
     estimates: list[Estimates]
@@ -117,8 +117,10 @@ def decide(
     which = case.names.index(choice.name)
     more: dict[str, Any] = {"costs": as_json(costs)} if costs else {}
     change = None if settings.stationary else change_of(case)
-    p_value = None if change is None else change.p_value
-    along: dict[str, Any] = {"stationary": settings.stationary, "p_value": p_value, "adjusted": case.positions}
+    p_value, within = (None, False) if change is None else change
+    along: dict[str, Any] = {
+        "stationary": settings.stationary, "p_value": p_value, "adjusted": case.positions, "within_clusters": within
+    }  # fmt: skip
     more["over_time"] = along
     if (together := dependent(case, model)) is not None:
         choice = replace(choice, warnings=(*choice.warnings, together))

@@ -4,10 +4,12 @@ If outcomes changed too, for reasons other than the recorded observations, an ac
 looks good: time is a confounder, as in a campaign that was stepped up before the holidays. Logged propensities are those of
 their time, but learned ones, and critics, are averages over time unless they see it. The position of an episode in the log
 stands for its time, so models of the behaviour policy and of values then see it (`ope.positions`), and estimates compare
-actions of about the same time. Whether outcomes changed is not asked: a change too small to be found can bias a gain by more
+actions of about the same time. So does its position among the episodes of its cluster, such as the number of a user's visit:
+where users are contacted until they answer, an action of first contacts looks good, because the users of later ones are others.
+Whether outcomes changed is not asked: a change too small to be found can bias a gain by more
 than its error, if the behaviour policy changed much.
 
-The test correlates slow waves of the position with the actions, given observations, after linear regression of both sides on
+The test correlates slow waves of the positions with the actions, given observations, after linear regression of both sides on
 these (Frisch and Waugh, 1933); errors are by clusters of episodes.
 """
 
@@ -20,7 +22,7 @@ from deadreckon.data.normalizer import Normalizer
 from deadreckon.ope.basis import UNITS
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.features import FAR, PRODUCTS, Table
-from deadreckon.ope.positions import waves
+from deadreckon.ope.positions import places, waves
 from deadreckon.randomness import generator
 from deadreckon.stats.interval import p_in_words
 from deadreckon.stats.products import p_of_products
@@ -37,28 +39,36 @@ class Change(NamedTuple):
     """The test of a log.
 
     Attributes:
-        p_value: of no change of the actions, given observations.
+        p_value: of no change of the actions, given observations, both along the log and within its clusters.
+        within: whether the change is within clusters, which is the more significant one.
     """
 
     p_value: float
+    within: bool
 
     @property
     def found(self) -> bool:
-        """Whether the behaviour policy changed along the log."""
+        """Whether the behaviour policy changed."""
         return self.p_value < LEVEL
 
     @property
     def words(self) -> str:
         """What it means for a decision, as a line."""
         return (
-            f"the behaviour policy changed along the log ({p_in_words(self.p_value)}), and outcomes may have changed too: "
-            "estimates compare actions of about the same position in the log; use --stationary if the system never changes, or "
-            "if the order of rows says nothing of time"
+            f"the behaviour policy changed {where(self.within)} ({p_in_words(self.p_value)}), and outcomes may have changed "
+            f"too: estimates compare actions of about the same position {'in the cluster' if self.within else 'in the log'}; "
+            "use --stationary if the system never changes, or if the order of rows says nothing of time"
         )
 
 
+def where(within: bool) -> str:
+    """Where the behaviour policy changed, in words."""
+    return "along each cluster of episodes" if within else "along the log"
+
+
 def adjusted(case: OPEInput, stationary: bool = False) -> OPEInput:
-    """The case with models that see the positions of episodes, if the behaviour policy changed along the log, else the case.
+    """The case with models that see the positions of episodes, if the behaviour policy changed along the log or within its
+    clusters, else the case.
 
     Args:
         case: log and policies.
@@ -92,7 +102,9 @@ def _change(case: OPEInput) -> Change | None:
         known = np.eye(len(table.seen))[table.codes(log.observations[rows])]
     else:
         known = _regressors(log, log.observations[rows], rng)
-    return Change(p_value(known, waves(log, episode), _actions(log, rows), case.clusters[episode]))
+    positions = (waves(log, episode), places(case.clusters, episode))
+    found = [p_value(known, each, _actions(log, rows), case.clusters[episode]) for each in positions if each.shape[1]]
+    return Change(min(min(found) * len(found), 1.0), within=min(found) < found[0])
 
 
 def _regressors(log: Dataset, observations: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""Logs whose observations begin with functions of the episode's position in the log, which models see and policies do not.
+"""Logs whose observations begin with functions of the episode's position in the log, and in its cluster, which models see and
+policies do not.
 
 A log with few different observations also gets an indicator of each: a critic's table has no cells for positions, and models
 that are linear in a number of a state would be poor.
@@ -15,20 +16,45 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.ope.features import PRODUCTS, Table
 
 WAVES = 6  # functions of the position: half a period over the log, one, and so on up to three
+PLACES = 3  # functions of the position in the cluster: half a period over the ranks of all of them, one, and one and a half
 ROOM = 20_000_000  # most numbers of indicators over all rows
 
 
 def waves(log: Dataset, episodes: np.ndarray) -> np.ndarray:
     """(n, WAVES) cosines of half periods 1, 2, ... over the log, at the middle row of each of these (n,) episodes."""
-    middle = (log.starts[episodes] + 0.5 * log.lengths[episodes]) / len(log)
-    return np.cos(np.pi * middle[:, None] * np.arange(1, WAVES + 1)).astype(np.float32)
+    return _cosines((log.starts[episodes] + 0.5 * log.lengths[episodes]) / len(log), WAVES)
 
 
-def with_positions(log: Dataset, parts: Sequence[slice] | None, policies: int) -> tuple[Dataset, list[slice]]:
-    """The log with `waves` before each observation, computed when rows are read.
+def places(clusters: np.ndarray, episodes: np.ndarray) -> np.ndarray:
+    """(n, PLACES) cosines of half periods 1, 2, ... over the ranks of places, ties at their mean rank, for each of these (n,)
+    episodes: 0 for the first of a user, 1 for the second; (n, 0) if each is the first of its cluster.
+
+    Args:
+        clusters: (episodes of the log,) number of each episode's cluster, 0, 1, ....
+        episodes: numbers of some episodes.
+    """
+    counts, order = np.bincount(clusters), np.argsort(clusters, kind="stable")
+    if counts.max() == 1:
+        return np.zeros((len(episodes), 0), np.float32)
+    place = np.empty(len(clusters), int)
+    place[order] = np.arange(len(clusters)) - np.repeat(np.cumsum(counts) - counts, counts)
+    often = np.bincount(place)
+    rank = (np.cumsum(often) - 0.5 * often) / len(clusters)
+    return _cosines(rank[place[episodes]], PLACES)
+
+
+def _cosines(position: np.ndarray, count: int) -> np.ndarray:
+    return np.cos(np.pi * position[:, None] * np.arange(1, count + 1)).astype(np.float32)
+
+
+def with_positions(
+    log: Dataset, clusters: np.ndarray, parts: Sequence[slice] | None, policies: int
+) -> tuple[Dataset, list[slice]]:
+    """The log with `waves` and `places` before each observation, computed when rows are read.
 
     Args:
         log: with flat observations.
+        clusters: (episodes,) number of each episode's cluster, 0, 1, ....
         parts: slice of an observation that each policy acts on; None: all of it.
         policies: number of them.
 
@@ -36,10 +62,10 @@ def with_positions(log: Dataset, parts: Sequence[slice] | None, policies: int) -
         The log, whose episodes keep their ids, and the slices in its observations.
     """
     each, size = np.arange(log.episodes), log.spec.observation_size
-    own, table = waves(log, each), Table.of(log)
+    own, table = np.concatenate([waves(log, each), places(clusters, each)], 1), Table.of(log)
     if table is not None:  # critics need the products of indicators and actions
         count = len(table.seen)
-        few = (WAVES + count + size) * log.spec.action_size <= PRODUCTS and len(log) * count <= ROOM
+        few = (own.shape[1] + count + size) * log.spec.action_size <= PRODUCTS and len(log) * count <= ROOM
         table = table if few else None
     placed = lambda seen, episode: _Placed(own, episode, seen, table)  # noqa: E731
     found = replace(
@@ -59,7 +85,7 @@ class _Placed(Computed):
         self.own, self.episode, self.seen = own, episode, seen
         self.codes = None if table is None else table.codes(np.asarray(seen))
         self.states = 0 if table is None else len(table.seen)
-        self.shape = len(seen), WAVES + self.states + seen.shape[1]
+        self.shape = len(seen), own.shape[1] + self.states + seen.shape[1]
         self.dtype = np.result_type(np.float32, seen.dtype)
 
     def __getitem__(self, index: Any) -> np.ndarray:

@@ -76,7 +76,7 @@ class StateMarginal(Estimator):
         """Refuses cases whose models see positions, too."""
         super().check(case)
         if case.positions:
-            told = "smis cannot adjust for a behaviour policy that changed along the log"
+            told = "smis cannot adjust for a behaviour policy that changed along the log or its clusters"
             raise UserError(f"{told}; use dr-linear, or --stationary if the system never changes")
 
     def solve(self, case: OPEInput) -> Estimates:

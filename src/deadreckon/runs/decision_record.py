@@ -120,11 +120,12 @@ class Latest(TypedDict):
 
 
 class OverTime(TypedDict):
-    """The test whether the behaviour policy changed along the log, and whether estimates are adjusted for it."""
+    """The test whether the behaviour policy changed along the log or its clusters, and whether estimates are adjusted."""
 
     stationary: bool
     p_value: Number
     adjusted: bool
+    within_clusters: NotRequired[bool]
     latest: NotRequired[Latest]
 
 
