@@ -3316,6 +3316,69 @@ MUTANTS = (
         ("ope/test_over_time.py::test_an_action_of_first_contacts_is_not_praised",),
     ),
     Mutant(
+        "failures-untold", "mbo/unscored.py",
+        '    if not count:\n        return []\n    return [\n        f"{count:,} of',
+        '    if count:\n        return []\n    return [\n        f"{count:,} of',
+        "proposals among failed runs are told nowhere",
+        ("mbo/test_misfits.py::test_proposals_among_failed_runs_are_told_on_the_card",),
+    ),
+    Mutant(
+        "failures-not-on-the-card", "report/design_advice.py",
+        "{_compared(data, made, chosen)}{_without_score(data, made, chosen)}",
+        "{_compared(data, made, chosen)}",
+        "the card does not say that rows without a score prevail around the proposal to try",
+        ("mbo/test_misfits.py::test_proposals_among_failed_runs_are_told_on_the_card",),
+    ),
+    Mutant(
+        "failures-of-one-row", "mbo/unscored.py", 'return (near > 1) & (', 'return (near > 0) & (',
+        "a single row without a score counts as a region of failures",
+        ("mbo/test_misfits.py::test_rows_without_a_score_are_counted_among_the_nearest",),
+    ),
+    Mutant(
+        "errors-at-a-cliff", "mbo/misfits.py", '    beyond[beyond] = _apart(data, rows[beyond]) > FAR * usual\n', '',
+        "rows at a cliff are told as errors",
+        ("mbo/test_misfits.py::test_a_score_that_no_other_row_predicts_is_told",),
+    ),
+    Mutant(
+        "errors-of-long-tails", "mbo/misfits.py", '<= max(FEW * len(error), 1)', '<= len(error)',
+        "a tenth of all rows are told as single errors",
+        ("mbo/test_misfits.py::test_rows_are_those_of_the_table_and_at_most_three",),
+    ),
+    Mutant(
+        "errors-of-held-out-rows", "mbo/misfits.py",
+        "np.arange(len(data)) if quality.rows is None else quality.rows",
+        "np.arange(len(data))",
+        "held-out rows are told by other numbers",
+        ("mbo/test_misfits.py::test_rows_are_those_of_the_table_and_at_most_three",),
+    ),
+    Mutant(
+        "growing-errors-untold", "mbo/misfits.py", '< SURE / np.sqrt(len(error) - 1):', '< 1.0:',
+        "errors that grow with predictions are not told",
+        ("mbo/test_misfits.py::test_errors_that_grow_with_predictions_are_told_and_no_rows_then",),
+    ),
+    Mutant(
+        "driven-inputs-exactly", "mbo/driven_inputs.py", 'if left < 1.0 - EXPLAINED:', 'if left < 1e-6:',
+        "an input that follows from others with some noise is not told",
+        ("mbo/test_design_tables.py::test_an_input_that_others_determine_is_told",),
+    ),
+    Mutant(
+        "decades-on-a-log-scale", "mbo/doubts.py",
+        "if not v.leveled and not v.log and spans_decades",
+        "if not v.leveled and v.log and spans_decades",
+        "numbers over decades are told only if they are on a log scale already",
+        ("mbo/test_design_tables.py::test_numbers_over_decades_are_told_and_drafted_on_a_log_scale",),
+    ),
+    Mutant(
+        "limits-of-the-worst", "mbo/doubts.py", 'best = 0 if minimise else len(values) - 1', 'best = len(values) - 1',
+        "best scores of a target that is minimised are sought at the wrong end",
+        ("mbo/test_design_tables.py::test_placeholders_and_scores_at_a_limit_are_told",),
+    ),
+    Mutant(
+        "ignored-days", "mbo/designs.py", '*([] if groups else doubts.of_ignored(table, left))', '*[]',
+        "an ignored date that several rows share is not told",
+        ("mbo/test_design_tables.py::test_ignored_columns_that_may_tell_which_rows_belong_together_are_told",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

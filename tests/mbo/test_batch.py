@@ -128,7 +128,7 @@ def test_near_repeats_of_the_table_are_proposed_only_where_asked_or_where_there_
     cells = [(float(a), float(b)) for a in range(9) for b in range(9)]
     frame = {"a": [a for a, _ in cells], "b": [b for _, b in cells], "y": [*range(79), None, None]}  # two planned runs
     read = lambda **more: Designs.from_frame(frame, "y", kinds=dict.fromkeys("ab", "continuous"), **more)  # noqa: E731
-    with pytest.warns(UserWarning, match="2 rows left out"):
+    with pytest.warns(UserWarning, match="2 rows without y left out"):
         data, fine = read(), read(apart=1e-4)
     x = np.array([[0.0, 4.0015], [8.0, 7.9], [4.0, 4.2], [0.05, 4.05]], np.float32)
     assert batch(data, x, 1).tolist() == [x[2].tolist()]

@@ -73,8 +73,8 @@ def test_rows_without_a_score_are_planned_runs_and_no_data(tmp_path):
     temp = [None if row == 7 else 500.0 if row == 0 else value for row, value in enumerate(full["temp"])]
     path = write(tmp_path / "t.csv", full | {"y": y, "temp": temp})
     data, lines = told(Designs.from_csv, path, "y")
-    assert lines == ["t: 3 rows left out, as planned and without y yet: rows 0, 7 to 8, counted from 0; those with "
-                     "all inputs are not proposed again (--repeat allows it)"]  # fmt: skip
+    assert lines == ["t: 3 rows without y left out, as planned: rows 0, 7 to 8, counted from 0; give a run that failed a score "
+                     "that says so; complete ones are not proposed again (--repeat allows it)"]  # fmt: skip
     assert len(data) == 15
     assert data.variables[0].high == max(value for row, value in enumerate(full["temp"]) if row not in (0, 7, 8))
     kept = [row for row in range(18) if row not in (0, 7, 8)]
@@ -82,7 +82,8 @@ def test_rows_without_a_score_are_planned_runs_and_no_data(tmp_path):
     np.testing.assert_allclose(data.y, np.array(full["y"])[kept])
     schema, lines = describe(path)
     assert lines == ["the last column of numbers, y, is taken as the target (--target)",
-                     "3 rows left out, as planned and without y yet: rows 0, 7 to 8, counted from 0"]  # fmt: skip
+                     "3 rows without y left out, as planned: rows 0, 7 to 8, counted from 0; give a run that failed a score "
+                     "that says so"]  # fmt: skip
     assert schema.named("input") == ["temp", "solvent"]
     np.testing.assert_array_equal(told(schema.read, path)[0].x, data.x)
 
@@ -289,8 +290,8 @@ def test_of_several_targets_a_row_with_none_is_planned():
     read = lambda **more: Designs.from_frame(columns, **more)  # noqa: E731
     made, lines = told(targets_of, read, ["y", "z"], [])
     assert [len(each) for each in made] == [17, 17]
-    assert set(lines) == {"frame: 1 row left out, as planned and without y or z yet: row 0, counted from 0; those with "
-                          "all inputs are not proposed again (--repeat allows it)"}  # fmt: skip
+    assert set(lines) == {"frame: 1 row without y or z left out, as planned: row 0, counted from 0; give a run that failed a "
+                          "score that says so; complete ones are not proposed again (--repeat allows it)"}  # fmt: skip
     columns["z"][3] = None
     with pytest.raises(UserError, match="column z is empty in row 3, counted from 0; fill the cells in or leave the rows out$"):
         told(targets_of, read, ["y", "z"], [])
@@ -445,7 +446,9 @@ def test_parts_that_sum_to_a_whole_are_told_and_drafted(tmp_path, whole, digits,
     assert lines == []
     assert [each.text for each in made.rules.linear] == [each.replace("`", "") for each in sums]
     columns["a"] = columns["a"] + np.where(np.arange(40), 0, 0.1 * whole)  # no sum of all rows any more
-    assert len(told(Designs.from_frame, columns, "y")[1]) == 1
+    line, nearly = told(Designs.from_frame, columns, "y")[1]
+    assert line.startswith(f"frame: {sums[1]} in every row")
+    assert "are predicted by the other inputs" in nearly
 
 
 def test_binary_numbers_and_names_hide_no_sum(tmp_path):
@@ -523,9 +526,91 @@ def test_a_number_that_follows_from_others_is_told():
     rule = {"constraints": ["`cost` - 0.5 temp = 3"], "bounds": {"cost": (0, 99)}}
     assert not any("linear relation" in each for each in told(Designs.from_frame, columns | {"cost": cost}, "y", **rule)[1])
     nearly = cost + rng.normal(0, 0.5, 30)
-    assert told(Designs.from_frame, columns | {"cost": nearly}, "y")[1] == []
+    (line,) = told(Designs.from_frame, columns | {"cost": nearly}, "y")[1]
+    assert line.startswith("frame: columns cost, temp are predicted by the other inputs (R2 1.00 of cost in rows left out)")
     few = {f"x{i}": rng.normal(size=12) for i in range(8)} | {"y": rng.normal(size=12)}  # that many fit any rows nearly
     assert told(Designs.from_frame, few, "y")[1] == []
+
+
+def acids(rows, seed=0, noise=0.1):
+    """A pH that three settings determine, but for noise."""
+    rng = np.random.default_rng(seed)
+    a, b, c = rng.random((3, rows))
+    ph = 5 + np.sin(2.5 * a) * (0.5 + b) - c**2 + noise * rng.normal(size=rows)
+    return {"a": a, "b": b, "c": c, "ph": ph, "y": 10 * (ph - 5) + 2 * rng.normal(size=rows)}
+
+
+def test_an_input_that_others_determine_is_told():
+    """A model of it explains y well, and what it proposes cannot be set."""
+    for seed in range(3):
+        *_, line = told(Designs.from_frame, acids(60, seed), "y")[1]
+        assert line.startswith(("frame: column ph is predicted by the other inputs (R2 0.9", "frame: columns ph, "))
+        assert "measured and not set" in line
+        assert "(--ignore ph)" in line
+        assert told(Designs.from_frame, acids(60, seed), "y", ignore=["ph"])[1] == []
+        own = told(Designs.from_frame, acids(60, seed, noise=1.0), "y")[1]  # which is set, more or less
+        assert not any("is predicted" in each for each in own)
+    assert not any("predicted" in line for line in told(Designs.from_frame, acids(29), "y")[1])  # too few
+    assert "predicted by the other inputs" in told(Designs.from_frame, acids(300), "y")[1][-1]
+    several = acids(60) | {"again": acids(60)["ph"] + 0.01 * np.random.default_rng(1).normal(size=60)}
+    *_, line = told(Designs.from_frame, several, "y")[1]
+    assert "columns ph, again" in line or "columns again, ph" in line
+    rule = {"constraints": ["ph - c = 5"]}  # which says what is known
+    assert not any("predicted" in each for each in told(Designs.from_frame, acids(60), "y", **rule)[1])
+
+
+def test_numbers_over_decades_are_told_and_drafted_on_a_log_scale(tmp_path):
+    rng = np.random.default_rng(1)
+    columns = frame(60, conc=10 ** rng.uniform(-6, 0, 60))
+    (line,) = told(Designs.from_frame, columns, "y")[1]
+    assert line.startswith("frame: column conc reaches from ")
+    assert line.endswith("evenly in its logarithm; have it modelled on a log scale (--logs conc)")
+    assert told(Designs.from_frame, columns, "y", logs=["conc"])[1] == []
+    for other in (10 ** rng.uniform(-2, 0, 60), rng.uniform(1e-6, 1, 60), rng.uniform(0, 1, 60) - 0.5):
+        assert told(Designs.from_frame, frame(60, conc=other), "y")[1] == []
+    schema, lines = describe(write(tmp_path / "t.csv", columns), "y")
+    assert schema.columns["conc"].log
+    assert not schema.columns["temp"].log
+    assert "--logs conc" in lines[0]
+    assert told(schema.read, tmp_path / "t.csv")[1] == []
+
+
+def test_placeholders_and_scores_at_a_limit_are_told():
+    rng = np.random.default_rng(0)
+    columns = frame(42, conc=np.where(np.arange(42) % 13 == 0, -999.0, rng.uniform(20, 90, 42)))
+    (line,) = told(Designs.from_frame, columns, "y")[1]
+    assert line.startswith("frame: column conc has -999 in 4 rows, far from its other values, ")
+    columns = frame(42) | {"y": np.where(np.arange(42) % 13 == 0, -999.0, rng.uniform(20, 90, 42))}
+    (line,) = told(Designs.from_frame, columns, "y")[1]
+    assert line.startswith("frame: y has -999 in 4 rows")
+    score = np.random.default_rng(1).uniform(50, 110, 42)
+    capped = frame(42) | {"y": np.minimum(score, 100)}
+    (line,) = told(Designs.from_frame, capped, "y")[1]
+    assert line == (
+        f"frame: {(score > 100).sum()} rows have the greatest y, 100: if it is a limit, no score lies above it, and "
+        "predictions above it mean that it is reached"
+    )
+    assert told(Designs.from_frame, capped, "y", minimise=True)[1] == []
+    (line,) = told(Designs.from_frame, capped | {"y": -capped["y"]}, "y", minimise=True)[1]
+    assert "have the least y, -100" in line
+    assert told(Designs.from_frame, frame(42) | {"y": score}, "y")[1] == []
+    assert told(Designs.from_frame, frame(42) | {"y": score.round(-1)}, "y")[1] == []  # few values
+
+
+def test_ignored_columns_that_may_tell_which_rows_belong_together_are_told():
+    days = [f"2024-03-{1 + row // 6:02d}" for row in range(48)]
+    for name, values in {"date": days, "batch": [row % 8 for row in range(48)]}.items():
+        (line,) = told(Designs.from_frame, frame(48, **{name: values}), "y", ignore=[name])[1]
+        assert line == (
+            f"frame: column {name} is ignored and has 8 values in 48 rows: if rows of one belong together, hold them out "
+            f"together where predictions are tested (--groups {name})"
+        )
+    times = [f"2024-03-{1 + row // 2:02d} {row % 24:02d}:{row:02d}" for row in range(48)]  # another one in each row
+    for name, values in {"date": times, "note": ["a", "b"] * 24}.items():
+        assert told(Designs.from_frame, frame(48, **{name: values}), "y", ignore=[name])[1] == []
+    assert not any("is ignored" in each for each in told(
+        Designs.from_frame, frame(48, date=days, batch=[row % 8 for row in range(48)]), "y", ignore=["date"], groups="batch"
+    )[1])  # fmt: skip
 
 
 def test_another_outcome_is_told(tmp_path):

@@ -134,4 +134,6 @@ def test_a_column_that_is_called_like_a_batch_is_reported():
     line = "column lot is taken for an input; if it is no setting and tells which rows belong together, --groups lot holds"
     assert any(line in each for each in read(frame).noticed)
     assert not any("--groups" in each for each in read(frame, groups="lot").noticed)
-    assert not any("--groups" in each for each in read({**frame, "lots_of": frame["lot"]}, ignore=["lot"]).noticed)
+    left = read({**frame, "lots_of": frame["lot"]}, ignore=["lot"]).noticed
+    assert not any("is taken for an input" in each for each in left)
+    assert any("column lot is ignored and has 4 values in 20 rows" in each for each in left)

@@ -141,8 +141,10 @@ def _write_proposals(method: Any, data: Any, problem: Any, options: Design, out:
         made = method.propose(data, options.n, seed=options.seed, out=out / "fits", watch=watch, **ways)
     scores = None if problem is None else problem.score(made)
     from deadreckon.mbo.batch import repeats_told
+    from deadreckon.mbo.misfits import misfits_told
     from deadreckon.mbo.nn_distance import nn_distance
     from deadreckon.mbo.proposal_table import about, added_columns
+    from deadreckon.mbo.unscored import unscored_told
     from deadreckon.report.design import write_design
 
     far = nn_distance(data, made.x)
@@ -150,7 +152,8 @@ def _write_proposals(method: Any, data: Any, problem: Any, options: Design, out:
     written = data.write(out / "proposals.csv", made.x, more)
     for line in _told(data, made):
         print(line)
-    for line in [*repeats_told(data, made.x), *([made.warning] if problem is None and made.warning else [])]:
+    fit = [*misfits_told(data, made.quality), *([made.warning] if made.warning else [])] if problem is None else []
+    for line in [*repeats_told(data, made.x), *unscored_told(data, made.x), *fit]:
         print(f"! {line}", file=sys.stderr)
     if scores is not None:
         print(f"{scores}\nthe oracle is {problem.about if problem else ''}")

@@ -81,6 +81,7 @@ def write_proposals(options: Any, asked: dict[str, Any]) -> None:
     from deadreckon.mbo.designs import Designs
     from deadreckon.mbo.front import propose_front, targets_of
     from deadreckon.mbo.proposal_table import about_front, added_columns_of_front
+    from deadreckon.mbo.unscored import unscored_told
     from deadreckon.report.design_front import write_front
 
     schema = None if options.schema is None else DesignSchema.load(options.schema)
@@ -102,7 +103,7 @@ def write_proposals(options: Any, asked: dict[str, Any]) -> None:
         written = data[0].write(out / "proposals.csv", x, more)
         for line in told(front):
             print(line)
-        for line in (*front.notes, *repeats_told(data[0], x), *front.warnings):
+        for line in (*front.notes, *repeats_told(data[0], x), *unscored_told(data[0], x), *front.warnings):
             print(f"! {line}", file=sys.stderr)
         print(written)
         write_beside(data[0].decode(x) | more, about_front(front), out / "proposals.xlsx")

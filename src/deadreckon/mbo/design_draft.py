@@ -14,7 +14,7 @@ from deadreckon.data.roles import row_numbers
 from deadreckon.errors import UserError
 from deadreckon.mbo.design_schema import DesignColumn, DesignSchema
 from deadreckon.mbo.design_table import by_scored, name_of, numbers_of, read_designs, scored, trimmed
-from deadreckon.mbo.doubts import of_inputs, of_outcomes, of_target, sum_of, unsaid_sums
+from deadreckon.mbo.doubts import of_inputs, of_outcomes, of_target, spans_decades, sum_of, unsaid_sums
 from deadreckon.mbo.rules import Rules
 from deadreckon.mbo.variables import Mend, Variable, name_of_rows, texts_told, variable_of
 
@@ -77,7 +77,7 @@ def describe(path: Path | str, target: str | None = None, **ways: Any) -> tuple[
             more = "" if numbers else "; if they are in order, make it ordinal"
             columns[column] = DesignColumn("input", v.kind, levels=v.levels, about=f"{len(v.levels)} levels{more}")
         else:
-            columns[column] = DesignColumn("input", v.kind, v.low, v.high, about=_counted(values))
+            columns[column] = DesignColumn("input", v.kind, v.low, v.high, log=spans_decades(values), about=_counted(values))
         inputs[column] = v, values
     while names := _names_of_rows(inputs, rows):
         for column, why in names.items():

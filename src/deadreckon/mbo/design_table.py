@@ -225,7 +225,8 @@ def scored(name: str, table: pa.Table, targets: Sequence[str]) -> tuple[np.ndarr
         raise UserError(f"{name}: {' and '.join(targets)} is empty in all rows, so no design is known to be better")
     gone = np.flatnonzero(absent)
     count = f"{len(gone):,} row{'s' * (len(gone) > 1)}"
-    return np.flatnonzero(~absent), f"{count} left out, as planned and without {' or '.join(targets)} yet: {rows_told(gone)}"
+    which = f"{count} without {' or '.join(targets)} left out, as planned: {rows_told(gone)}"
+    return np.flatnonzero(~absent), f"{which}; give a run that failed a score that says so"
 
 
 def check_filled(name: str, table: pa.Table, inputs: Sequence[str], others: Sequence[str], rows: np.ndarray) -> None:

@@ -33,6 +33,7 @@ from deadreckon.mbo.design_table import (
     warn,
     whole_again,
 )
+from deadreckon.mbo.driven_inputs import about_driven_inputs
 from deadreckon.mbo.nn_distance import usual_distance
 from deadreckon.mbo.over_time import about_order
 from deadreckon.mbo.repair import Repair
@@ -231,7 +232,7 @@ class Designs(Shown):
         table = trimmed(table, [*inputs, *grouped])
         rows, planned = scored(name, table, targets or [target])
         if planned:
-            planned += "; those with all inputs are not proposed again (--repeat allows it)"
+            planned += "; complete ones are not proposed again (--repeat allows it)"
         warn(name, told := told + ([planned] if planned else []))
         check_filled(name, table, inputs, [*outputs, *grouped], rows)
         if "fixed" in rules:
@@ -240,7 +241,7 @@ class Designs(Shown):
         floats = numpy_floats(frame) - _not_whole(name, inputs, bounds or {}, steps or {}, rules.get("fixed") or ())
         table, restored = whole_again(table, [each for each in unsaid if each in floats])
         y, columns, variables = numbers_of(name, table, target, rows), [], []
-        raw, slips = y, doubts.of_target(target, y, rows)
+        raw, slips = y, doubts.of_target(target, y, rows) + doubts.of_best(target, y, minimise)
         for column, weight in (weights or {}).items():
             y = y + weight * numbers_of(name, table, column, rows)
         for column in inputs:
@@ -266,8 +267,10 @@ class Designs(Shown):
         read = [*restored, *texts_told(table, [v for v in variables if v.name in unsaid])]
         slips = [*read, *unknown, *doubts.of_inputs(variables, x, rows, bounds, made.rules), *slips]
         warn(name, slips := [*slips, *doubts.of_outcomes(variables, x, target, raw)])
-        unused = [f"not used: {', '.join(left)}"] if (left := [each for each in ignore if each not in targets]) else []
-        warn(name, changed := about_order(made))
+        left = [each for each in ignore if each not in targets]
+        changed = [*about_order(made), *about_driven_inputs(made), *([] if groups else doubts.of_ignored(table, left))]
+        warn(name, changed)
+        unused = [f"not used: {', '.join(left)}"] if left else []
         made = replace(made, noticed=(*noticed, *told, *slips, *changed, *unused))
         made = pooled(made) if pool else made
         warn(name, together := units_told(made, groups))

@@ -7,7 +7,10 @@ from difflib import get_close_matches
 from fractions import Fraction
 
 import numpy as np
+import pyarrow as pa
 
+from deadreckon.data.arrow import as_dates, compute, decoded, flat, is_text
+from deadreckon.data.placeholders import placeholder
 from deadreckon.mbo.constraints import Linear
 from deadreckon.mbo.design_table import rows_told
 from deadreckon.mbo.rules import NO_RULES, Rules
@@ -25,6 +28,9 @@ _RELATED = 1e-3  # tolerance of a linear relation, in standard deviations of the
 _SAME = 0.98  # rank correlation with the score above which an input may be another outcome
 _LEAST = 0.01  # least weight of a column in the space of constant sums; each of k parts of a whole has 1 / k
 _MANY = 200  # number of variables from which on sums are not searched
+_DECADES = 3.0  # least span of numbers that may be meant for a log scale
+_THIRD = 0.1  # least share of them in each third of that span
+_TIED, _TIMES_MORE, _VARIED = 3, 3, 10  # least number of best scores that are equal, how many times other ties, and values
 _GROUPS = re.compile(r"(batch|lot|plate|operator|day|campaign)(es|s)?(_?(id|no|nr|number|name))?")
 _WHOLES = (1, 100)  # sums of the parts of a whole
 
@@ -49,13 +55,15 @@ def of_inputs(
     """
     lines = []
     for column, v in enumerate(variables):
-        if _GROUPS.fullmatch(v.name.lower()):
+        if of_groups(v.name):
             lines.append(
                 f"column {v.name} is taken for an input; if it is no setting and tells which rows belong together, "
                 f"--groups {shlex.quote(v.name)} holds these out together where predictions are tested"
             )
         if v.leveled:
             lines += _of_levels(v, x[:, column])
+        elif told := placeholder(pa.array(x[:, column]), "leave such rows out"):
+            lines.append(f"column {v.name} {told}")
         elif (row := far(x[:, column])) is not None and _not_meant((bounds or {}).get(v.name), x[:, column]):
             others = np.delete(x[:, column], row)
             end = f"<= {others.max():g}" if x[row, column] > others.max() else f">= {others.min():g}"
@@ -69,6 +77,10 @@ def of_inputs(
             text = f"column {v.name} has each whole number from {ends} once, and is taken for an input"
             text += f"; if it is the number of the run, leave it out (--ignore {shlex.quote(v.name)}) or, if the process "
             lines.append(f"{text}drifts, fix it at its latest value (--fix {shlex.quote(f'{v.name}={ends.split()[-1]}')})")
+    for column, v in enumerate(variables):
+        if not v.leveled and not v.log and spans_decades(x[:, column]):
+            text = f"column {v.name} reaches from {x[:, column].min():g} to {x[:, column].max():g}, evenly in its logarithm"
+            lines.append(f"{text}; have it modelled on a log scale (--logs {shlex.quote(v.name)})")
     sums = unsaid_sums(variables, x, rules)
     for columns, whole in sums:
         said = sum_of([variables[column].name for column in columns], whole)
@@ -77,6 +89,37 @@ def of_inputs(
     numbers = measured(variables, x)
     lines += _of_relations(variables, numbers, said_in(rules) | {column for columns, _ in sums for column in columns})
     return lines + [line for each in rules.linear if each.equal for line in _of_sum(each, numbers, rows)]
+
+
+def of_ignored(table: pa.Table, columns: Sequence[str]) -> list[str]:
+    """Messages on ignored columns that may tell which rows belong together: times, and names such as batch, in several rows
+    each."""
+    lines = []
+    for column in columns:
+        values = decoded(flat(table, column)).drop_null()
+        count = len(compute.unique(values))
+        if 1 < count <= len(values) / 2 and (of_groups(column) or _holds_times(values)):
+            text = f"column {column} is ignored and has {count:,} values in {len(values):,} rows: if rows of one belong "
+            text += f"together, hold them out together where predictions are tested (--groups {shlex.quote(column)})"
+            lines.append(text)
+    return lines
+
+
+def _holds_times(values: pa.Array) -> bool:
+    return pa.types.is_temporal(values.type) or (is_text(values.type) and as_dates(values) is not None)
+
+
+def of_groups(name: str) -> bool:
+    """Whether a column is named as one that tells which rows belong together."""
+    return _GROUPS.fullmatch(name.lower()) is not None
+
+
+def spans_decades(values: np.ndarray) -> bool:
+    """Whether positive numbers lie evenly on a log scale, over three decades or more."""
+    if values.min() <= 0 or (span := np.log10(values.max() / values.min())) < _DECADES:
+        return False
+    thirds = np.minimum(3 * np.log10(values / values.min()) / span, 2).astype(int)
+    return bool(np.bincount(thirds, minlength=3).min() >= _THIRD * len(values))
 
 
 def _not_meant(bounds: tuple[float, float] | None, values: np.ndarray) -> bool:
@@ -144,7 +187,17 @@ def said_in(rules: Rules) -> set[int]:
 
 
 def _of_relations(variables: Sequence[Variable], x: np.ndarray, known: set[int]) -> list[str]:
-    """Messages on variables with a linear relation in every row (levels as dummy variables); `known` columns are skipped, and
+    """Messages on variables with a linear relation in every row; arguments as for `relations`."""
+    lines = []
+    for group in relations(variables, x, known):
+        names = [variables[i].name for i in group]
+        text = f"{', '.join(names[:-1])} and {names[-1]} satisfy a linear relation in every row, and proposals need not"
+        lines.append(f"{text}; ignore one that follows from the others, as a cost does, or say the relation as a constraint")
+    return lines
+
+
+def relations(variables: Sequence[Variable], x: np.ndarray, known: set[int]) -> list[tuple[int, ...]]:
+    """Groups of variables with a linear relation in every row (levels as dummy variables); `known` columns are skipped, and
     `x` is `measured`."""
     parts, of = [], []
     for i, v in enumerate(variables):
@@ -161,16 +214,14 @@ def _of_relations(variables: Sequence[Variable], x: np.ndarray, known: set[int])
     _, deviations, directions = np.linalg.svd(z, full_matrices=False)
     same = directions[deviations <= _RELATED * len(x) ** 0.5]
     weights = np.abs(same.T @ same) > _LEAST
-    lines, told = [], set()
+    groups, told = [], set()
     for row in weights:
         group = tuple(dict.fromkeys(of[i] for i in np.flatnonzero(row)))
         if len(group) < 2 or told & set(group) or all(variables[i].kind == "categorical" for i in group):
             continue
         told |= set(group)
-        names = [variables[i].name for i in group]
-        text = f"{', '.join(names[:-1])} and {names[-1]} satisfy a linear relation in every row, and proposals need not"
-        lines.append(f"{text}; ignore one that follows from the others, as a cost does, or say the relation as a constraint")
-    return lines
+        groups.append(group)
+    return groups
 
 
 def of_outcomes(variables: Sequence[Variable], x: np.ndarray, target: str, y: np.ndarray) -> list[str]:
@@ -217,8 +268,21 @@ def of_target(target: str, y: np.ndarray, rows: np.ndarray) -> list[str]:
     """
     if set(np.unique(y)) == {0.0, 1.0}:
         return [f"{target} has only the values 0 and 1: predictions are of its mean (a rate), and may lie below 0 or above 1"]
+    if told := placeholder(pa.array(y), "empty such cells"):
+        return [f"{target} {told}"]
     row = far(y)
     return [] if row is None else [f"{_far(target, y, row, rows)}: correct it, or leave the row out, if it is an error"]
+
+
+def of_best(target: str, y: np.ndarray, minimise: bool) -> list[str]:
+    """A message if several of the scores `y` (rows,), as in the table, are the best one, as where they were cut off."""
+    values, counts = np.unique(y, return_counts=True)
+    best = 0 if minimise else len(values) - 1
+    if len(values) < _VARIED or counts[best] < max(_TIED, _TIMES_MORE * np.delete(counts, best).max()):
+        return []
+    end, beyond = ("least", "below") if minimise else ("greatest", "above")
+    text = f"{counts[best]:,} rows have the {end} {target}, {values[best]:g}: if it is a limit, no score lies {beyond} it"
+    return [f"{text}, and predictions {beyond} it mean that it is reached"]
 
 
 def far(values: np.ndarray) -> int | None:

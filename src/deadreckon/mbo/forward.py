@@ -160,4 +160,4 @@ def on_held_out(method: Any, setting: DesignInput, scored: bool = True) -> Quali
 
     mean, std = unseen(data, held, rest, model)
     found = judged(data.y[held], mean, std, fold, method.label, scored=scored, weight=row_weights(data)[held])
-    return replace(found, units=data.units[held])
+    return replace(found, units=data.units[held], rows=held)

@@ -20,6 +20,7 @@ from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.effects import keeping, permitted
 from deadreckon.mbo.gp import GP, search
 from deadreckon.mbo.hypervolume import dominators, hypervolume, improvement, non_dominated, range_of, reference_of
+from deadreckon.mbo.misfits import misfits_told
 from deadreckon.mbo.process import Process, fit
 from deadreckon.mbo.validation import Quality
 from deadreckon.progress import Watcher, unwatched
@@ -87,7 +88,9 @@ class Front:
     @property
     def warnings(self) -> list[str]:
         """Warnings to read before the proposals are tried, by target."""
-        return [f"{each.target}: {made.warning}" for each, made in zip(self.data, self.made) if made.warning]
+        pairs = list(zip(self.data, self.made))
+        fits = [line for each, made in pairs for line in misfits_told(each, made.quality)]
+        return [*fits, *(f"{each.target}: {made.warning}" for each, made in pairs if made.warning)]
 
     @property
     def notes(self) -> list[str]:

@@ -48,6 +48,7 @@ class Quality:
         units: (rows,) number of the unit that each row was held out with (`Designs.units`), whose rows are not independent;
             None: each row is one.
         weight: (rows,) weights of the rows in R2 (`replicates.row_weights`); None: equal weights.
+        rows: (rows,) rows of the designs that were predicted; None: all.
     """
 
     method: str
@@ -62,6 +63,7 @@ class Quality:
     scored: bool = True
     units: np.ndarray | None = None
     weight: np.ndarray | None = None
+    rows: np.ndarray | None = None
 
     @property
     def skilled(self) -> bool:

@@ -189,7 +189,9 @@ def texts_told(table: pa.Table, variables: Sequence[Variable]) -> list[str]:
 
 
 def _holds_times(name: str, column: str) -> UserError:
-    remedy = f"make numbers of them, or ignore the column (--ignore {shlex.quote(column)})"
+    quoted = shlex.quote(column)
+    remedy = f"make numbers of them, ignore the column (--ignore {quoted}), or, if rows of one day belong together, hold them "
+    remedy += f"out together where predictions are tested (--groups {quoted})"
     return UserError(f"{name}: column {column} holds times; {remedy}")
 
 

@@ -7,6 +7,7 @@ from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.effects import best_permitted, most_expected
 from deadreckon.mbo.first_choice import FAR, first_choice, interval, shown_interval, tested_std
 from deadreckon.mbo.nn_distance import neighbours
+from deadreckon.mbo.unscored import NEAREST, missing_near, prevail
 from deadreckon.report.design_asked import broken_rule, row_name
 from deadreckon.report.design_edges import shown_value
 from deadreckon.report.markup import Markup, tag
@@ -80,7 +81,18 @@ def _why(data: Designs, made: Proposals, far: np.ndarray, chosen: int) -> str:
         rule = f"Among {of} it has the {highest} prediction, which was not tested on unseen rows and may be worthless."
     else:
         rule = f"Among {of} the {lower} end of its {PERCENT} interval, {number(end)}, is the {highest}."
-    return f"{rule} {_compared(data, made, chosen)}"
+    return f"{rule} {_compared(data, made, chosen)}{_without_score(data, made, chosen)}"
+
+
+def _without_score(data: Designs, made: Proposals, chosen: int) -> str:
+    """That rows without a score prevail around it, if they do."""
+    near = missing_near(data, made.x[[chosen]])
+    if not prevail(data, near)[0]:
+        return ""
+    return (
+        f" But {near[0]} of the {NEAREST} nearest rows of the table have no score: if these runs failed, this one may, too, as "
+        "the model knows nothing of failures."
+    )
 
 
 def _compared(data: Designs, made: Proposals, chosen: int) -> str:

@@ -9,7 +9,9 @@ from deadreckon.mbo.designer import Proposals
 from deadreckon.mbo.designs import Designs
 from deadreckon.mbo.effects import Effect
 from deadreckon.mbo.first_choice import FAR
+from deadreckon.mbo.misfits import misfits_told
 from deadreckon.mbo.nn_distance import distance_to_others
+from deadreckon.mbo.unscored import unscored_told
 from deadreckon.mbo.validation import Quality
 from deadreckon.report.design_edges import at_ends, at_rules, placed
 from deadreckon.report.markup import Markup, join, tag
@@ -53,7 +55,7 @@ def _of_batch(data: Designs, made: Proposals, far: np.ndarray, idle: set[int], r
     """Of the proposals: where they lie, and, where any model `ranks`, at which ends they stand."""
     return [
         *_of_distance(data, made, far),
-        *(f"{line}." for line in repeats_told(data, made.x)),
+        *(f"{line}." for line in (*repeats_told(data, made.x), *unscored_told(data, made.x))),
         *_of_each_other(data, made, ranks),
         *_of_extrapolation(data, made),
         *(_of_ends(data, made, idle) if ranks else []),
@@ -87,6 +89,7 @@ def _of_quality(data: Designs, made: Proposals) -> list[str]:
         )
     else:
         lines.append(f"The mean score of the table predicts unseen rows better than the model does (R2 {_plain(quality.r2)}).")
+    lines += [f"{line[:1].upper()}{line[1:]}." for line in misfits_told(data, quality)]
     lines.append(_of_optimism(data, quality))
     return [*lines, *_of_calibration(quality)]
 
