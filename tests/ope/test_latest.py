@@ -8,8 +8,10 @@ from deadreckon.data.dataset import Dataset
 from deadreckon.ope import OPEInput
 from deadreckon.ope.case import CrossFitted
 from deadreckon.ope.decide import decide
+from deadreckon.ope.doubly_robust import DoublyRobust
 from deadreckon.ope.groups import gains_of_parts
 from deadreckon.ope.latest import LEVEL, Latest, latest
+from deadreckon.ope.linear import LinearFQE
 from deadreckon.policies import BlackBoxPolicy
 from deadreckon.runs.decision_record import read_results
 from deadreckon.runs.offline import grounds, judge
@@ -100,6 +102,57 @@ def test_gains_that_do_not_change_are_rarely_said_to():
     assert len(p) > 12
     assert sum(each < LEVEL for each in p) <= 1
     assert scipy.stats.kstest(p, "uniform").pvalue > 0.01
+
+
+def days(seed, effect, episodes=240, steps=20):
+    """Days with one of three kinds of load, of which an action of a fair coin adds `effect` of the time to each reward."""
+    rng = np.random.default_rng(seed)
+    seen, actions = rng.integers(0, 3, (episodes, steps)), rng.integers(0, 2, (episodes, steps))
+    time = np.arange(episodes)[:, None] / episodes
+    rewards = 1 + effect(time) * actions + 0.3 * rng.normal(size=seen.shape)
+    ends = np.tile(np.arange(steps) == steps - 1, episodes)
+    log = Dataset.from_arrays(
+        observations=np.eye(3)[seen.ravel()], actions=actions.ravel(), rewards=rewards.ravel(), timeouts=ends,
+        terminals=np.zeros(len(ends)),
+    )  # fmt: skip
+    return log
+
+
+def test_of_long_episodes_parts_are_compared_by_ratios_of_occupancies():
+    """Products of weights of twenty steps rest on few days: nothing was compared, and what had reversed was deployed."""
+    case = OPEInput(days(0, reverses), [OFTEN, SELDOM], names=["often", "seldom"], logged=True, discount=0.99)
+    found = decide(case, model=MODEL)
+    assert found.estimates[0].method == "DRL"
+    told = found.more["over_time"]["latest"]
+    assert told["why"] == ""
+    assert told["p_value"] < LEVEL
+    assert told["high"] < 0 < told["before"]
+    assert not found.choice.deploy
+    for seed in range(3):
+        case = OPEInput(days(seed, constant), [OFTEN, SELDOM], names=["often", "seldom"], logged=True, discount=0.99)
+        found = decide(case, model=MODEL)
+        assert found.choice.deploy
+        assert found.more["over_time"]["latest"]["p_value"] > LEVEL
+        assert latest(case, 0, MODEL, 0.05).why  # by products of weights
+
+
+def test_parts_by_influence_are_a_test_of_two_samples():
+    """Of the estimate's values at days before and in the latest third; a user of both parts is of none."""
+    log = days(0, reverses)
+    case = OPEInput(log, [OFTEN, SELDOM], logged=True, discount=0.99)
+    decides = DoublyRobust(kind="marginal", fqe=LinearFQE()).on(case)
+    found = latest(case, 0, MODEL, 0.05, wider=0.5, decides=decides)
+    late = np.arange(240) >= 160
+    score = np.empty(240)
+    score[:] = (decides.value[0] - decides.value[2] + decides.influence[:, 0] - decides.influence[:, 2])[case.episodes.group]
+    assert (found.before, found.gain) == (pytest.approx(score[~late].mean()), pytest.approx(score[late].mean()))
+    both = scipy.stats.ttest_ind(score[late], score[~late], equal_var=False)
+    assert found.p_value == pytest.approx(2 * scipy.stats.t.sf(abs(both.statistic), 79))
+    half = scipy.stats.sem(score[late]) * scipy.stats.t.ppf(1 - 0.05 / 2 / 2, 79) + 0.5
+    assert (found.high - found.gain, found.gain - found.low) == (pytest.approx(half), pytest.approx(half))
+    mixed = OPEInput(log, [OFTEN, SELDOM], logged=True, discount=0.99, clusters=np.arange(240) % 60)
+    decides = DoublyRobust(kind="marginal", fqe=LinearFQE()).on(mixed)
+    assert "clusters have episodes in both parts" in latest(mixed, 0, MODEL, 0.05, decides=decides).why
 
 
 def test_users_and_not_rows_count():

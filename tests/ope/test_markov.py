@@ -73,6 +73,34 @@ def test_effects_of_the_previous_action_need_it_as_a_column():
     assert doubt_of(tired(0.05)) is None  # too weak to matter
 
 
+def wearing(kind, seed=0, episodes=130):
+    """An action pays, and costs more over its episode: by a slow fatigue, four steps later, or not."""
+    rng = np.random.default_rng(seed)
+    actions = (rng.random((episodes, 25)) < 0.5).astype(int)
+    rewards = 1 + 0.3 * actions + 0.6 * rng.normal(size=actions.shape)
+    if kind == "fatigue":
+        tired = np.zeros(episodes)
+        for step in range(25):
+            rewards[:, step] -= 0.07 * tired
+            tired = 0.9 * tired + actions[:, step]
+    if kind == "late":
+        rewards[:, 4:] -= 0.5 * actions[:, :-4]
+    return log_of(actions, rewards, seed=seed, ended=False)
+
+
+@pytest.mark.parametrize("kind", ["fatigue", "late"])
+def test_effects_of_earlier_actions_need_them_as_columns(kind):
+    """More of the action was deployed with a gain of 1.6 and 1.8, where it loses 0.8."""
+    assert sum("depends on earlier actions" in (doubt_of(wearing(kind, seed)) or "") for seed in range(5)) >= 4
+    found = decide(OPEInput(wearing(kind), [constant([0.1, 0.9])], logged=True, discount=0.99))
+    assert not found.choice.deploy
+    assert "add how often each action was taken before in the episode as columns" in found.choice.reason
+
+
+def test_rewards_of_an_action_alone_are_no_effect_of_earlier_ones():
+    assert [doubt_of(wearing("none", seed)) for seed in range(6)] == [None] * 6
+
+
 def test_effects_of_the_previous_action_that_cancel_over_actions_are_found():
     """An action that is worth more if it is another one: a policy that repeats itself was deployed, and is worse."""
     rng = np.random.default_rng(0)
@@ -137,8 +165,33 @@ def test_rows_that_are_left_out_must_be_like_the_others(made, words):
         assert found is None if words is None else words in found
         if words is not None and seed == 1:
             assert words in "; ".join(decide(case).choice.objections[0])
-    horizon = OPEInput(sessions(0, **made), [constant([0.1, 0.9])], logged=True, discount=0.9, horizon=3)
-    assert left_out(horizon) is None
+    horizon = left_out(OPEInput(sessions(0, **made), [constant([0.1, 0.9])], logged=True, discount=0.9, horizon=3))
+    assert (horizon is None) == ("stops" not in made)  # what follows an end before it is not known either
+    assert horizon is None or "--horizon" not in horizon
+
+
+def falling(seed, chances=(0.002, 0.012), episodes=130, steps=25):
+    """An action pays, and ends some episodes for good, without a terminal; most end with their recording."""
+    rng = np.random.default_rng(seed)
+    actions = rng.integers(0, 2, (episodes, steps))
+    fell = rng.random(actions.shape) < np.asarray(chances)[actions]
+    fell[:, -1] = True
+    rewards = 1 + 0.15 * actions + 0.3 * rng.normal(size=actions.shape)
+    return log_of(actions, rewards, fell.argmax(1) + 1, ended=False, seed=seed)
+
+
+def test_few_ends_after_an_action_among_those_of_recordings_are_found():
+    """The action was deployed with a gain of 2.2; with what it ends it loses 3.4."""
+    found = []
+    for seed in range(8):
+        case = OPEInput(falling(seed, (0.0, 0.014)), [constant([0.1, 0.9])], logged=True, discount=0.99)
+        found.append("as if the action ended episodes" in (left_out(case) or ""))
+        assert left_out(OPEInput(falling(seed, (0.007, 0.007)), [constant([0.1, 0.9])], logged=True, discount=0.99)) is None
+    assert sum(found) >= 6
+    case = OPEInput(falling(0, (0.0, 0.014)), [constant([0.1, 0.9])], logged=True, discount=0.99)
+    assert not decide(case).choice.deploy
+    early = OPEInput(falling(0, (0.0, 0.014)), [constant([0.1, 0.9])], logged=True, discount=0.99, horizon=25)
+    assert "as if the action ended episodes" in left_out(early)
 
 
 def test_losses_that_rows_of_longer_episodes_lack_by_chance():

@@ -53,7 +53,7 @@ def _carried_over(case: OPEInput, model: BehaviorModel, folds: int) -> str | Non
     log, taken = case.given, np.asarray(case.given.actions)
     if int(case.cluster.max()) + 1 < UNITS:
         return None
-    tested = _tests(case, model, folds)
+    tested = residual_tests(case, model, folds)
     tests, found = 0, []
     for order, group in _orders(case, taken):
         for lag in range(1, LAGS + 1):
@@ -85,7 +85,7 @@ def _carried_over(case: OPEInput, model: BehaviorModel, folds: int) -> str | Non
     )
 
 
-def _tests(case: OPEInput, model: BehaviorModel, folds: int) -> dict[int, Test]:
+def residual_tests(case: OPEInput, model: BehaviorModel, folds: int) -> dict[int, Test]:
     """For frequent actions, tests of whether they are beyond their propensities in no part of some evaluated rows.
 
     Learned propensities are those of `balance.beyond`. Of two actions with logged ones, that of the other is known, too; of
@@ -182,9 +182,9 @@ def _later(log: Dataset, rows: np.ndarray, after: np.ndarray, then: np.ndarray) 
     rewards = np.asarray(log.rewards[after], np.float64)
     if then.ndim == 1:
         rewards = rewards - means_of(np.unique(then, return_inverse=True)[1], rewards)
-    yield "the reward", _less(rewards, standard(next_))
+    yield "the reward", less(rewards, standard(next_))
     names = observation_names(log)
-    for name, values, left in zip(names[len(names) - own.shape[1] :], next_.T, _less(next_, standard(own)).T):
+    for name, values, left in zip(names[len(names) - own.shape[1] :], next_.T, less(next_, standard(own)).T):
         if left.std() > EXACT * values.std():
             yield f"column {name}", left
 
@@ -196,6 +196,6 @@ def _observations(log: Dataset, rows: np.ndarray) -> np.ndarray:
     return np.asarray(log.observations[rows])[:, -COLUMNS:].astype(np.float64)
 
 
-def _less(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+def less(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     """(rows, ...) residuals of least squares on (rows, n) columns."""
     return values - known @ np.linalg.lstsq(known, values, rcond=None)[0]

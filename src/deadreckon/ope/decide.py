@@ -30,6 +30,7 @@ from deadreckon.ope.losses import with_rare_rewards, without_losses
 from deadreckon.ope.markov import hidden_state, left_out
 from deadreckon.ope.over_time import adjusted, change_of
 from deadreckon.ope.registry import as_estimators
+from deadreckon.ope.row_order import out_of_order
 from deadreckon.ope.select import MOVED, Choice, doubted, moved_most, select, unbounded_where_unsupported
 from deadreckon.ope.sensitivity import MOST
 from deadreckon.ope.settings import DecisionOptions, DecisionSettings
@@ -138,7 +139,7 @@ def decide(
     products = groups is not None or settings.tail is not None or settings.confounding is not None or one_step(case)
     wider = _wider(case, estimates[0], checked, model, choice) if products or aged else choice.wider
     if aged:
-        recent = latest(case, which, model, alpha, wider)
+        recent = latest(case, which, model, alpha, wider, None if ratios is None else estimates[0])
         along["latest"] = recent.as_json()
         if (line := recent.words) is not None:
             choice = _demanded(choice, recent.low, line)
@@ -181,10 +182,11 @@ def check(case: OPEInput, settings: DecisionSettings, groups: Groups | None) -> 
 def _doubts(case: OPEInput, first: Estimator, predicted: OutOfFold | None, model: BehaviorModel) -> Iterator[str]:
     """Objections to the estimates of all policies by the estimator that decides, one phrase each; `predicted` is what critics
     predict if ratios of occupancies are its weights."""
-    if (wrong := unbalanced(case, model)) is not None:
-        yield wrong.words
-    if (later := carried_over(case, model)) is not None:
-        yield later
+    if (confounder := unbalanced(case, model)) is not None:
+        yield confounder.words
+    for test in (carried_over, out_of_order):
+        if (wrong := test(case, model)) is not None:
+            yield wrong
     if not isinstance(first, ImportanceSampling) and (lost := left_out(case)) is not None:
         yield lost
     if predicted is not None and (hidden := hidden_state(case, predicted.errors)) is not None:

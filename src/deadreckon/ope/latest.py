@@ -5,6 +5,10 @@ off or reversed, as when users got used to a new layout, the mean may be positiv
 the latest third of the episodes is less precise than the mean over all, so it counts only if it differs from that before by a
 test. The difference hardly depends on which policy was chosen, because its error is nearly uncorrelated with that of the mean.
 If the latest third no longer shows what the policy does, as where an action was given up, its gain is not known there.
+
+Gains of parts are those of `ope.groups`, by products of weights. Where these are not reliable, and ratios of occupancies
+decide, the parts are compared by the influence functions of that estimate: its critics are those of all episodes, and what the
+latest third pays beyond them is in its own rows.
 """
 
 from typing import Any, NamedTuple
@@ -15,6 +19,7 @@ from scipy import special
 from deadreckon.ope.basis import UNITS
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
+from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.groups import gains_of_parts
 from deadreckon.stats import inference
 from deadreckon.stats.interval import decimals, fixed, p_in_words, signed
@@ -61,7 +66,9 @@ class Latest(NamedTuple):
         }
 
 
-def latest(case: OPEInput, which: int, model: BehaviorModel, alpha: float, wider: float = 0.0) -> Latest:
+def latest(
+    case: OPEInput, which: int, model: BehaviorModel, alpha: float, wider: float = 0.0, decides: Estimates | None = None
+) -> Latest:
     """The gain of one of a case's policies, chosen among them by any rule, in the latest third of the evaluated episodes.
 
     Args:
@@ -70,6 +77,7 @@ def latest(case: OPEInput, which: int, model: BehaviorModel, alpha: float, wider
         model: settings of the behaviour model, if propensities were not logged.
         alpha: share of logs for which the interval of any of the policies may miss.
         wider: added at both ends of the interval; see `select.Choice`.
+        decides: estimates by ratios of occupancies, if these decide.
     """
     count = len(case.held)
     if case.degenerate[which]:
@@ -79,12 +87,13 @@ def latest(case: OPEInput, which: int, model: BehaviorModel, alpha: float, wider
     if count < SHARE:
         return Latest("there are too few episodes")
     place = np.argsort(np.argsort(case.held, kind="stable"), kind="stable")
-    parts = gains_of_parts(case, which, (SHARE * place >= (SHARE - 1) * count).astype(int), 2, model)
+    late = SHARE * place >= (SHARE - 1) * count
+    parts = gains_of_parts(case, which, late.astype(int), 2, model)
     before, gain = map(float, parts.mean)
     if parts.lacking[1] and not parts.lacking[0] and parts.units.min() >= UNITS:
         return Latest(parts.lacking[1], before=before, gain=gain)
     if doubt := next(filter(None, parts.why), ""):
-        return Latest(doubt)
+        return Latest(doubt) if decides is None else _by_influence(case, which, decides, late, alpha, wider)
     level = alpha / len(case.policies)
     factor = max(inference.simultaneous(parts.influence[:, 1:], level, case.seed), parts.student(level)[1])
     half = parts.inflation[1] * parts.errors[1] * factor + wider
@@ -94,3 +103,28 @@ def latest(case: OPEInput, which: int, model: BehaviorModel, alpha: float, wider
         return Latest("its error is not known")
     p_value = 2.0 * special.stdtr(parts.units.min() - 1, -abs(gain - before) / apart)
     return Latest("", float(p_value), before, gain, float(gain - half), float(gain + half))
+
+
+def _by_influence(case: OPEInput, which: int, decides: Estimates, late: np.ndarray, alpha: float, wider: float) -> Latest:
+    """The same from the influence function of an estimate at clusters before the latest third and in it; `late` (episodes,) is
+    true in this."""
+    unit, units = case.episodes.group, case.episodes.groups
+    share = np.bincount(unit, late, units) / np.maximum(np.bincount(unit, minlength=units), 1)
+    before, after = share == 0.0, share == 1.0
+    if not (before | after).all():
+        return Latest("its products of weights are not reliable, and clusters have episodes in both parts")
+    if decides.influence is None or min(before.sum(), after.sum()) < UNITS:
+        return Latest("there are too few episodes")
+    logged = len(case.policies)
+    scores = decides.value[which] - decides.value[logged] + decides.influence[:, which] - decides.influence[:, logged]
+    parts = scores[before], scores[after]
+    was, gain = (float(own.mean()) for own in parts)
+    spread_was, spread = (float(own.var(ddof=1)) / len(own) for own in parts)
+    wrong = 1.0 if decides.inflation is None else float(decides.inflation[which])
+    apart = wrong * np.sqrt(spread_was + spread)
+    if not (np.isfinite(apart) and apart > 0.0):
+        return Latest("its error is not known")
+    freedom = int(min(before.sum(), after.sum())) - 1
+    p_value = 2.0 * special.stdtr(freedom, -abs(gain - was) / apart)
+    half = wrong * np.sqrt(spread) * special.stdtrit(freedom, 1 - alpha / len(case.policies) / 2) + wider
+    return Latest("", float(p_value), was, gain, float(gain - half), float(gain + half))

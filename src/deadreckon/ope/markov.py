@@ -1,9 +1,10 @@
 """Whether the log supports estimates by ratios of occupancies (`drl`) and by what follows each row.
 
 They take rows with the same observation for the same state. Then the critics' errors r + discount V(s') - Q(s, a) have mean
-zero given all that came before. Two kinds of errors that bias a gain are tested for: those that depend on the previous action,
-beyond the step of the episode, and those that depend on the step where actions do so too, so that the step is a confounder.
-Errors that depend on the step alone, as where all episodes end at one, bias both values alike.
+zero given all that came before. Three kinds of errors that bias a gain are tested for: those that depend on the previous
+action, or on how often an action was taken before, beyond the step of the episode, and those that depend on the step where
+actions do so too, so that the step is a confounder. Errors that depend on the step alone, as where all episodes end at one,
+bias both values alike.
 
 Rows whose successor is not known are left out. That is a bias if their rewards differ from others of the same observation and
 action, as those of episodes that ended without a terminal, or if an action makes such ends more frequent.
@@ -27,6 +28,9 @@ from deadreckon.stats.interval import p_in_words
 LEVEL = 0.001  # error probability of all tests of one kind together (Bonferroni)
 WEAK = 0.05  # correlation below which a dependence is too weak to matter, however many rows show it
 TOO = 0.01  # error probability of the test that actions depend on the step, too, where errors do
+EVENTS = 10  # least number of ends that are compared
+USUAL = 0.2  # share of the ends at the last step from which on it is the length of a recording
+OFTEN = 1.2  # how many times as often recordings end after an action, at least
 ACTIONS = 5  # most frequent actions that are looked at
 INSTEAD = "with logged propensities, dr-linear (--estimators dr-linear) needs no such column"
 
@@ -78,6 +82,7 @@ def hidden_state(case: OPEInput, errors: np.ndarray) -> str | None:
         return None
     tests = (
         (_after_action, "the previous action", "add the previous action as a column"),
+        (_after_actions, "earlier actions", "add how often each action was taken before in the episode as columns"),
         (_at_step, "the step of the episode", "add the step as a column"),
     )
     for test, name, advice in tests:
@@ -95,13 +100,35 @@ def _after_action(case: OPEInput, rows: _Rows, errors: np.ndarray) -> Iterator[f
     known = case.followed & (rows.before >= 0)
     groups = [known, *(known & (rows.taken == action) for action in frequent(rows.taken, ACTIONS, ROWS))]
     # Less their means at each step with the same observation and action, which are not zero where all episodes end at a step.
-    place = (rows.cell * (int(rows.taken.max()) + 1) + rows.taken) * (int(rows.step.max()) + 1) + rows.step
-    place = np.unique(place[known], return_inverse=True)[1]
+    place = _places(rows, known)
     for own in errors:
         beyond = np.zeros(len(own))
         beyond[known] = own[known] - means_of(place, own[known])
         for group in groups:
             yield len(errors) * len(groups) * _depends(beyond, rows.before, rows.unit, group)
+
+
+def _after_actions(case: OPEInput, rows: _Rows, errors: np.ndarray) -> Iterator[float]:
+    """p-values, corrected for their number, of each policy's errors that do not go with how often an action was taken earlier
+    in the episode, beyond its mean at that step."""
+    known = case.followed & (rows.before >= 0)
+    actions = frequent(rows.taken, ACTIONS, ROWS)
+    actions = actions[:1] if len(actions) == 2 else actions  # the other one is its opposite
+    place = _places(rows, known)
+    for action in actions:
+        count = np.cumsum(rows.taken == action)
+        earlier = count - (rows.taken == action)
+        earlier = (earlier - np.repeat(earlier[case.data.starts], case.data.lengths))[known].astype(np.float64)
+        earlier -= means_of(rows.step[known], earlier)
+        for own in errors:
+            p_value, strength = _correlated(own[known] - means_of(place, own[known]), earlier, rows.unit[known])
+            yield len(errors) * len(actions) * p_value if abs(strength) >= WEAK else 1.0
+
+
+def _places(rows: _Rows, known: np.ndarray) -> np.ndarray:
+    """(known,) number of the step, observation and action of these rows, at which errors may have any mean."""
+    place = (rows.cell * (int(rows.taken.max()) + 1) + rows.taken) * (int(rows.step.max()) + 1) + rows.step
+    return np.unique(place[known], return_inverse=True)[1]
 
 
 def _at_step(case: OPEInput, rows: _Rows, errors: np.ndarray) -> Iterator[float]:
@@ -161,18 +188,17 @@ def _correlated(a: np.ndarray, b: np.ndarray, unit: np.ndarray, least: float = 0
 
 def left_out(case: OPEInput) -> str | None:
     """Why rows without a known successor must not be left out, as a phrase; None if no test shows that."""
-    lost = ~case.followed
-    if case.estimand.horizon is not None or not ROWS <= lost.sum() <= len(lost) - ROWS:
+    lost, rows = ~case.followed, _Rows.of(case)
+    if rows is None or not EVENTS <= lost.sum() <= len(lost) - ROWS:
         return None
-    rows, rewards = _Rows.of(case), np.asarray(case.data.rewards, np.float64)
-    if rows is None:
-        return None
-    remedy = "if episodes end there, name the column that says so (--terminal), or give a horizon (--horizon)"
+    remedy = "if episodes end there, name the column that says so (--terminal)"
+    remedy += ", or give a horizon (--horizon)" if case.estimand.horizon is None else ""
+    rewards = np.asarray(case.data.rewards, np.float64)
     # Both less their means in rows with the same observation and action, so that errors of these means cancel.
     pair = rows.cell * (int(rows.taken.max()) + 1) + rows.taken
     share = means_of(pair, lost)
     p_value, strength = _correlated(rewards - means_of(pair, rewards), lost - share, rows.unit)
-    if p_value < LEVEL and abs(strength) >= WEAK:
+    if case.estimand.horizon is None and lost.sum() >= ROWS and p_value < LEVEL and abs(strength) >= WEAK:
         both = (share > 0) & (share < 1)
         kept = np.bincount(pair, rewards * ~lost) / np.maximum(np.bincount(pair, ~lost), 1)
         return (
@@ -180,14 +206,20 @@ def left_out(case: OPEInput) -> str | None:
             f"differ from those of other rows with the same observation and action (mean {rewards[both & lost].mean():.4g}, "
             f"others {kept[pair[both & lost]].mean():.4g}; {p_in_words(p_value)}): {remedy}"
         )
+    # Ends of the longest episodes, if these are many, are at the length of a recording, and say nothing of actions.
+    longest = int(rows.step[lost].max())
+    open_ = rows.step < longest if (rows.step[lost] == longest).mean() > USUAL else np.ones(len(lost), bool)
+    early, cell, unit = lost[open_], rows.cell[open_], rows.unit[open_]
+    if early.sum() < EVENTS:
+        return None
     actions = frequent(rows.taken, ACTIONS, ROWS)
     for action in actions:
-        taken = rows.taken == action
-        p_value, strength = _correlated(lost - means_of(rows.cell, lost), taken - means_of(rows.cell, taken), rows.unit)
-        if p_value * len(actions) < LEVEL and strength >= WEAK:
+        taken = rows.taken[open_] == action
+        p_value, _ = _correlated(early - means_of(cell, early), taken - means_of(cell, taken), unit)
+        if p_value * len(actions) < LEVEL and early[taken].mean() >= OFTEN * early[~taken].mean():
             return (
-                f"recordings end without a terminal after {lost[taken].mean():.1%} of the rows with action "
-                f"{action_names(case.data)[action]} and after {lost[~taken].mean():.1%} of the others "
+                f"recordings end without a terminal after {early[taken].mean():.1%} of the rows with action "
+                f"{action_names(case.data)[action]} and after {early[~taken].mean():.1%} of the others "
                 f"({p_in_words(p_value * len(actions))}), as if the action ended episodes: {remedy}"
             )
     return None
