@@ -2862,7 +2862,7 @@ MUTANTS = (
         ("data/test_split.py::test_visitors_who_come_again_are_not_copies",),
     ),
     Mutant(
-        "balance-untested", "ope/decide.py", "if (wrong := unbalanced(case, model)) is not None:", "if False:",
+        "balance-untested", "ope/decide.py", "if (confounder := unbalanced(case, model)) is not None:", "if False:",
         "noise is deployed if the model of the behaviour policy has not learned a confounder",
         ("ope/test_balance.py::test_a_confounder_that_the_model_has_not_learned_deploys_nothing",),
     ),
@@ -3058,21 +3058,21 @@ MUTANTS = (
     ),
     Mutant(
         "errors-of-the-step", "ope/markov.py",
-        'own[known] - means_of(place, own[known])',
-        'own[known]',
+        'beyond[known] = own[known] - means_of(place, own[known])',
+        'beyond[known] = own[known]',
         "rewards that change with the step seem to be effects of the previous action",
         ("ope/test_markov.py::test_a_step_that_actions_do_not_depend_on_and_one_that_is_observed_are_none",),
     ),
     Mutant(
         "rewards-left-out", "ope/markov.py",
-        'if p_value < LEVEL and abs(strength) >= WEAK:',
+        'if case.estimand.horizon is None and lost.sum() >= ROWS and p_value < LEVEL and abs(strength) >= WEAK:',
         'if False:',
         "rewards of rows without a known successor are left out, however they differ",
         ("ope/test_markov.py::test_rows_that_are_left_out_must_be_like_the_others",),
     ),
     Mutant(
         "ends-by-actions", "ope/markov.py",
-        'if p_value * len(actions) < LEVEL and strength >= WEAK:',
+        'if p_value * len(actions) < LEVEL and early[taken].mean() >= OFTEN * early[~taken].mean():',
         'if False:',
         "an action that ends episodes without a terminal seems to have no such effect",
         ("ope/test_markov.py::test_rows_that_are_left_out_must_be_like_the_others",),
@@ -3186,7 +3186,7 @@ MUTANTS = (
     ),
     Mutant(
         "slow-effects", "ope/carry_over.py",
-        "_less(next_, standard(own)).T", "(next_ - next_.mean(0)).T",
+        "less(next_, standard(own)).T", "(next_ - next_.mean(0)).T",
         "a slow effect of an action on the next observation is hidden by the observation before",
         ("ope/test_carry_over.py::test_a_slow_effect_is_seen_behind_what_a_row_tells_of_the_next",),
     ),

@@ -92,9 +92,9 @@ def latest(
     before, gain = map(float, parts.mean)
     if parts.lacking[1] and not parts.lacking[0] and parts.units.min() >= UNITS:
         return Latest(parts.lacking[1], before=before, gain=gain)
-    if doubt := next(filter(None, parts.why), ""):
-        return Latest(doubt) if decides is None else _by_influence(case, which, decides, late, alpha, wider)
     level = alpha / len(case.policies)
+    if doubt := next(filter(None, parts.why), ""):
+        return Latest(doubt) if decides is None else _by_influence(case, which, decides, late, level, wider)
     factor = max(inference.simultaneous(parts.influence[:, 1:], level, case.seed), parts.student(level)[1])
     half = parts.inflation[1] * parts.errors[1] * factor + wider
     change = parts.influence[:, 1:] - parts.influence[:, :1]
@@ -105,9 +105,9 @@ def latest(
     return Latest("", float(p_value), before, gain, float(gain - half), float(gain + half))
 
 
-def _by_influence(case: OPEInput, which: int, decides: Estimates, late: np.ndarray, alpha: float, wider: float) -> Latest:
-    """The same from the influence function of an estimate at clusters before the latest third and in it; `late` (episodes,) is
-    true in this."""
+def _by_influence(case: OPEInput, which: int, decides: Estimates, late: np.ndarray, level: float, wider: float) -> Latest:
+    """The same at error probability `level`, from the influence function of an estimate at clusters before the latest third and
+    in it; `late` (episodes,) is true in this."""
     unit, units = case.episodes.group, case.episodes.groups
     share = np.bincount(unit, late, units) / np.maximum(np.bincount(unit, minlength=units), 1)
     before, after = share == 0.0, share == 1.0
@@ -126,5 +126,5 @@ def _by_influence(case: OPEInput, which: int, decides: Estimates, late: np.ndarr
         return Latest("its error is not known")
     freedom = int(min(before.sum(), after.sum())) - 1
     p_value = 2.0 * special.stdtr(freedom, -abs(gain - was) / apart)
-    half = wrong * np.sqrt(spread) * special.stdtrit(freedom, 1 - alpha / len(case.policies) / 2) + wider
+    half = wrong * np.sqrt(spread) * special.stdtrit(freedom, 1 - level / 2) + wider
     return Latest("", float(p_value), was, gain, float(gain - half), float(gain + half))
