@@ -3449,6 +3449,16 @@ MUTANTS = (
         ("ope/test_latest.py::test_parts_by_influence_are_a_test_of_two_samples",),
     ),
     Mutant(
+        "outcomes-untold", "data/leaks.py", "    out += _outcomes(part, sample)\n", "",
+        "the outcome of an episode in all of its rows is not told",
+        ("data/test_leaks.py::test_the_outcome_of_an_episode_in_all_of_its_rows_is_told",),
+    ),
+    Mutant(
+        "outcomes-known-at-the-start", "data/leaks.py", " or _explained(part, before) > told * EARLIER:", ":",
+        "what matters from the start on is taken for an outcome",
+        ("data/test_leaks.py::test_the_outcome_of_an_episode_in_all_of_its_rows_is_told",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

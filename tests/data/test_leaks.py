@@ -49,6 +49,29 @@ def test_offsets_of_float32_do_not_hide_a_reward(change, words):
     assert leaks(read(frame)) == ()  # what tells it nearly, as states do, is not accused
 
 
+def cured(seed, sign=1.0, every=0.0):
+    """An honest table whose last reward shows how the episode ended, which a column has in all rows."""
+    frame = table(seed)
+    ended = np.random.default_rng(seed).integers(0, 2, EPISODES)
+    end = np.arange(STEPS * EPISODES) % STEPS == STEPS - 1
+    frame["reward"] = frame["reward"] + np.repeat(ended, STEPS) * np.where(end, 6.0 * sign, every)
+    return frame | {"cured": np.repeat(ended, STEPS), "days": np.repeat(10 + ended, STEPS)}
+
+
+def test_the_outcome_of_an_episode_in_all_of_its_rows_is_told():
+    for seed in range(3):
+        lines = leaks(read(cured(seed)))
+        assert [line.partition(" may be")[0] for line in lines] == ["column cured", "column days"]
+        assert all("the same in all rows, and explains " in line for line in lines)
+        assert leaks(read(cured(seed, sign=0.1))) == ()  # what tells it in part, as the state at the start does
+        assert leaks(read(cured(seed, every=3.0))) == ()  # what matters from the start on is known then
+        few = {name: values[: 40 * STEPS] for name, values in cured(seed).items()}
+        assert leaks(read(few)) == ()
+    numbers = cured(0)
+    numbers["cured"] = numbers["cured"] + np.repeat(np.random.default_rng(1).uniform(0, 0.2, EPISODES), STEPS)
+    assert "column cured may be the outcome" in leaks(read(numbers))[0]  # many values
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_an_honest_table_is_not_accused(seed):
     assert leaks(read(table(seed))) == ()

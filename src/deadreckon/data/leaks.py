@@ -20,6 +20,9 @@ from deadreckon.data.told import Told, action_names, columns_of, schema_of
 LEVEL = 1e-3  # probability of any false suspicion, where nothing depends on anything
 ROWS = 10_000  # in the sample
 COLUMNS = 200  # that are looked at
+EPISODES = 50  # least number of those whose outcomes are looked at
+# Least share of the last rewards that an outcome explains, and how much of that share it may explain of the rewards before.
+OUTCOME, EARLIER = 0.5, 0.2
 _FILLS = (-1.0, 0.0)  # what stands for the earlier value where there is none
 
 
@@ -44,6 +47,7 @@ def leaks(log: Dataset) -> tuple[str, ...]:
     part = _part(log)
     sample = _sample(part)
     out = [*_copies_of_reward(sample), *_copies_of_action(part, sample), *_leading(sample), *_unmoved(part, sample)]
+    out += _outcomes(part, sample)
     return tuple([*out, *filter(None, (late_reward(part, LEVEL), rewards_to_come(log, LEVEL)))])
 
 
@@ -127,6 +131,41 @@ def _copies_of_action(log: Dataset, sample: _Sample) -> list[str]:
             else:
                 out.append(f"{text}; unless a deterministic rule chose the actions by it, leave it out (--ignore)")
     return out
+
+
+def _outcomes(log: Dataset, sample: _Sample) -> list[str]:
+    """Columns with one value in all rows of each episode that tell its last reward, and none of the earlier ones."""
+    starts, ends = log.starts[log.lengths > 1], log.ends[log.lengths > 1]
+    if len(starts) < EPISODES:
+        return []
+    last, before = sample.rewards[ends].astype(np.float64), log.returns(1.0)[log.lengths > 1] - sample.rewards[ends]
+    out = []
+    for name, values in sample.columns.items():
+        same = np.maximum.reduceat(values, log.starts) == np.minimum.reduceat(values, log.starts)
+        if not same.all():
+            continue
+        part = _levels(values[starts])
+        if part.max() == 0 or (told := _explained(part, last)) < OUTCOME or _explained(part, before) > told * EARLIER:
+            continue
+        text = f"column {name} may be the outcome of its episode: it is the same in all rows, and explains {told:.0%} of the "
+        out.append(f"{text}last reward and hardly any before; unless it is known at the start, leave it out (--ignore)")
+    return out
+
+
+def _levels(values: np.ndarray) -> np.ndarray:
+    """(n,) the level of each value, or its quarter where there are more than four."""
+    levels, part = np.unique(values, return_inverse=True)
+    if len(levels) > 4:
+        part = np.searchsorted(np.quantile(values, [0.25, 0.5, 0.75]), values, side="right")
+    return np.unique(part, return_inverse=True)[1]
+
+
+def _explained(part: np.ndarray, target: np.ndarray) -> float:
+    """Adjusted R2 of the means of the parts."""
+    count, parts = len(target), int(part.max()) + 1
+    means = np.bincount(part, target) / np.bincount(part)
+    total, left = np.square(target - target.mean()).sum(), np.square(target - means[part]).sum()
+    return 0.0 if not total > 0 else float(1.0 - (left / max(count - parts, 1)) / (total / (count - 1)))
 
 
 def _rows(known: np.ndarray) -> str:
