@@ -3459,6 +3459,16 @@ MUTANTS = (
         ("data/test_leaks.py::test_the_outcome_of_an_episode_in_all_of_its_rows_is_told",),
     ),
     Mutant(
+        "running-totals-untold", "data/info.py", "    if _running_totals(log):", "    if False:",
+        "rewards that add up within episodes are not told",
+        ("data/test_info.py::test_running_totals_are_told",),
+    ),
+    Mutant(
+        "running-totals-of-states", "data/info.py", " and 1 / _TIMES < first.std() / max(spread, 1e-300) < _TIMES", "",
+        "rewards of slow states are taken for running totals",
+        ("data/test_info.py::test_running_totals_are_told",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

@@ -189,6 +189,32 @@ def test_rewards_that_pile_up_at_a_value_are_told_by_action():
         assert not lines(fine)
 
 
+def test_running_totals_are_told():
+    rng = np.random.default_rng(0)
+
+    def told(rewards):
+        rows = rewards.size
+        frame = {"episode": np.repeat(np.arange(len(rewards)), rewards.shape[1]), "x": rng.normal(size=rows)}
+        log = Dataset.from_frame(frame | {"action": rng.integers(0, 2, rows), "reward": rewards.ravel()})
+        return any("rewards add up within episodes" in line for line in warnings_for(log))
+
+    normal = (rng.normal(mean, 1, (40, 12)) for mean in (0, 1))
+    for added in (*normal, rng.poisson(2, (40, 5)), -rng.exponential(1, (40, 8))):
+        assert told(added.cumsum(1))
+        assert not told(added)
+        assert not told(added.cumsum(1)[:, :3])  # too short
+        assert not told(added.cumsum(1)[:9])  # too few
+        assert not told(10 + added.cumsum(1))  # which begins elsewhere
+    for memory in (0.5, 0.75, 0.9, 0.97):  # slow states
+        state = rng.normal(size=(400, 20)) * np.sqrt(1 - memory**2)
+        state[:, 0] /= np.sqrt(1 - memory**2)
+        for step in range(1, 20):
+            state[:, step] += memory * state[:, step - 1]
+        assert not told(state)
+    assert not told(np.repeat(rng.normal(size=(40, 1)), 12, 1))
+    assert not told(np.zeros((40, 12)))
+
+
 def test_costs_are_no_rewards_to_maximise():
     """Larger is better: what a column of costs is called is the only sign of its direction."""
     frame = {"x": np.arange(30.0), "action": np.arange(30) % 2, "cost_eur": np.arange(30.0), "closs": np.arange(30.0)}

@@ -28,6 +28,7 @@ _GAINS = {"saving", "savings", "saved", "free", "avoided", "reduction", "reduced
 _MANY, _SHARE, _TIMES_MORE = 50, 0.01, 10
 _SAMPLE = 200_000  # rows looked at where looking at all would be slow
 _SEVERAL = 10  # episodes, and different rewards of theirs, from which on equal rewards within episodes are told
+_STEPS, _LIKE, _TIMES = 4, 0.5, 1.5  # least length of episodes whose rewards may be running totals, and what is like the first
 _NAMED = 8  # columns or actions named in a line
 _QUANTILES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
@@ -211,6 +212,8 @@ def _rewards(log: Dataset, info: Info) -> list[str]:
         out.append(f"rewards are mostly zero ({info.reward_zero_share:.0%} of the rows)")
     if _totals(log):
         out.append("rewards are the same in all rows of an episode: if they are its total, give it in the last row alone")
+    if _running_totals(log):
+        out.append("rewards add up within episodes, as running totals do: if they are, give each row what it adds alone")
     out += _piled(log)
     if (column := _cost(log)) is not None and info.rewards[-1] > 0:
         out.append(f"the reward is column {column}: larger is taken to be better; negate it if smaller is")
@@ -227,6 +230,23 @@ def _totals(log: Dataset) -> bool:
     first = rewards[log.starts][longer]
     same = (np.maximum.reduceat(rewards, log.starts) == np.minimum.reduceat(rewards, log.starts))[longer]
     return bool(same.all()) and len(np.unique(first)) >= _SEVERAL
+
+
+def _running_totals(log: Dataset) -> bool:
+    """Whether what each row adds to the reward before it is like the first reward, and the last ones vary more.
+
+    Rewards that are not added up differ from the reward before by more than the last ones vary, or begin as they go on.
+    """
+    longer = np.flatnonzero(log.lengths >= _STEPS)
+    if len(longer) < _SEVERAL:
+        return False
+    rewards = np.asarray(log.rewards, np.float64)
+    within = np.ones(len(log), bool)
+    within[log.starts] = False
+    added = (rewards[1:] - rewards[:-1])[within[1:]]
+    first, last, spread = rewards[log.starts[longer]], rewards[log.ends[longer]], added.std()
+    like = abs(first.mean() - added.mean()) < _LIKE * spread and 1 / _TIMES < first.std() / max(spread, 1e-300) < _TIMES
+    return bool(like and last.std() > _TIMES * spread)
 
 
 def _piled(log: Dataset) -> list[str]:
