@@ -3469,6 +3469,11 @@ MUTANTS = (
         ("data/test_info.py::test_running_totals_are_told",),
     ),
     Mutant(
+        "mixed-rows", "ope/row_order.py", "WEAK = 0.05", "WEAK = 0.2",
+        "rows that are mixed within episodes are no objection, as few follow each other",
+        ("ope/test_row_order.py::test_rows_that_are_mixed_within_many_episodes_are_an_objection",),
+    ),
+    Mutant(
         "groups-kept", "ope/case.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

@@ -78,6 +78,14 @@ def test_rows_whose_newest_comes_first_are_an_objection():
     assert any("of the row before" in each for each in decide(case, model=MODEL).choice.objections[0])
 
 
+def test_rows_that_are_mixed_within_many_episodes_are_an_objection():
+    for seed in range(2):
+        columns = walk(seed, episodes=400, steps=10)
+        mixed = np.argsort(np.random.default_rng(seed).random(columns[1].shape), 1)
+        columns = [np.take_along_axis(each, mixed[..., None] if each.ndim == 3 else mixed, 1) for each in columns]
+        assert "of the row before" in out_of_order(case_of(*columns), MODEL)
+
+
 @pytest.mark.parametrize("steps", [5, 20])
 def test_rewards_that_stand_one_row_early_are_an_objection(steps):
     seen, taken, rewards = walk(0, episodes=3000 // steps, steps=steps)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deadreckon.data.told import action_names, observation_names
-from deadreckon.ope.balance import ACTIONS, COLUMNS, LEVEL, MOST, WEAK, standard
+from deadreckon.ope.balance import ACTIONS, COLUMNS, LEVEL, MOST, standard
 from deadreckon.ope.basis import UNITS
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.carry_over import Test, less, residual_tests
@@ -23,6 +23,7 @@ from deadreckon.ope.parts import ROWS, frequent, parts_of
 from deadreckon.randomness import generator
 from deadreckon.stats.interval import p_in_words
 
+WEAK = 0.05  # correlation below which a dependence does not count, however many rows show it
 SHARE = 0.7  # of the strength of the dependence on the row after, from which on that on the row before counts
 
 
