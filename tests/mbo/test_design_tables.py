@@ -73,8 +73,8 @@ def test_rows_without_a_score_are_planned_runs_and_no_data(tmp_path):
     temp = [None if row == 7 else 500.0 if row == 0 else value for row, value in enumerate(full["temp"])]
     path = write(tmp_path / "t.csv", full | {"y": y, "temp": temp})
     data, lines = told(Designs.from_csv, path, "y")
-    assert lines == ["t: 3 rows without y left out, as planned: rows 0, 7 to 8, counted from 0; give a run that failed a score "
-                     "that says so; complete ones are not proposed again (--repeat allows it)"]  # fmt: skip
+    assert lines == ["t: 3 rows without y left out, as planned: rows 0, 7 to 8, counted from 0; give a run that failed a "
+                     "score, such as the worst one; complete ones are not proposed again (--repeat allows it)"]  # fmt: skip
     assert len(data) == 15
     assert data.variables[0].high == max(value for row, value in enumerate(full["temp"]) if row not in (0, 7, 8))
     kept = [row for row in range(18) if row not in (0, 7, 8)]
@@ -82,8 +82,8 @@ def test_rows_without_a_score_are_planned_runs_and_no_data(tmp_path):
     np.testing.assert_allclose(data.y, np.array(full["y"])[kept])
     schema, lines = describe(path)
     assert lines == ["the last column of numbers, y, is taken as the target (--target)",
-                     "3 rows without y left out, as planned: rows 0, 7 to 8, counted from 0; give a run that failed a score "
-                     "that says so"]  # fmt: skip
+                     "3 rows without y left out, as planned: rows 0, 7 to 8, counted from 0; give a run that failed a score, "
+                     "such as the worst one"]  # fmt: skip
     assert schema.named("input") == ["temp", "solvent"]
     np.testing.assert_array_equal(told(schema.read, path)[0].x, data.x)
 
@@ -291,7 +291,8 @@ def test_of_several_targets_a_row_with_none_is_planned():
     made, lines = told(targets_of, read, ["y", "z"], [])
     assert [len(each) for each in made] == [17, 17]
     assert set(lines) == {"frame: 1 row without y or z left out, as planned: row 0, counted from 0; give a run that failed a "
-                          "score that says so; complete ones are not proposed again (--repeat allows it)"}  # fmt: skip
+                          "score, such as the worst one; complete ones are not proposed again (--repeat "
+                          "allows it)"}  # fmt: skip
     columns["z"][3] = None
     with pytest.raises(UserError, match="column z is empty in row 3, counted from 0; fill the cells in or leave the rows out$"):
         told(targets_of, read, ["y", "z"], [])
@@ -611,6 +612,12 @@ def test_ignored_columns_that_may_tell_which_rows_belong_together_are_told():
     assert not any("is ignored" in each for each in told(
         Designs.from_frame, frame(48, date=days, batch=[row % 8 for row in range(48)]), "y", ignore=["date"], groups="batch"
     )[1])  # fmt: skip
+
+
+def test_ignored_columns_of_lists_are_not_looked_at():
+    lists = pa.array([[row] for row in range(18)])
+    table = pa.table({**{name: pa.array(values) for name, values in frame().items()}, "batch": lists})
+    assert told(Designs.from_frame, table, "y", ignore=["batch"])[1] == []
 
 
 def test_another_outcome_is_told(tmp_path):

@@ -93,7 +93,7 @@ def test_errors_that_grow_with_predictions_are_told_and_no_rows_then():
         data = designs(lambda x, rng, y=y: y)
         (line,) = misfits_told(data, quality_of(y, mean))
         assert "grow with the predictions (rank correlation 0." in line
-        assert line.endswith("use the logarithm of y as the target, in a column of its own")
+        assert "use the logarithm of y as the target, in a column of its own" in line
         assert misfits_told(data, quality_of(np.log(y), np.log(mean))) == []
         assert not any("grow" in each for each in misfits_told(replace(data, minimise=True), quality_of(y, mean)))
         assert not any("grow" in each for each in misfits_told(data, quality_of(y - 9, mean - 9)))
@@ -154,12 +154,42 @@ def test_rows_without_a_score_are_counted_among_the_nearest():
     for count in range(NEAREST + 1):
         rare = binom.sf(count - 1, NEAREST, share) < 0.05
         assert prevail(data, np.array([count]))[0] == (count > 1 and rare)
-    mostly = replace(data, unscored=np.resize(data.unscored, (600, 3)))
+    mostly = replace(data, unscored=np.resize(data.unscored, (600, 3)), passed=None)
     assert prevail(mostly, np.array([NEAREST - 1, NEAREST])).tolist() == [False, True]
     data = failing(0, rows=200)
-    rare = replace(data, unscored=data.unscored[:1])
+    rare = replace(data, unscored=data.unscored[:1], passed=None)
     assert binom.sf(0, NEAREST, 1 / (1 + len(rare))) < 0.05
     assert not prevail(rare, np.array([1]))[0]  # one row is no region
+
+
+def test_planned_runs_at_the_end_of_a_table_are_no_failures():
+    """Proposals that were added to their table and have no score yet are where models expect most."""
+    rng = np.random.default_rng(0)
+    x = rng.random((60, 3))
+    frame = dict(zip("abc", x.T)) | {"y": bowl(x, rng)}
+    data = Designs.from_frame(frame, "y")
+    made = GP.propose(data, 8)
+    more = {name: np.append(frame[name], values) for name, values in data.decode(made.x).items()}
+    more["y"] = np.append(frame["y"], np.full(8, np.nan))
+    with pytest.warns(UserWarning, match="8 rows without y left out"):
+        again = Designs.from_frame(more, "y")
+    assert again.passed.tolist() == [False] * 8
+    assert unscored_told(again, GP.propose(again, 8).x) == []
+    first = {name: np.roll(values, 8) for name, values in more.items()}  # they stand at the beginning, and failed
+    with pytest.warns(UserWarning, match="8 rows without y left out"):
+        failed_ones = Designs.from_frame(first, "y")
+    assert failed_ones.passed.all()
+    assert unscored_told(failed_ones, made.x) != []
+
+
+def test_errors_of_rows_of_one_group_count_once():
+    """Ten lots whose errors go with their predictions are ten, and not a hundred rows."""
+    data = designs(lambda x, rng: 50 + x[:, 0], rows=100)
+    lot = np.arange(100) // 10
+    mean = 50 + lot + 0.01 * np.arange(100)
+    y = mean + 0.1 * (1 + lot) * np.where(np.arange(100) % 2, 1, -1)
+    assert any("grow" in line for line in misfits_told(replace(data, y=y), quality_of(y, mean)))
+    assert misfits_told(replace(data, y=y), replace(quality_of(y, mean), units=lot)) == []
 
 
 def test_planned_runs_at_zero_of_a_log_scale_are_far_from_everything():
@@ -170,7 +200,8 @@ def test_planned_runs_at_zero_of_a_log_scale_are_far_from_everything():
             {"rate": rate, "b": rng.random(32), "y": np.append(rng.normal(size=30), [np.nan, np.nan])}, "y", logs=["rate"]
         )
     assert len(data.unscored) == 2
-    assert missing_near(data, data.unscored[1:]).tolist() == [1]
+    assert missing_near(data, data.unscored[1:]).tolist() == [0]  # planned ones
+    assert missing_near(replace(data, passed=None), data.unscored[1:]).tolist() == [1]
 
 
 def test_of_several_targets_each_is_told():

@@ -136,23 +136,58 @@ def test_of_long_episodes_parts_are_compared_by_ratios_of_occupancies():
         assert latest(case, 0, MODEL, 0.05).why  # by products of weights
 
 
-def test_parts_by_influence_are_a_test_of_two_samples():
-    """Of the estimate's values at days before and in the latest third; a user of both parts is of none."""
+def parts_of(log, **options):
+    """The comparison by ratios of occupancies, and its case."""
+    case = OPEInput(log, [OFTEN, SELDOM], logged=True, discount=0.99, **options)
+    found = latest(case, 0, MODEL, 0.05, wider=0.5, decides=DoublyRobust(kind="marginal", fqe=LinearFQE()).nuisances(case)[0])
+    return found, case
+
+
+def test_parts_by_ratios_of_occupancies_are_a_test_of_two_samples():
+    """Of what each day adds to the mean over days, and over rows, before and in the latest third."""
     log = days(0, reverses)
-    case = OPEInput(log, [OFTEN, SELDOM], logged=True, discount=0.99)
-    decides = DoublyRobust(kind="marginal", fqe=LinearFQE()).on(case)
-    found = latest(case, 0, MODEL, 0.05, wider=0.5, decides=decides)
-    late = np.arange(240) >= 160
-    score = np.empty(240)
-    score[:] = (decides.value[0] - decides.value[2] + decides.influence[:, 0] - decides.influence[:, 2])[case.episodes.group]
+    found, case = parts_of(log)
+    nuisances, late = DoublyRobust(kind="marginal", fqe=LinearFQE()).nuisances(case)[0], np.arange(240) >= 160
+    score = nuisances.begins[0] - nuisances.begins[2]
+    for i, sign, known in ((0, 1, case.followed), (2, -1, case.followed & case.shown)):
+        rows = np.where(known, nuisances.weighted[i], 0.0).reshape(240, 20).sum(1)
+        score += sign * rows / known.reshape(240, 20).sum(1).mean()
     assert (found.before, found.gain) == (pytest.approx(score[~late].mean()), pytest.approx(score[late].mean()))
-    both = scipy.stats.ttest_ind(score[late], score[~late], equal_var=False)
-    assert found.p_value == pytest.approx(2 * scipy.stats.t.sf(abs(both.statistic), 79))
-    half = scipy.stats.sem(score[late]) * scipy.stats.t.ppf(1 - 0.05 / 2 / 2, 79) + 0.5
-    assert (found.high - found.gain, found.gain - found.low) == (pytest.approx(half), pytest.approx(half))
-    mixed = OPEInput(log, [OFTEN, SELDOM], logged=True, discount=0.99, clusters=np.arange(240) % 60)
-    decides = DoublyRobust(kind="marginal", fqe=LinearFQE()).on(mixed)
-    assert "clusters have episodes in both parts" in latest(mixed, 0, MODEL, 0.05, decides=decides).why
+    errors = [own.std() / len(own) ** 0.5 * (80 / 79) ** 0.5 for own in (score[~late], score[late])]
+    t = (found.gain - found.before) / np.hypot(*errors)
+    assert found.p_value == pytest.approx(2 * scipy.stats.t.sf(abs(t), 79), rel=0.05)
+    half = errors[1] * scipy.stats.t.ppf(1 - 0.05 / 2 / 2, 79) + 0.5
+    assert (found.high - found.gain, found.gain - found.low) == (pytest.approx(half, rel=0.02), pytest.approx(half, rel=0.02))
+    mixed, _ = parts_of(log, clusters=np.arange(240) % 60)  # users of both parts
+    assert (mixed.before, mixed.gain) == (pytest.approx(found.before, abs=0.5), pytest.approx(found.gain, abs=0.5))
+    assert mixed.p_value < LEVEL
+    few, _ = parts_of(log, clusters=np.arange(240) // 15)
+    assert few.why == "there are too few episodes"
+
+
+def test_users_of_both_parts_are_paired():
+    """Every day comes three times, the last time with a little more for an action, which is a change for each of its users."""
+    log = days(0, constant, episodes=120)
+    more = np.repeat(np.arange(3) == 2, len(log))
+    thrice = {name: np.tile(np.asarray(getattr(log, name)), (3, 1) if name == "observations" else 3)
+              for name in ("observations", "actions", "rewards", "terminals", "timeouts")}  # fmt: skip
+    thrice["rewards"] = thrice["rewards"] + 0.02 * more * thrice["actions"]
+    again = Dataset.from_arrays(**thrice)
+    paired, _ = parts_of(again, clusters=np.tile(np.arange(120), 3))
+    apart, _ = parts_of(again, clusters=np.arange(360))
+    assert paired.p_value < LEVEL < apart.p_value
+    assert (paired.gain, paired.before) == (pytest.approx(apart.gain, abs=0.3), pytest.approx(apart.before, abs=0.3))
+
+
+def test_many_days_and_users_of_different_sizes_are_compared_too():
+    """More than a thousand units are grouped at random, and a user of many days is one of few users."""
+    many, _ = parts_of(days(0, reverses, episodes=1200, steps=8))
+    assert many.p_value < LEVEL
+    assert many.gain < 0 < many.before
+    own, _ = parts_of(days(0, reverses))
+    sizes, _ = parts_of(days(0, reverses), clusters=np.where(np.arange(240) < 160, np.arange(240) // 4, np.arange(240)))
+    assert sizes.gain == pytest.approx(own.gain, abs=0.5)
+    assert sizes.p_value < LEVEL
 
 
 def test_users_and_not_rows_count():

@@ -113,9 +113,9 @@ def test_an_action_of_first_contacts_is_not_praised():
         assert (found.choice.gains[:, 2] >= 0).all()
         assert found.more["over_time"]["adjusted"]
         assert found.more["over_time"]["within_clusters"]
-        [line] = [each for each in found.choice.warnings if "the behaviour policy changed along each cluster" in each]
+        [line] = [each for each in found.choice.warnings if "differs between first and later episodes of clusters" in each]
         assert "(p < 0.001)" in line
-        assert "same position in the cluster" in line
+        assert "same position in their cluster" in line
         unadjusted = decide(case, [DR], model=MODEL, stationary=True).choice
         assert unadjusted.name == "seldom"
         assert unadjusted.low > 0

@@ -8,6 +8,7 @@ from deadreckon.ope import OPEInput
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.decide import decide
 from deadreckon.ope.row_order import out_of_order
+from deadreckon.policies import BlackBoxPolicy
 
 from .test_over_time import OFTEN, SELDOM, constant
 
@@ -55,6 +56,40 @@ def case_of(seen, taken, rewards, **options):
 def test_rows_in_the_order_of_time_are_not_doubted(kind):
     for seed in range(2):
         assert out_of_order(case_of(*walk(seed, kind)), MODEL) is None
+
+
+def test_a_column_that_is_the_same_in_all_rows_of_an_episode_tells_no_order():
+    """What least squares leave of it is rounding, which tells the previous action, and this the next one."""
+    for seed in range(8):
+        rng = np.random.default_rng(seed)
+        taken = np.zeros((130, 20), int)
+        for step in range(1, 20):
+            taken[:, step] = np.where(rng.random(130) < 0.9, taken[:, step - 1], 1 - taken[:, step - 1])
+        same = np.repeat(rng.integers(20, 80, (130, 1, 1)).astype(float), 20, 1)
+        assert out_of_order(case_of(same, taken, rng.normal(size=taken.shape)), MODEL) is None
+
+
+def test_continuous_actions_with_a_noise_that_lasts_are_not_doubted():
+    """Their noise is known of the last action by the observation that it was taken at."""
+    normal = BlackBoxPolicy(
+        lambda seen, rng: np.tanh(rng.normal(seen, 0.5)),
+        lambda seen, actions: -2 * np.square(np.arctanh(actions) - seen).sum(1) - np.log1p(-np.square(actions)).sum(1) - 0.226,
+    )
+    rng = np.random.default_rng(0)
+    level, noise, seen, taken, rewards = np.zeros(150), np.zeros(150), [], [], []
+    for _ in range(20):
+        action = np.tanh(level + noise)
+        seen.append(level[:, None])
+        taken.append(action)
+        rewards.append(-np.square(level) + 0.3 * action + 0.2 * rng.normal(size=150))
+        level = 0.9 * level + 0.1 * action + 0.3 * rng.normal(size=150)
+        noise = 0.85 * noise + 0.3 * rng.normal(size=150)
+    seen, taken, rewards = (np.stack(each, 1) for each in (seen, taken, rewards))
+    for early in (False, True):
+        own = rewards[:, 1:] if early else rewards[:, :-1]
+        flat = case_of(seen[:, :-1], taken[:, :-1], own + (3 * taken[:, 1:] if early else 0.0))
+        case = OPEInput(flat.given, [normal], logged=True, discount=0.9)
+        assert (out_of_order(case, MODEL) is not None) == early
 
 
 def test_what_goes_with_the_last_action_alone_is_not_of_earlier_rows():

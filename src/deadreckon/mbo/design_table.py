@@ -226,7 +226,7 @@ def scored(name: str, table: pa.Table, targets: Sequence[str]) -> tuple[np.ndarr
     gone = np.flatnonzero(absent)
     count = f"{len(gone):,} row{'s' * (len(gone) > 1)}"
     which = f"{count} without {' or '.join(targets)} left out, as planned: {rows_told(gone)}"
-    return np.flatnonzero(~absent), f"{which}; give a run that failed a score that says so"
+    return np.flatnonzero(~absent), f"{which}; give a run that failed a score, such as the worst one"
 
 
 def check_filled(name: str, table: pa.Table, inputs: Sequence[str], others: Sequence[str], rows: np.ndarray) -> None:

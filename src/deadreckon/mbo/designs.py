@@ -77,6 +77,8 @@ class Designs(Shown):
         noticed: messages on possible mistakes in the table and on columns that are not used, one line each.
         unscored: (k, variables) float32 designs without a score, such as failed or planned runs: models are not fitted to them,
             and they are not proposed again; None: there are none.
+        passed: (k,) bool, which of these stand before a row with a score, as runs that failed do. Those after all such rows, as
+            proposals that were added to the table, are planned. None: all may have failed.
     """
 
     x: np.ndarray
@@ -93,6 +95,7 @@ class Designs(Shown):
     pooling: str | None = None
     noticed: tuple[str, ...] = ()
     unscored: np.ndarray | None = None
+    passed: np.ndarray | None = None
 
     def __post_init__(self):
         object.__setattr__(self, "x", np.asarray(self.x, np.float32))
@@ -257,11 +260,12 @@ class Designs(Shown):
         for v, values in zip(variables, columns):
             if v.name not in said and (why := name_of_rows(v, values, designs)):
                 raise UserError(f"{name}: {why}")
+        others, kept = complete_designs(name, table, variables, rows) if planned else (None, None)
         made = cls(
             x, scores, tuple(variables), name, score_name(target, weights), minimise,
             Rules.of(variables, name=name, **rules), std_error=error, table_rows=rows if planned else None,
             groups=groups_of(name, table, groups, rows) if groups else None,
-            unscored=complete_designs(name, table, variables, rows) if planned else None,
+            unscored=others, passed=None if kept is None else kept < rows[-1],
         )  # fmt: skip
         made.repair.check_possible()
         read = [*restored, *texts_told(table, [v for v in variables if v.name in unsaid])]

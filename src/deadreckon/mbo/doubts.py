@@ -97,8 +97,9 @@ def of_ignored(table: pa.Table, columns: Sequence[str]) -> list[str]:
     lines = []
     for column in columns:
         values = decoded(flat(table, column)).drop_null()
-        count = len(compute.unique(values))
-        if 1 < count <= len(values) / 2 and (of_groups(column) or _holds_times(values)):
+        if pa.types.is_nested(values.type) or not (of_groups(column) or _holds_times(values)):
+            continue
+        if 1 < (count := len(compute.unique(values))) <= len(values) / 2:
             text = f"column {column} is ignored and has {count:,} values in {len(values):,} rows: if rows of one belong "
             text += f"together, hold them out together where predictions are tested (--groups {shlex.quote(column)})"
             lines.append(text)
@@ -268,7 +269,7 @@ def of_target(target: str, y: np.ndarray, rows: np.ndarray) -> list[str]:
     """
     if set(np.unique(y)) == {0.0, 1.0}:
         return [f"{target} has only the values 0 and 1: predictions are of its mean (a rate), and may lie below 0 or above 1"]
-    if told := placeholder(pa.array(y), "empty such cells"):
+    if told := placeholder(pa.array(y), "empty such cells, or give runs that failed the worst score of the others,"):
         return [f"{target} {told}"]
     row = far(y)
     return [] if row is None else [f"{_far(target, y, row, rows)}: correct it, or leave the row out, if it is an error"]

@@ -30,9 +30,10 @@ def misfits_told(data: Designs, quality: Quality | None) -> list[str]:
     error = np.abs(quality.observed - mean)
     usual = float(np.median(error)) / 0.6745
     beyond = error > FAR * usual
-    if quality.skilled and (growing := _growing(data, quality.observed[~beyond], mean[~beyond], error[~beyond])):
+    units = np.arange(len(error)) if quality.units is None else quality.units
+    if quality.skilled and (growing := _growing(data, quality.observed, mean, error, ~beyond, units)):
         return growing  # then large errors are those of large scores
-    rows = np.arange(len(data)) if quality.rows is None else quality.rows
+    rows = np.arange(len(error)) if quality.rows is None else quality.rows
     beyond[beyond] = _apart(data, rows[beyond]) > FAR * usual
     if not 0 < beyond.sum() <= max(FEW * len(error), 1):
         return []
@@ -64,11 +65,20 @@ def _far(data: Designs, quality: Quality, rows: np.ndarray, mean: np.ndarray, be
     ]
 
 
-def _growing(data: Designs, observed: np.ndarray, mean: np.ndarray, error: np.ndarray) -> list[str]:
-    """A message on positive scores whose errors are larger where predictions are higher, which are often relative ones."""
-    if data.minimise or (observed <= 0).any() or (found := spearman(error, mean)) < SURE / np.sqrt(len(error) - 1):
+def _growing(
+    data: Designs, observed: np.ndarray, mean: np.ndarray, error: np.ndarray, some: np.ndarray, units: np.ndarray
+) -> list[str]:
+    """A message on positive scores whose errors are larger where predictions are higher, which are often relative ones; of
+    `some` rows (rows,), averaged over units."""
+    unit = np.unique(units[some], return_inverse=True)[1]
+    sizes = np.bincount(unit)
+    mean, error = (np.bincount(unit, each[some]) / sizes for each in (mean, error))
+    if data.minimise or (observed <= 0).any() or len(sizes) < LEAST:
+        return []
+    if (found := spearman(error, mean)) < SURE / np.sqrt(len(sizes) - 1):
         return []
     return [
         f"errors of predictions of {data.target} grow with the predictions (rank correlation {found:.2f}), so that the "
-        f"intervals of the best ones are too narrow: use the logarithm of {data.target} as the target, in a column of its own"
+        f"intervals of the best ones are too narrow: if errors are shares of the score, use the logarithm of {data.target} as "
+        "the target, in a column of its own"
     ]

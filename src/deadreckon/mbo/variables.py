@@ -348,8 +348,11 @@ def codes(name: str, column: str, values: Sequence[Any], levels: Sequence[Any], 
     return np.array(out, np.float64)
 
 
-def complete_designs(name: str, table: pa.Table, variables: Sequence[Variable], scored: np.ndarray) -> np.ndarray:
-    """(k, variables) float32 designs of the rows without a score that have a value, or a known level, of every variable.
+def complete_designs(
+    name: str, table: pa.Table, variables: Sequence[Variable], scored: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(k, variables) float32 designs of the rows without a score that have a value, or a known level, of every variable, and
+    (k,) these rows.
 
     They may be outside of the bounds.
     """
@@ -367,4 +370,5 @@ def complete_designs(name: str, table: pa.Table, variables: Sequence[Variable], 
         columns.append(some_numbers(name, v.name, cells)[0])
     with np.errstate(over="ignore"):  # a larger number than 32 bits hold is infinite
         x = np.stack(columns, 1).astype(np.float32)
-    return x[np.isfinite(x).all(1)]
+    complete = np.isfinite(x).all(1)
+    return x[complete], rows[complete]

@@ -139,7 +139,7 @@ def decide(
     products = groups is not None or settings.tail is not None or settings.confounding is not None or one_step(case)
     wider = _wider(case, estimates[0], checked, model, choice) if products or aged else choice.wider
     if aged:
-        recent = latest(case, which, model, alpha, wider, None if ratios is None else estimates[0])
+        recent = latest(case, which, model, alpha, wider, None if ratios is None else predicted)
         along["latest"] = recent.as_json()
         if (line := recent.words) is not None:
             choice = _demanded(choice, recent.low, line)

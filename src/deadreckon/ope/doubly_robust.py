@@ -18,7 +18,7 @@ not evaluated.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -291,7 +291,6 @@ class DoublyRobust(Estimator):
         assert nuisances.mass is not None
         episodes = case.episodes
         of_row = episodes.group[episodes.of]
-        whole = bool(np.asarray(case.data.terminals)[case.data.ends].all())  # also where the horizon ends them
         values, influence, weights, masses = [], [], [], []
 
         def mean_of(x: np.ndarray, known: np.ndarray) -> tuple[float, np.ndarray]:
@@ -304,20 +303,15 @@ class DoublyRobust(Estimator):
             # With a horizon all rows count: the last step needs no successor, and rows without one weigh zero at other steps.
             every = np.ones(len(case.data), bool) if case.estimand.horizon is not None else case.followed
             masses.append(mean_of(nuisances.mass[i], every))
-            if name == LOGGED and whole:
-                returns = case.data.returns(case.discount)
-                value, pulls, _ = episodes.means(returns)
+            terms = occupancy_terms(case, nuisances, i)
+            start, pulls, _ = episodes.means(terms.begins)
+            mean, pulled = mean_of(terms.weighted, terms.known)
+            if name == LOGGED and _whole(case):
                 weight = np.ones(episodes.count)
             else:
-                start, pulls, _ = episodes.means(nuisances.begins[i])
-                # Ratios are of occupancies over the rows whose successor is known, and of the behaviour policy also what it
-                # did.
-                known = every & case.shown if name == LOGGED and case.estimand.horizon is None else every
-                mean, pulled = mean_of(nuisances.weighted[i], known)
-                value, pulls = start + mean, pulls + pulled
                 weight = np.maximum(np.bincount(episodes.of, nuisances.weights[i], episodes.count), 0.0)
-            values.append(value)
-            influence.append(pulls)
+            values.append(start + mean)
+            influence.append(pulls + pulled)
             weights.append(weight)
         ess = effective(np.stack(weights))
         diagnostics, doubts = self._critics_diagnosed(case, nuisances)
@@ -407,3 +401,35 @@ def stretched(share: Sequence[float] | np.ndarray) -> np.ndarray | None:
     if (beyond <= TAIL).all():
         return None
     return np.where(beyond > TAIL, 1.0 / np.maximum(1.0 - beyond, 1e-3), 1.0)
+
+
+class Terms(NamedTuple):
+    """What an estimate by ratios of occupancies is the sum of: a mean over episodes, and one over rows.
+
+    Attributes:
+        begins: (episodes,) values of their first observations.
+        weighted: (rows,) weighted errors of the critics.
+        known: (rows,) which rows count.
+    """
+
+    begins: np.ndarray
+    weighted: np.ndarray
+    known: np.ndarray
+
+
+def occupancy_terms(case: OPEInput, nuisances: OutOfFold, which: int) -> Terms:
+    """The terms of the estimate of one policy; of the behaviour policy returns, if a terminal ends every episode."""
+    # With a horizon all rows count: the last step needs no successor, and rows without one weigh zero at other steps.
+    every = np.ones(len(case.data), bool) if case.estimand.horizon is not None else case.followed
+    logged = case.names[which] == LOGGED
+    if logged and _whole(case):
+        return Terms(case.data.returns(case.discount), np.zeros(len(case.data)), every)
+    assert nuisances.weighted is not None
+    # Ratios are of occupancies over the rows whose successor is known, and of the behaviour policy also what it did.
+    known = every & case.shown if logged and case.estimand.horizon is None else every
+    return Terms(nuisances.begins[which], nuisances.weighted[which], known)
+
+
+def _whole(case: OPEInput) -> bool:
+    """Whether a terminal, or the horizon, ends every episode."""
+    return bool(np.asarray(case.data.terminals)[case.data.ends].all())

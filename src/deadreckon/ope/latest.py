@@ -7,8 +7,8 @@ test. The difference hardly depends on which policy was chosen, because its erro
 If the latest third no longer shows what the policy does, as where an action was given up, its gain is not known there.
 
 Gains of parts are those of `ope.groups`, by products of weights. Where these are not reliable, and ratios of occupancies
-decide, the parts are compared by the influence functions of that estimate: its critics are those of all episodes, and what the
-latest third pays beyond them is in its own rows.
+decide, that estimate is compared: its critics and ratios are those of all episodes, and what the latest third pays beyond them
+is in its own rows.
 """
 
 from typing import Any, NamedTuple
@@ -19,7 +19,8 @@ from scipy import special
 from deadreckon.ope.basis import UNITS
 from deadreckon.ope.behavior_model import BehaviorModel
 from deadreckon.ope.case import OPEInput
-from deadreckon.ope.estimates import Estimates
+from deadreckon.ope.critics import OutOfFold
+from deadreckon.ope.doubly_robust import Terms, occupancy_terms
 from deadreckon.ope.groups import gains_of_parts
 from deadreckon.stats import inference
 from deadreckon.stats.interval import decimals, fixed, p_in_words, signed
@@ -67,7 +68,7 @@ class Latest(NamedTuple):
 
 
 def latest(
-    case: OPEInput, which: int, model: BehaviorModel, alpha: float, wider: float = 0.0, decides: Estimates | None = None
+    case: OPEInput, which: int, model: BehaviorModel, alpha: float, wider: float = 0.0, decides: OutOfFold | None = None
 ) -> Latest:
     """The gain of one of a case's policies, chosen among them by any rule, in the latest third of the evaluated episodes.
 
@@ -77,7 +78,7 @@ def latest(
         model: settings of the behaviour model, if propensities were not logged.
         alpha: share of logs for which the interval of any of the policies may miss.
         wider: added at both ends of the interval; see `select.Choice`.
-        decides: estimates by ratios of occupancies, if these decide.
+        decides: what critics predict and ratios of occupancies weight, if an estimate by these decides.
     """
     count = len(case.held)
     if case.degenerate[which]:
@@ -94,7 +95,7 @@ def latest(
         return Latest(parts.lacking[1], before=before, gain=gain)
     level = alpha / len(case.policies)
     if doubt := next(filter(None, parts.why), ""):
-        return Latest(doubt) if decides is None else _by_influence(case, which, decides, late, level, wider)
+        return Latest(doubt) if decides is None else _by_occupancy(case, which, decides, late, level, wider)
     factor = max(inference.simultaneous(parts.influence[:, 1:], level, case.seed), parts.student(level)[1])
     half = parts.inflation[1] * parts.errors[1] * factor + wider
     change = parts.influence[:, 1:] - parts.influence[:, :1]
@@ -105,26 +106,33 @@ def latest(
     return Latest("", float(p_value), before, gain, float(gain - half), float(gain + half))
 
 
-def _by_influence(case: OPEInput, which: int, decides: Estimates, late: np.ndarray, level: float, wider: float) -> Latest:
-    """The same at error probability `level`, from the influence function of an estimate at clusters before the latest third and
-    in it; `late` (episodes,) is true in this."""
-    unit, units = case.episodes.group, case.episodes.groups
-    share = np.bincount(unit, late, units) / np.maximum(np.bincount(unit, minlength=units), 1)
-    before, after = share == 0.0, share == 1.0
-    if not (before | after).all():
-        return Latest("its products of weights are not reliable, and clusters have episodes in both parts")
-    if decides.influence is None or min(before.sum(), after.sum()) < UNITS:
+def _by_occupancy(case: OPEInput, which: int, decides: OutOfFold, late: np.ndarray, level: float, wider: float) -> Latest:
+    """The same at error probability `level` by the terms of an estimate by ratios of occupancies, of the episodes before the
+    latest third and of those in it; `late` (episodes,) is true in this."""
+    parts, cluster = (~late, late), case.cluster
+    count = min(len(np.unique(cluster[part])) for part in parts)
+    if count < UNITS:
         return Latest("there are too few episodes")
-    logged = len(case.policies)
-    scores = decides.value[which] - decides.value[logged] + decides.influence[:, which] - decides.influence[:, logged]
-    parts = scores[before], scores[after]
-    was, gain = (float(own.mean()) for own in parts)
-    spread_was, spread = (float(own.var(ddof=1)) / len(own) for own in parts)
-    wrong = 1.0 if decides.inflation is None else float(decides.inflation[which])
-    apart = wrong * np.sqrt(spread_was + spread)
+    own, logged = (occupancy_terms(case, decides, i) for i in (which, len(case.policies)))
+    (was, pulls_was), (gain, pulls) = (
+        (one - other, pull - pulled)
+        for (one, pull), (other, pulled) in ((_of_part(case, terms, part) for terms in (own, logged)) for part in parts)
+    )
+    wrong = float(case.inflation[which]) * np.sqrt(count / (count - 1))
+    error, apart = (wrong * float(np.linalg.norm(each)) for each in (pulls, pulls - pulls_was))
     if not (np.isfinite(apart) and apart > 0.0):
         return Latest("its error is not known")
-    freedom = int(min(before.sum(), after.sum())) - 1
-    p_value = 2.0 * special.stdtr(freedom, -abs(gain - was) / apart)
-    half = wrong * np.sqrt(spread) * special.stdtrit(freedom, 1 - level / 2) + wider
+    p_value = 2.0 * special.stdtr(count - 1, -abs(gain - was) / apart)
+    half = error * special.stdtrit(count - 1, 1 - level / 2) + wider
     return Latest("", float(p_value), was, gain, float(gain - half), float(gain + half))
+
+
+def _of_part(case: OPEInput, terms: Terms, part: np.ndarray) -> tuple[float, np.ndarray]:
+    """The value in some episodes, and what each cluster (clusters,) adds to it beyond its share; the sum of squares is the
+    variance."""
+    rows, clusters = part[case.data.episode_of] & terms.known, int(case.cluster.max()) + 1
+    begins, weighted = terms.begins[part], terms.weighted[rows]
+    start, mean = float(begins.mean()), float(weighted.mean()) if len(weighted) else 0.0
+    pulls = np.bincount(case.cluster[part], begins - start, clusters) / len(begins)
+    pulls += np.bincount(case.cluster[case.data.episode_of[rows]], weighted - mean, clusters) / max(len(weighted), 1)
+    return start + mean, pulls

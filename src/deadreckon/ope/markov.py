@@ -30,7 +30,7 @@ WEAK = 0.05  # correlation below which a dependence is too weak to matter, howev
 TOO = 0.01  # error probability of the test that actions depend on the step, too, where errors do
 EVENTS = 10  # least number of ends that are compared
 USUAL = 0.2  # share of the ends at the last step from which on it is the length of a recording
-OFTEN = 1.2  # how many times as often recordings end after an action, at least
+OFTEN = 1.2  # how many times as many ends there are after an action as expected, at least
 ACTIONS = 5  # most frequent actions that are looked at
 INSTEAD = "with logged propensities, dr-linear (--estimators dr-linear) needs no such column"
 
@@ -209,17 +209,21 @@ def left_out(case: OPEInput) -> str | None:
     # Ends of the longest episodes, if these are many, are at the length of a recording, and say nothing of actions.
     longest = int(rows.step[lost].max())
     open_ = rows.step < longest if (rows.step[lost] == longest).mean() > USUAL else np.ones(len(lost), bool)
-    early, cell, unit = lost[open_], rows.cell[open_], rows.unit[open_]
+    early, unit, taken = lost[open_], rows.unit[open_], rows.taken[open_]
     if early.sum() < EVENTS:
         return None
-    actions = frequent(rows.taken, ACTIONS, ROWS)
+    # At the same step with the same observation, as recordings of one length end at one step.
+    place = np.unique(rows.cell[open_] * (longest + 1) + rows.step[open_], return_inverse=True)[1]
+    beyond, actions = early - means_of(place, early), frequent(rows.taken, ACTIONS, ROWS)
     for action in actions:
-        taken = rows.taken[open_] == action
-        p_value, _ = _correlated(early - means_of(cell, early), taken - means_of(cell, taken), unit)
-        if p_value * len(actions) < LEVEL and early[taken].mean() >= OFTEN * early[~taken].mean():
+        chance = means_of(place, taken == action)
+        least = float((np.square(beyond) * chance * (1.0 - chance)).sum())
+        p_value, strength = _correlated(beyond, (taken == action) - chance, unit, least)
+        seen, expected = int(early[taken == action].sum()), float(chance[early].sum())
+        if p_value * len(actions) < LEVEL and strength > 0 and seen >= OFTEN * expected:
             return (
-                f"recordings end without a terminal after {early[taken].mean():.1%} of the rows with action "
-                f"{action_names(case.data)[action]} and after {early[~taken].mean():.1%} of the others "
-                f"({p_in_words(p_value * len(actions))}), as if the action ended episodes: {remedy}"
+                f"{seen:,} of {early.sum():,} recordings that end without a terminal do so after action "
+                f"{action_names(case.data)[action]}, where {expected:.0f} would if ends did not depend on it "
+                f"({p_in_words(p_value * len(actions))}): {remedy}"
             )
     return None

@@ -40,7 +40,8 @@ class Change(NamedTuple):
 
     Attributes:
         p_value: of no change of the actions, given observations, both along the log and within its clusters.
-        within: whether the change is within clusters, which is the more significant one.
+        within: whether it is by the position in the cluster that actions differ most significantly; clusters of other sizes may
+            also have other habits.
     """
 
     p_value: float
@@ -55,15 +56,15 @@ class Change(NamedTuple):
     def words(self) -> str:
         """What it means for a decision, as a line."""
         return (
-            f"the behaviour policy changed {where(self.within)} ({p_in_words(self.p_value)}), and outcomes may have changed "
-            f"too: estimates compare actions of about the same position {'in the cluster' if self.within else 'in the log'}; "
+            f"the behaviour policy {changed(self.within)} ({p_in_words(self.p_value)}), and outcomes may have changed "
+            f"too: estimates compare actions of about the same position {'in their cluster' if self.within else 'in the log'}; "
             "use --stationary if the system never changes, or if the order of rows says nothing of time"
         )
 
 
-def where(within: bool) -> str:
-    """Where the behaviour policy changed, in words."""
-    return "along each cluster of episodes" if within else "along the log"
+def changed(within: bool) -> str:
+    """What the behaviour policy did, in words."""
+    return "differs between first and later episodes of clusters" if within else "changed along the log"
 
 
 def adjusted(case: OPEInput, stationary: bool = False) -> OPEInput:

@@ -14,15 +14,19 @@ from typing import NamedTuple
 import numpy as np
 
 from deadreckon.data.told import action_names, observation_names
-from deadreckon.ope.balance import ACTIONS, COLUMNS, LEVEL, MOST, standard
+from deadreckon.ope import balance
+from deadreckon.ope.balance import ACTIONS, COLUMNS, standard
 from deadreckon.ope.basis import UNITS
 from deadreckon.ope.behavior_model import BehaviorModel
-from deadreckon.ope.carry_over import Test, less, residual_tests
+from deadreckon.ope.carry_over import EXACT, Test, less, residual_tests
 from deadreckon.ope.case import OPEInput
 from deadreckon.ope.parts import ROWS, frequent, parts_of
 from deadreckon.randomness import generator
 from deadreckon.stats.interval import p_in_words
 
+LEVEL = balance.LEVEL / 2  # error probability of the tests of observations, and of rewards
+MOST = 10_000  # rows that are looked at
+PRODUCTS = 100  # of columns and previous actions, beyond which they are left out
 WEAK = 0.05  # correlation below which a dependence does not count, however many rows show it
 SHARE = 0.7  # of the strength of the dependence on the row after, from which on that on the row before counts
 
@@ -34,6 +38,9 @@ class _Found(NamedTuple):
     strength: float
     column: int
     action: int
+
+
+NOTHING = _Found(1.0, 0.0, 0, 0)
 
 
 def out_of_order(case: OPEInput, model: BehaviorModel, folds: int = 5) -> str | None:
@@ -62,11 +69,14 @@ def _out_of_order(case: OPEInput, model: BehaviorModel, folds: int) -> str | Non
         return None
     seen = _Seen(case)
     now, acted = standard(seen.at(rows)), _acted(case, rows - 1)
-    known = np.column_stack([now, acted, *(now[:, 1 : 1 + seen.count] * each[:, None] for each in acted.T)])
+    known = np.column_stack([now, acted])
+    if seen.count * acted.shape[1] <= PRODUCTS:
+        known = np.column_stack([known, *(now[:, 1 : 1 + seen.count] * each[:, None] for each in acted.T)])
     after = standard(seen.at(others))
     tests = residual_tests(case, model, folds)
-    earlier = _strongest(tests, rows, unit, less(seen.at(rows - 1), known))
-    later = _strongest(tests, others, unit_of_others, less(seen.at(others + 1), after))
+    # Continuous actions with autocorrelated noise go with earlier observations, which tell what of the last action was noise.
+    earlier = _strongest(tests, rows, unit, seen.at(rows - 1), known) if log.spec.discrete else NOTHING
+    later = _strongest(tests, others, unit_of_others, seen.at(others + 1), after)
     if earlier.p_value < LEVEL and earlier.strength >= SHARE * later.strength:
         name = observation_names(log)[-seen.count :][earlier.column]
         return (
@@ -75,8 +85,8 @@ def _out_of_order(case: OPEInput, model: BehaviorModel, folds: int) -> str | Non
             "(--history 2) or on a column that is missing, such as the user"
         )
     rewards = np.asarray(log.rewards, np.float64)[:, None]
-    earlier = _strongest(tests, rows, unit, less(rewards[rows - 1], np.column_stack([known, standard(seen.at(rows - 1))])))
-    later = _strongest(tests, others, unit_of_others, less(rewards[others], after))
+    earlier = _strongest(tests, rows, unit, rewards[rows - 1], np.column_stack([known, standard(seen.at(rows - 1))]))
+    later = _strongest(tests, others, unit_of_others, rewards[others], after)
     if earlier.p_value < LEVEL and earlier.strength >= SHARE * later.strength:
         return (
             f"action {action_names(log)[earlier.action]} goes with the reward of the row before "
@@ -107,18 +117,24 @@ def _some(case: OPEInput, wanted: np.ndarray, rng: np.random.Generator) -> tuple
 
 
 def _acted(case: OPEInput, rows: np.ndarray) -> np.ndarray:
-    """(rows, n) indicators of the most frequent actions there, or numbers of continuous ones."""
+    """(rows, n) indicators of the most frequent actions there, or numbers of continuous ones and their squares."""
     taken = np.asarray(case.data.actions[rows])
     if not case.data.spec.discrete:
-        return taken.reshape(len(rows), -1)[:, :ACTIONS].astype(np.float64)
+        numbers = taken.reshape(len(rows), -1)[:, :ACTIONS].astype(np.float64)
+        return np.column_stack([numbers, np.square(numbers)])
     return (taken[:, None] == frequent(taken, ACTIONS, ROWS)[1:]).astype(np.float64)
 
 
-def _strongest(tests: dict[int, Test], rows: np.ndarray, unit: np.ndarray, values: np.ndarray) -> _Found:
-    """The most significant dependence of an action in some rows on (rows, columns) values, corrected for their number."""
-    units, found = int(unit.max()) + 1, [_Found(1.0, 0.0, 0, 0)]
-    for column, each in enumerate(values.T):
-        part = parts_of(each, units)
+def _strongest(
+    tests: dict[int, Test], rows: np.ndarray, unit: np.ndarray, values: np.ndarray, known: np.ndarray
+) -> _Found:
+    """The most significant dependence of an action in some rows on (rows, columns) values, less what `known` (rows, n) tells of
+    them, corrected for their number."""
+    units, found = int(unit.max()) + 1, [NOTHING]
+    for column, (own, left) in enumerate(zip(values.T, less(values, known).T)):
+        if left.std() <= EXACT * own.std():
+            continue  # of a column that is known, as one that never changes in an episode, rounding is left
+        part = parts_of(left, units)
         for action, test in tests.items():
             p_value, strength = test(rows, part, unit)
             if strength >= WEAK:

@@ -23,7 +23,7 @@ from deadreckon.ope.estimates import Estimates
 from deadreckon.ope.estimator import Estimator
 from deadreckon.ope.groups import Groups
 from deadreckon.ope.latest import LEVEL as CHANGED
-from deadreckon.ope.over_time import adjusted, where
+from deadreckon.ope.over_time import adjusted, changed
 from deadreckon.ope.registry import Function, as_estimators, fits_name, titled
 from deadreckon.ope.select import Choice, doubted, gains
 from deadreckon.ope.settings import DecisionSettings, EstimateSettings
@@ -255,8 +255,8 @@ def _over_time(over: Mapping[str, Any]) -> str:
         told = f"there are too few episodes or clusters to test whether the behaviour policy changed: {UNITS} are needed"
     elif over["adjusted"]:
         p = p_in_words(over["p_value"])
-        place = where(over.get("within_clusters", False))
-        told = f"the behaviour policy changed {place} ({p}), and actions of about the same position are compared"
+        what = changed(over.get("within_clusters", False))
+        told = f"the behaviour policy {what} ({p}), and actions of about the same position are compared"
     else:
         told = f"no change of the behaviour policy along the log is found ({p_in_words(over['p_value'])})"
     if (latest := over.get("latest")) is None:
