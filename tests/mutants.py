@@ -3330,7 +3330,7 @@ MUTANTS = (
         ("mbo/test_misfits.py::test_proposals_among_failed_runs_are_told_on_the_card",),
     ),
     Mutant(
-        "failures-of-one-row", "mbo/unscored.py", 'return (near > 1) & (', 'return (near > 0) & (',
+        "failures-of-one-row", "mbo/unscored.py", 'around = (near > 1) & (', 'around = (near > 0) & (',
         "a single row without a score counts as a region of failures",
         ("mbo/test_misfits.py::test_rows_without_a_score_are_counted_among_the_nearest",),
     ),
@@ -3501,6 +3501,11 @@ MUTANTS = (
         "lasting-noise-out-of-order", "ope/row_order.py", " if log.spec.discrete else NOTHING", "",
         "continuous actions with a noise that lasts are taken for rows out of order",
         ("ope/test_row_order.py::test_continuous_actions_with_a_noise_that_lasts_are_not_doubted",),
+    ),
+    Mutant(
+        "failures-in-no-direction", "mbo/unscored.py", "around | (_expected(data, x) >=", "around & (_expected(data, x) <",
+        "a direction in which runs fail is not found",
+        ("mbo/test_misfits.py::test_a_direction_in_which_runs_fail_is_found",),
     ),
     Mutant(
         "groups-kept", "ope/case.py",

@@ -86,12 +86,12 @@ def _why(data: Designs, made: Proposals, far: np.ndarray, chosen: int) -> str:
 
 def _without_score(data: Designs, made: Proposals, chosen: int) -> str:
     """That rows without a score prevail around it, if they do."""
-    near = missing_near(data, made.x[[chosen]])
-    if not prevail(data, near)[0]:
+    own = made.x[[chosen]]
+    if not prevail(data, own)[0]:
         return ""
     return (
-        f" But {near[0]} of the {NEAREST} nearest rows of the table have no score: if these runs failed, this one may, too, as "
-        "the model knows nothing of failures."
+        f" But rows without a score prevail around it ({missing_near(data, own)[0]} of the {NEAREST} nearest): if these runs "
+        "failed, this one may, too, as the model knows nothing of failures."
     )
 
 
