@@ -117,6 +117,7 @@ TABLES: dict[str, Callable[[np.random.Generator], Columns]] = {
     "days alike, and ignored": days,
     "none": smooth,
     "none: scores missing at random (25 %)": lambda rng: failed(rng, 9.0, 0.25),
+    "none: no noise": lambda rng: (x := _inputs(rng, 60, 3)) | {"y": -sum(np.square(each - 0.4) for each in x.values())},
     "none: noise alone": lambda rng: _inputs(rng, 60, 4) | {"y": 10 + rng.standard_normal(60)},
     "none: a cliff": cliff,
     "none: long tails": tails,

@@ -3311,14 +3311,40 @@ MUTANTS = (
         ("ope/test_over_time.py::test_places_are_cosines_of_their_ranks",),
     ),
     Mutant(
-        "changes-along-clusters-untold", "ope/over_time.py", "within=min(found) < found[0])", "within=False)",
+        "changes-along-clusters-untold", "ope/over_time.py",
+        "within=min(found) < found[0] * (CLEARLY", "within=min(found) < 0.0 * (CLEARLY",
         "a change along clusters is told as one along the log",
         ("ope/test_over_time.py::test_an_action_of_first_contacts_is_not_praised",),
     ),
     Mutant(
-        "failures-untold", "mbo/unscored.py",
-        '    if not count:\n        return []\n    return [\n        f"{count:,} of',
-        '    if count:\n        return []\n    return [\n        f"{count:,} of',
+        "changes-along-the-log-of-clusters", "ope/over_time.py", "CLEARLY = 1e-3", "CLEARLY = 1e9",
+        "a change along the log is told as one along clusters",
+        ("ope/test_over_time.py::test_a_change_along_the_log_is_told_where_users_come_in_turns",),
+    ),
+    Mutant(
+        "failures-of-replicates", "mbo/unscored.py",
+        "np.unique(data.unscored if data.passed is None else data.unscored[data.passed], axis=0)",
+        "(data.unscored if data.passed is None else data.unscored[data.passed])",
+        "each replicate of a design that failed counts as a failure",
+        ("mbo/test_misfits.py::test_replicates_of_a_design_that_failed_are_one_failure",),
+    ),
+    Mutant(
+        "errors-of-exact-scores", "mbo/misfits.py", "    beyond &= error > LARGE * ", "    beyond &= error > 0.0 * ",
+        "the largest of tiny errors is told as an error",
+        ("mbo/test_misfits.py::test_a_score_that_no_other_row_predicts_is_told",),
+    ),
+    Mutant(
+        "totals-of-states-at-rest", "data/info.py", "return bool(slope > -_SURE * error)", "return True",
+        "rewards of states that begin at rest are taken for running totals",
+        ("data/test_info.py::test_running_totals_are_told",),
+    ),
+    Mutant(
+        "names-behind-positions", "ope/row_order.py", "observation_names(case.plain)[-seen.count :]",
+        "observation_names(log)[-seen.count :]", "a column is named by its place behind positions",
+        ("ope/test_row_order.py::test_rows_whose_newest_comes_first_are_an_objection",),
+    ),
+    Mutant(
+        "failures-untold", "mbo/unscored.py", "    if count <= MANY * (len(x) - 1):", "    if True:",
         "proposals among failed runs are told nowhere",
         ("mbo/test_misfits.py::test_proposals_among_failed_runs_are_told_on_the_card",),
     ),
@@ -3459,11 +3485,6 @@ MUTANTS = (
     Mutant(
         "running-totals-untold", "data/info.py", "    if _running_totals(log):", "    if False:",
         "rewards that add up within episodes are not told",
-        ("data/test_info.py::test_running_totals_are_told",),
-    ),
-    Mutant(
-        "running-totals-of-states", "data/info.py", " and 1 / _TIMES < first.std() / max(spread, 1e-300) < _TIMES", "",
-        "rewards of slow states are taken for running totals",
         ("data/test_info.py::test_running_totals_are_told",),
     ),
     Mutant(

@@ -211,6 +211,11 @@ def test_running_totals_are_told():
         for step in range(1, 20):
             state[:, step] += memory * state[:, step - 1]
         assert not told(state)
+    for memory, steps in ((0.8, 20), (0.95, 200)):  # states that begin at rest
+        state = rng.normal(size=(100, steps))
+        for step in range(1, steps):
+            state[:, step] += memory * state[:, step - 1]
+        assert not told(state)
     assert not told(np.repeat(rng.normal(size=(40, 1)), 12, 1))
     assert not told(np.zeros((40, 12)))
 

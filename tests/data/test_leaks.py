@@ -67,6 +67,10 @@ def test_the_outcome_of_an_episode_in_all_of_its_rows_is_told():
         assert leaks(read(cured(seed, every=3.0))) == ()  # what matters from the start on is known then
         few = {name: values[: 40 * STEPS] for name, values in cured(seed).items()}
         assert leaks(read(few)) == ()
+    alone, end = cured(0), np.arange(STEPS * EPISODES) % STEPS == STEPS - 1
+    for noise in (0.1, 0.25):  # where no other rewards are, known contexts explain much
+        alone["reward"] = np.where(end, alone["cured"] + noise * alone["noise"], 0.0)
+        assert any("outcome" in line for line in leaks(read(alone))) == (noise == 0.1)
     numbers = cured(0)
     numbers["cured"] = numbers["cured"] + np.repeat(np.random.default_rng(1).uniform(0, 0.2, EPISODES), STEPS)
     assert "column cured may be the outcome" in leaks(read(numbers))[0]  # many values

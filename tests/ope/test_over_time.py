@@ -126,6 +126,13 @@ def test_an_action_of_first_contacts_is_not_praised():
     assert found.choice.name == "often"
 
 
+def test_a_change_along_the_log_is_told_where_users_come_in_turns():
+    log = campaign(0, rows=1200)
+    change = change_of(case_of(log, clusters=np.arange(1200) % 100))
+    assert change.found
+    assert not change.within
+
+
 def test_places_are_cosines_of_their_ranks():
     """Of clusters of one to three episodes: three first ones, two second ones and a third one."""
     clusters = np.array([1, 0, 1, 2, 0, 1])

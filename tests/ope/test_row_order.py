@@ -110,6 +110,8 @@ def test_rows_whose_newest_comes_first_are_an_objection():
         assert " goes with observation 0 of the row before (p < 0.001), beyond what its own row shows: rows may not" in line
         assert "(--time)" in line
         assert "(--history 2)" in line
+    placed = OPEInput(case.given, [OFTEN], logged=True, discount=0.9, positions=True)
+    assert " goes with observation 0 of the row before" in out_of_order(placed, MODEL)
     assert any("of the row before" in each for each in decide(case, model=MODEL).choice.objections[0])
 
 

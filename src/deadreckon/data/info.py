@@ -28,6 +28,7 @@ _GAINS = {"saving", "savings", "saved", "free", "avoided", "reduction", "reduced
 _MANY, _SHARE, _TIMES_MORE = 50, 0.01, 10
 _SAMPLE = 200_000  # rows looked at where looking at all would be slow
 _SEVERAL = 10  # episodes, and different rewards of theirs, from which on equal rewards within episodes are told
+_SURE = 2.6  # standard errors
 _STEPS, _LIKE, _TIMES = 4, 0.5, 1.5  # least length of episodes whose rewards may be running totals, and what is like the first
 _NAMED = 8  # columns or actions named in a line
 _QUANTILES = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -233,9 +234,11 @@ def _totals(log: Dataset) -> bool:
 
 
 def _running_totals(log: Dataset) -> bool:
-    """Whether what each row adds to the reward before it is like the first reward, and the last ones vary more.
+    """Whether what each row adds to the reward before it is like the first reward, does not depend on that before, and the last
+    ones vary more.
 
-    Rewards that are not added up differ from the reward before by more than the last ones vary, or begin as they go on.
+    Rewards that are not added up differ from the reward before by more than the last ones vary, begin as they go on, or, as
+    those of states that begin at rest, return to where they were.
     """
     longer = np.flatnonzero(log.lengths >= _STEPS)
     if len(longer) < _SEVERAL:
@@ -245,8 +248,15 @@ def _running_totals(log: Dataset) -> bool:
     within[log.starts] = False
     added = (rewards[1:] - rewards[:-1])[within[1:]]
     first, last, spread = rewards[log.starts[longer]], rewards[log.ends[longer]], added.std()
-    like = abs(first.mean() - added.mean()) < _LIKE * spread and 1 / _TIMES < first.std() / max(spread, 1e-300) < _TIMES
-    return bool(like and last.std() > _TIMES * spread)
+    if abs(first.mean() - added.mean()) >= _LIKE * spread or last.std() <= _TIMES * spread:
+        return False
+    before = rewards[:-1][within[1:]]
+    off = before - before.mean()
+    if not off.any():
+        return False
+    slope = off @ added / (off @ off)
+    error = spread / np.sqrt(off @ off)
+    return bool(slope > -_SURE * error)  # states go back to where they were
 
 
 def _piled(log: Dataset) -> list[str]:

@@ -23,6 +23,7 @@ COLUMNS = 200  # that are looked at
 EPISODES = 50  # least number of those whose outcomes are looked at
 # Least share of the last rewards that an outcome explains, and how much of that share it may explain of the rewards before.
 OUTCOME, EARLIER = 0.5, 0.2
+ALONE = 0.9  # least share where there are no earlier rewards to tell an outcome from what was known at the start
 _FILLS = (-1.0, 0.0)  # what stands for the earlier value where there is none
 
 
@@ -145,7 +146,8 @@ def _outcomes(log: Dataset, sample: _Sample) -> list[str]:
         if not same.all():
             continue
         part = _levels(values[starts])
-        if part.max() == 0 or (told := _explained(part, last)) < OUTCOME or _explained(part, before) > told * EARLIER:
+        least = OUTCOME if np.ptp(before) > 0 else ALONE
+        if part.max() == 0 or (told := _explained(part, last)) < least or _explained(part, before) > told * EARLIER:
             continue
         text = f"column {name} may be the outcome of its episode: it is the same in all rows, and explains {told:.0%} of the "
         out.append(f"{text}last reward and hardly any before; unless it is known at the start, leave it out (--ignore)")

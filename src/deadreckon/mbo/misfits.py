@@ -10,6 +10,7 @@ from deadreckon.stats.ranks import spearman
 
 LEAST = 20  # fewest rows
 FAR = 5.0  # robust standard deviations of the errors, beyond which a row is named
+LARGE = 1.5  # standard deviations of the other scores that its error must be, too
 FEW = 0.05  # share of rows beyond it, above which errors have long tails and no row is named
 NEIGHBOURS = 4  # rows of which one at least is alike at a cliff
 NAMED = 3  # most rows that are named
@@ -34,6 +35,7 @@ def misfits_told(data: Designs, quality: Quality | None) -> list[str]:
     if quality.skilled and (growing := _growing(data, quality.observed, mean, error, ~beyond, units)):
         return growing  # then large errors are those of large scores
     rows = np.arange(len(error)) if quality.rows is None else quality.rows
+    beyond &= error > LARGE * quality.observed[~beyond].std()  # of exact scores all errors are small, also the largest
     beyond[beyond] = _apart(data, rows[beyond]) > FAR * usual
     if not 0 < beyond.sum() <= max(FEW * len(error), 1):
         return []

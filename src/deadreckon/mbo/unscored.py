@@ -10,17 +10,20 @@ from scipy.special import bdtrc, fdtrc
 from deadreckon.mbo.designs import Designs
 
 NEAREST = 5  # designs of the table around a proposal
-LEVEL = 0.05  # probability that as many of them have no score, if rows without one lie anywhere
+LEVEL = 0.01  # probability that as many of them have no score, if rows without one lie anywhere
+MANY = 0.1  # share of the proposals from which on it is told of them together
 SURE = 0.01  # error probability of the regression
 TIMES, OFTEN = 3.0, 0.2  # how many times as frequent as in the table failures must be by it, and the least share
 ROWS = 5  # least rows for each regressor
 
 
 def failures(data: Designs) -> np.ndarray:
-    """(k, variables) complete designs whose runs may have failed: those without a score that are not planned."""
+    """(k, variables) different designs whose runs may have failed: those without any score that are not planned."""
     if data.unscored is None:
         return data.x[:0]
-    return data.unscored if data.passed is None else data.unscored[data.passed]
+    some = np.unique(data.unscored if data.passed is None else data.unscored[data.passed], axis=0)
+    known = {row.tobytes() for row in data.x}
+    return some[[row.tobytes() not in known for row in some]] if len(some) else some
 
 
 def missing_near(data: Designs, x: np.ndarray) -> np.ndarray:
@@ -67,7 +70,7 @@ def _expected(data: Designs, x: np.ndarray) -> np.ndarray:
 def unscored_told(data: Designs, x: np.ndarray) -> list[str]:
     """A message if many of (n, variables) proposals lie where rows without a score prevail."""
     count = int(prevail(data, x).sum())
-    if not count:
+    if count <= MANY * (len(x) - 1):
         return []
     return [
         f"{count:,} of {len(x):,} proposals {'lies' if count == 1 else 'lie'} where rows without {data.target} prevail: if "

@@ -215,9 +215,10 @@ def left_out(case: OPEInput) -> str | None:
     # At the same step with the same observation, as recordings of one length end at one step.
     place = np.unique(rows.cell[open_] * (longest + 1) + rows.step[open_], return_inverse=True)[1]
     beyond, actions = early - means_of(place, early), frequent(rows.taken, ACTIONS, ROWS)
+    size = np.bincount(place)[place]  # of two rows of a place one is what the other is not
     for action in actions:
         chance = means_of(place, taken == action)
-        least = float((np.square(beyond) * chance * (1.0 - chance)).sum())
+        least = float((np.square(beyond) * chance * (1.0 - chance) * size / np.maximum(size - 1, 1)).sum())
         p_value, strength = _correlated(beyond, (taken == action) - chance, unit, least)
         seen, expected = int(early[taken == action].sum()), float(chance[early].sum())
         if p_value * len(actions) < LEVEL and strength > 0 and seen >= OFTEN * expected:

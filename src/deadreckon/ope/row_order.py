@@ -78,7 +78,7 @@ def _out_of_order(case: OPEInput, model: BehaviorModel, folds: int) -> str | Non
     earlier = _strongest(tests, rows, unit, seen.at(rows - 1), known) if log.spec.discrete else NOTHING
     later = _strongest(tests, others, unit_of_others, seen.at(others + 1), after)
     if earlier.p_value < LEVEL and earlier.strength >= SHARE * later.strength:
-        name = observation_names(log)[-seen.count :][earlier.column]
+        name = observation_names(case.plain)[-seen.count :][earlier.column]
         return (
             f"action {action_names(log)[earlier.action]} goes with {name} of the row before ({p_in_words(earlier.p_value)}), "
             "beyond what its own row shows: rows may not be in the order of time (--time), or actions depend on earlier rows "
