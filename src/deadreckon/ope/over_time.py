@@ -105,7 +105,8 @@ def _change(case: OPEInput) -> Change | None:
     else:
         known = _regressors(log, log.observations[rows], rng)
     positions = (waves(log, episode), places(case.clusters, episode))
-    found = [p_value(known, each, _actions(log, rows), case.clusters[episode]) for each in positions if each.shape[1]]
+    acted, cluster = _actions(log, rows), case.clusters[episode]
+    found = [p_value(known, each, acted, cluster) for each in positions if each.shape[1]]
     # Where users come in turns, a change along the log is nearly one along their episodes, too.
     return Change(min(min(found) * len(found), 1.0), within=min(found) < found[0] * (CLEARLY if found[0] < LEVEL else 1.0))
 

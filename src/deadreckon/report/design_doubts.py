@@ -89,7 +89,8 @@ def _of_quality(data: Designs, made: Proposals) -> list[str]:
         )
     else:
         lines.append(f"The mean score of the table predicts unseen rows better than the model does (R2 {_plain(quality.r2)}).")
-    lines += [f"{line[:1].upper()}{line[1:]}." for line in misfits_told(data, quality)]
+    named = f"{data.target}: "  # a column keeps its case
+    lines += [f"{line if line.startswith(named) else line[:1].upper() + line[1:]}." for line in misfits_told(data, quality)]
     lines.append(_of_optimism(data, quality))
     return [*lines, *_of_calibration(quality)]
 
