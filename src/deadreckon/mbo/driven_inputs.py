@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deadreckon.mbo.doubts import relations, said_in, unsaid_sums
-from deadreckon.mbo.over_time import left_out
+from deadreckon.mbo.over_time import left_out, sampled
 from deadreckon.mbo.variables import measured
-from deadreckon.randomness import generator
 
 if TYPE_CHECKING:
     from deadreckon.mbo.designs import Designs
@@ -31,12 +30,7 @@ def about_driven_inputs(data: "Designs") -> list[str]:
     known |= {i for group in relations(data.variables, measured(data.variables, x), known) for i in group}
     numeric = [int(i) for i in data.coordinates.numeric if np.ptp(data.x[:, i]) > 0]
     columns = [i for i in numeric if i not in known and not data.variables[i].leveled]
-    rows = np.arange(len(data))
-    if len(data) > MOST:
-        rows = np.sort(generator(0, "driven inputs").choice(len(data), MOST, replace=False))
-    z = data.coordinates.place(data.x[rows])
-    z = (z - z.mean(0)) / np.where(z.std(0) > 0, z.std(0), 1.0)
-    owners, units = data.coordinates.place_owners, np.unique(data.units[rows], return_inverse=True)[1]
+    (_, z, units), owners = sampled(data, MOST, "driven inputs"), data.coordinates.place_owners
     found = []
     for i in columns:
         own = z[:, owners == i]

@@ -61,12 +61,7 @@ def p_of_change(data: "Designs", moved: np.ndarray) -> float:
         data: designs in the order of their table.
         moved: indices of the variables that changed along it.
     """
-    rows = np.arange(len(data))
-    if len(data) > MOST:
-        rows = np.sort(generator(0, "order").choice(len(data), MOST, replace=False))
-    z = data.coordinates.place(data.x[rows])
-    z = (z - z.mean(0)) / np.where(z.std(0) > 0, z.std(0), 1.0)
-    units = np.unique(data.units[rows], return_inverse=True)[1]
+    rows, z, units = sampled(data, MOST, "order")
     # Errors of replicates in a row are alike, as predictions leave them all out.
     cluster = np.cumsum(np.append(0, np.diff(units) != 0)) if data.groups is None else data.groups[rows]
     y = data.y[rows] - data.y[rows].mean()
@@ -82,6 +77,17 @@ def p_of_change(data: "Designs", moved: np.ndarray) -> float:
     left = left_out(views, np.column_stack([y / y.std(), waves]), units)
     unexplained = np.square(left[:, 1:]).mean(0) / waves.var(0)
     return p_of_products(left[:, :1], left[:, 1:][:, unexplained > 1.0 - EXPLAINED], cluster, centred=True)
+
+
+def sampled(data: "Designs", most: int, purpose: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(n,) rows of the data, at most `most`, their (n, features) standardised coordinates, and (n,) their units, 0, 1, ...; the
+    rows are drawn for a purpose of randomness."""
+    rows = np.arange(len(data))
+    if len(data) > most:
+        rows = np.sort(generator(0, purpose).choice(len(data), most, replace=False))
+    z = data.coordinates.place(data.x[rows])
+    z = (z - z.mean(0)) / np.where(z.std(0) > 0, z.std(0), 1.0)
+    return rows, z, np.unique(data.units[rows], return_inverse=True)[1]
 
 
 def _waves(data: "Designs") -> np.ndarray:
