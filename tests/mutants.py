@@ -1059,7 +1059,7 @@ MUTANTS = (
         "a checkpoint of other folds is taken", ("ope/test_asked.py",),
     ),
     Mutant(
-        "beyond-log", "ope/case.py", "float(self._endless(part) @ going_on)", "0.0",
+        "beyond-log", "ope/evaluated.py", "float(self._endless(part) @ going_on)", "0.0",
         "what lies beyond the recording is the log's share, whatever the policy does", ("ope/test_cut.py",),
     ),
     Mutant(
@@ -1079,7 +1079,7 @@ MUTANTS = (
         ("ope/test_cut.py::test_the_last_step_of_a_horizon_counts_though_nobody_knows_what_follows_it",),
     ),
     Mutant(
-        "alone-lost", "ope/case.py", "return self.discount == 0.0 or self.estimand.horizon == 1", "return False",
+        "alone-lost", "ope/evaluated.py", "return self.discount == 0.0 or self.estimand.horizon == 1", "return False",
         "with a discount of zero rows are lost of which nobody knows what follows",
         ("ope/test_cut.py::test_of_rewards_that_nothing_follows_no_row_is_lost",),
     ),
@@ -2701,12 +2701,12 @@ MUTANTS = (
         ("ope/test_over_time.py::test_policies_do_not_see_positions_and_models_do",),
     ),
     Mutant(
-        "tables-of-positions", "ope/case.py", "return None if self.positions else self.once(", "return self.once(",
+        "tables-of-positions", "ope/evaluated.py", "return None if self.positions else self.once(", "return self.once(",
         "a small log has a cell for each position, of which a critic learns nothing",
         ("ope/test_over_time.py::test_a_small_log_is_tested_too",),
     ),
     Mutant(
-        "habits-without-positions", "ope/case.py", "Table.of(self.plain) if self.positions else self.table", "self.table",
+        "habits-without-positions", "ope/evaluated.py", "Table.of(self.plain) if self.positions else self.table", "self.table",
         "what the behaviour policy does next is forgotten where models see positions",
         ("ope/test_over_time.py::test_next_actions_that_the_log_does_not_show_are_known_by_the_state_with_positions_too",),
     ),
@@ -2756,8 +2756,8 @@ MUTANTS = (
         ("data/test_split.py::test_copies_are_held_out_together",),
     ),
     Mutant(
-        "copies-independent", "ope/case.py", "clusters_of(self.given) if clusters is None",
-        "np.arange(data.episodes) if clusters is None", "copies of an episode narrow intervals as independent ones do",
+        "copies-independent", "ope/evaluated.py", "return clusters_of(log)", "return np.arange(log.episodes)",
+        "copies of an episode narrow intervals as independent ones do",
         ("ope/test_case.py::test_copies_of_episodes_add_nothing",),
     ),
     Mutant(
@@ -3529,7 +3529,37 @@ MUTANTS = (
         ("mbo/test_misfits.py::test_a_direction_in_which_runs_fail_is_found",),
     ),
     Mutant(
-        "groups-kept", "ope/case.py",
+        "held-back-untold", "ope/select.py", "if held_back := [names[i] for i in range(len(names)) if every[i, 1] > 0]:",
+        "if held_back := []:", "a card does not name the policy that only objections hold back",
+        ("ope/test_select.py::test_a_policy_that_objections_hold_back_is_named",),
+    ),
+    Mutant(
+        "highest-of-all", "ope/select.py", '" of the policies without objections" if any(objections) else ""', '""',
+        "the best of the policies without objections is said to be the best of all",
+        ("ope/test_select.py::test_a_policy_that_objections_hold_back_is_named",),
+    ),
+    Mutant(
+        "json-late-key", "data/formats/json_table.py", "columns[name] = [None] * len(places)", "columns[name] = []",
+        "the values of a key that the first objects lack move up to these", ("data/formats/test_json_table.py",),
+    ),
+    Mutant(
+        "json-sparse", "data/formats/json_table.py", "len(columns) * len(places) * _CELL", "len(places) * _CELL",
+        "a small file of objects with different keys fills the memory", ("data/formats/test_json_table.py",),
+    ),
+    Mutant(
+        "json-twice", "data/formats/json_table.py", "if len(found) < len(pairs):", "if False:",
+        "of two values with one name in an object the first is lost", ("data/formats/test_json_table.py",),
+    ),
+    Mutant(
+        "json-uneven", "data/formats/json_table.py", "len(each) == size and not any(", "not any(",
+        "lists of several lengths become columns", ("data/formats/test_json_table.py",),
+    ),
+    Mutant(
+        "json-is-rllib", "data/formats/rllib.py", "and bool(first) and all(", "and bool(first) and any(",
+        "a row with a list is taken for a batch of rows", ("data/formats/test_json_table.py",),
+    ),
+    Mutant(
+        "groups-kept", "ope/evaluated.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"
         "        found.log_uncensored = self.episodes.log_uncensored[part[self.data.episode_of]]\n        return found",
@@ -3551,7 +3581,7 @@ MUTANTS = (
         "the evaluation as a run ends counts as much in its learning curve as others", ("bench/test_claims.py",),
     ),
     Mutant(
-        "held-negative", "ope/case.py", "found.min() < 0 or ", "", "a judged episode teaches under a negative index",
+        "held-negative", "ope/evaluated.py", "found.min() < 0 or ", "", "a judged episode teaches under a negative index",
         ("ope/test_asked.py",),
     ),
     Mutant(
@@ -4932,7 +4962,7 @@ MUTANTS = (
         ("ope/test_demands.py::test_learned_propensities_that_do_not_fit_widen_what_does_not_normalise",),
     ),
     Mutant(
-        "cut-without-horizon", "ope/case.py",
+        "cut-without-horizon", "ope/evaluated.py",
         "self._ahead[self.data.lengths[cut] - 1].mean()",
         "(self.discount ** self.data.lengths[cut]).mean()",
         "what is lost behind a cut is told of all time, whatever the horizon",

@@ -480,8 +480,7 @@ def test_integers_beyond_all_integers_are_told_where_they_stand_behind_the_head(
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('[{"x": 1, "action": 0, "reward": 2}]', r"a list in JSON, which is not read; in Python, .*read_json\('rows'\)"),
-        ('{"x": 1, "action": 0, "reward": 2}\n', r"rows of a table; in Python, .*read_json\('rows', lines=True\)"),
+        ("[[1, 0, 2], [2, 1, 3]]", "a list of lists in JSON has no names of columns"),
         ("x,action,reward\n12:30,0,2\n13:45,1,3\n", r"no column is left .* \(timestamps are left out .*: x \(--time x\)\)"),
     ],
 )

@@ -77,6 +77,9 @@ def tables(kind: str) -> list[Files]:
     if kind == "csv.gz":
         csv.write_csv(found, made)
         return [{"log.csv.gz": gzip.compress(made.getvalue(), mtime=0)}]
+    if kind == "jsonl":
+        lines = [json.dumps(row | {"more": {"a": i, "b": [i, None]}}, default=str) for i, row in enumerate(found.to_pylist())]
+        return [{"log.jsonl": "\n".join(lines).encode()}, {"log.jsonl": ("[" + ",\n".join(lines) + "]").encode()}]
     if kind == "arrow":
         from pyarrow import feather
 

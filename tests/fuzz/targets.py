@@ -207,6 +207,7 @@ TARGETS: dict[str, Target] = {
     "minari": Target(lambda _: seeds.minari(), _log("log"), {".json": mutate.json_text, ".hdf5": hdf5}),
     "folder": Target(lambda _: seeds.logs("folder"), _log("log"), {".json": mutate.json_text, ".npy": mutate.npy}),
     "pickle": Target(lambda _: seeds.pickles(), _log("log.pkl"), {"": pickled}, 2.0),
+    "json": Target(lambda _: seeds.tables("jsonl"), _log("log.jsonl"), {"": mutate.json_lines}),
     "rllib": Target(lambda _: seeds.rllib(), _log("log.json"), {"": mutate.json_lines}),
     "vw": Target(lambda _: seeds.vw(), _log("log.vw"), {"": mutate.havoc}),
     "policy": Target(_made_policies, _policy, {"": _ARCHIVE}),

@@ -221,6 +221,19 @@ def test_estimates_that_speak_against_the_choice():
         assert any("the weights of a in WDR rest on 3.0 episodes" in line for line in choice.warnings) == deploy
 
 
+@pytest.mark.parametrize("objection", [(), ("it costs too much",)])
+def test_a_policy_that_objections_hold_back_is_named(objection):
+    """The best of the others has not the highest lower end of all."""
+    draws = [2.0, 0.0] + 0.1 * np.random.default_rng(0).standard_normal((200, 2))
+    choice = select([estimates("FQE-L2", [2.0, 0.0], draws)], accept_model_based=True, against=[objection, ()])
+    assert choice.deploy == (not objection)
+    if objection:
+        assert "b has the highest lower end of the policies without objections, with" in choice.reason
+        assert choice.reason.endswith("the lower end is not above zero; a would be deployed without objections")
+    none = select([estimates("FQE-L2", [0.0, 0.0], draws * 0.0)], accept_model_based=True, against=[objection, ()])
+    assert "would be deployed" not in none.reason
+
+
 def weighted(gain, spread, diagnostics, ess=100.0, count=200):
     """Of one policy by influence functions, and the log's own."""
     psi = np.random.default_rng(0).standard_normal(count)

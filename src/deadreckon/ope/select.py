@@ -171,7 +171,10 @@ def select(
     elif low > 0:
         deploy, reason = True, f"{unit}; the lower end is above zero"
     else:
-        deploy, reason = False, f"{name} has the highest lower end, with {unit}; the lower end is not above zero"
+        among = " of the policies without objections" if any(objections) else ""
+        deploy, reason = False, f"{name} has the highest lower end{among}, with {unit}; the lower end is not above zero"
+        if held_back := [names[i] for i in range(len(names)) if every[i, 1] > 0]:
+            reason += f"; {' or '.join(held_back)} would be deployed without objections"
     evidence = []
     for each, told in zip(estimates[1:], found[1:]):
         chosen = max(range(len(names)), key=lambda i: _standing(each, told[i]))

@@ -1,4 +1,4 @@
-"""Reading of tables from files as pyarrow tables: CSV in its dialects, Parquet, spreadsheets, SQLite and DuckDB."""
+"""Reading of tables from files as pyarrow tables: CSV in its dialects, JSON, Parquet, spreadsheets, SQLite and DuckDB."""
 
 import contextlib
 import functools
@@ -65,7 +65,11 @@ def table_of_kind(
         for name in stored.column_names:
             known.keep(name, stored[name])
         return found, None if order is None else Dialect(dates=order), told
-    if kind == "excel":
+    if kind == "json":
+        from deadreckon.data.formats.json_table import read_json_table
+
+        found, told = read_json_table(path)
+    elif kind == "excel":
         from deadreckon.data.formats.excel import read_excel
 
         found, told = read_excel(path, sheet)

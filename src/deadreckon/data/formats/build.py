@@ -15,7 +15,9 @@ from deadreckon.data.spec import Box, Discrete
 from deadreckon.errors import UserError
 
 ENDINGS = (".gz", ".hdf5", ".h5", ".npz", ".pickle", ".pkl", ".json", ".vw")  # of logs that are no tables
-TABLE_ENDINGS = (".parquet", ".csv", ".tsv", ".xlsx", ".xls", ".ods", ".sqlite", ".sqlite3", ".duckdb", ".db")
+TABLE_ENDINGS = (
+    ".parquet", ".csv", ".tsv", ".jsonl", ".ndjson", ".json", ".xlsx", ".xls", ".ods", ".sqlite", ".sqlite3", ".duckdb", ".db",
+)  # fmt: skip
 
 
 def build(

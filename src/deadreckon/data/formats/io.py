@@ -39,9 +39,9 @@ def read(
     """Reads a log; the format is detected from the content, not from the name.
 
     Args:
-        path: a file (D4RL hdf5, Parquet, CSV in any dialect, spreadsheets, SQLite, DuckDB, npz, RLlib's JSON lines, VW's text,
-            pickled demonstrations; CSV and pickles may be gzipped), a folder (Minari's or ours), `minari:` and an id (only the
-            id if the data set is installed here), or the TOML file of a schema that names a table beside it.
+        path: a file (D4RL hdf5, Parquet, CSV in any dialect, JSON, spreadsheets, SQLite, DuckDB, npz, RLlib's batches, VW's
+            text, pickled demonstrations; CSV, JSON and pickles may be gzipped), a folder (Minari's or ours), `minari:` and an
+            id (only the id if the data set is installed here), or the TOML file of a schema that names a table beside it.
         mmap: memory-map the columns, for logs larger than memory; only hdf5 files and folders written here. None: only folders
             whose columns take more than 1 GiB, on any machine, because the default held-out part depends on it.
         strict: refuse actions out of bounds instead of warning.

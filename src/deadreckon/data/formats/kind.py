@@ -9,31 +9,33 @@ from typing import Any
 from deadreckon.data.formats import folder as folders
 from deadreckon.data.formats import minari_ids as minaris
 from deadreckon.data.formats.dialect import is_table, text_of
+from deadreckon.data.formats.json_table import is_json_table
 from deadreckon.data.formats.rllib import files_of, is_rllib
 from deadreckon.data.formats.vw import is_vw
 from deadreckon.errors import UserError, reading
 from deadreckon.foreign.door import opened, unpacked
 
 FORMATS = (
-    "hdf5, Parquet, CSV with commas, semicolons, tabs or bars, spreadsheets, SQLite, DuckDB, npz, pickle, "
-    "RLlib's JSON lines, VW's text, a Minari data set or a folder of deadreckon's"
+    "hdf5, Parquet, CSV with commas, semicolons, tabs or bars, JSON lines, spreadsheets, SQLite, DuckDB, npz, pickle, "
+    "RLlib's batches, VW's text, a Minari data set or a folder of deadreckon's"
 )
-TABLES = ("csv", "parquet", "excel", "sqlite", "duckdb")  # formats whose columns may have any names
+TABLES = ("csv", "json", "parquet", "excel", "sqlite", "duckdb")  # formats whose columns may have any names
 # Options of the readers, and the formats that have them.
 READING = {
     "separator": ("csv",), "decimal": ("csv",), "thousands": ("csv",), "encoding": ("csv",),
-    "dates": ("csv", "parquet", "excel", "sqlite", "duckdb"), "sheet": ("excel",), "query": ("sqlite", "duckdb"),
+    "dates": ("csv", "json", "parquet", "excel", "sqlite", "duckdb"), "sheet": ("excel",), "query": ("sqlite", "duckdb"),
     "table": ("sqlite", "duckdb"),
 }  # fmt: skip
 DIALECT = ("separator", "decimal", "thousands", "encoding", "dates")  # those on how values are written
-_WORDS = {"csv": "CSV", "parquet": "Parquet", "excel": "a spreadsheet", "sqlite": "SQLite", "duckdb": "DuckDB"}
+_WORDS = {"csv": "CSV", "json": "JSON", "parquet": "Parquet", "excel": "a spreadsheet", "sqlite": "SQLite", "duckdb": "DuckDB"}
 _MAGIC = ((b"\x89HDF\r\n\x1a\n", "hdf5"), (b"PAR1", "parquet"), (b"PK\x03\x04", "npz"), (b"SQLite format 3\0", "sqlite"),
           (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "excel"))  # fmt: skip
 _CONTENTS = "[Content_Types].xml"
 
 
 def sniff(path: Path | str, separator: str | None = None) -> str:
-    """The format of a log: hdf5, parquet, npz, pickle, csv, excel, sqlite, duckdb, rllib, vw, minari or folder.
+    """The format of a log: hdf5, parquet, npz, pickle, csv, json, excel, sqlite, duckdb, rllib, vw, minari or
+    folder.
 
     Args:
         path: of the file or folder.
@@ -74,12 +76,11 @@ def sniff(path: Path | str, separator: str | None = None) -> str:
         return kind
     if _is_pickle(head):
         return "pickle"
-    for kind, test in (("vw", is_vw), ("rllib", is_rllib)) if separator is None else ():
+    for kind, test in (("vw", is_vw), ("rllib", is_rllib), ("json", is_json_table)) if separator is None else ():
         if test(head):
             return kind
-    if re.match(rb"\s*\[\s*[{\[]", head):
-        how = f"in Python, Dataset.from_frame(pandas.read_json({path.name!r}))"
-        raise UserError(f"{path}: a list in JSON, which is not read; {how}")
+    if re.match(rb"\s*\[\s*\[", head):
+        raise UserError(f"{path}: a list of lists in JSON has no names of columns; write a list of objects, or CSV")
     if is_table(head, separator):
         return "csv"
     one = "; a table of one column is read from Parquet or a spreadsheet, not from text" if text_of(head) is not None else ""

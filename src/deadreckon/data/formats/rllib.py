@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +11,12 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.arrange import arranged
 from deadreckon.data.formats.build import build, stem
+from deadreckon.data.formats.json_table import without_mark
 from deadreckon.data.formats.layouts import flat
 from deadreckon.errors import UserError, naming, reading
 from deadreckon.foreign.door import opened
 
+_BATCH = rb'\{\s*"type"\s*:\s*"(Sample|MultiAgent)Batch"'
 _BATCHES = "output-*.json"  # the files in a folder that RLlib has written
 _NO_ARRAYS = ("type", "infos", "count")
 _EPISODE = "eps_id"  # texts, or integers that may exceed 64 bits
@@ -43,10 +46,8 @@ def read_rllib(path: Path | str, *, strict: bool = False, name: str | None = Non
         whole[_EPISODE] = whole[_EPISODE].tolist()
     found = arranged(path, whole)
     if "layout" not in found.extra:
-        how = f"found {', '.join(whole)}" if whole else (
-            f"these are rows of a table; in Python, Dataset.from_frame(pandas.read_json({Path(path).name!r}, lines=True))"
-        )
-        raise UserError(f"{path}: JSON lines are read in RLlib's layout: obs, actions, rewards, ...; {how}")
+        told = f"found {', '.join(whole)}; a table has one row per line, and a value per column" if whole else "found no lists"
+        raise UserError(f"{path}: JSON lines of lists are read in RLlib's layout: obs, actions, rewards, ...; {told}")
     return build(
         path, found.columns, source="rllib-json", name=name or stem(path), action_space=found.space, extra=found.extra,
         strict=strict, horizon=horizon, warnings=found.told,
@@ -59,9 +60,19 @@ def files_of(path: Path | str) -> list[Path]:
 
 
 def is_rllib(head: bytes) -> bool:
-    """Whether a file begins with an object of JSON on one line."""
-    start = head.lstrip()[:64]
-    return start.startswith(b"{") and b'"' in start and b"\0" not in head
+    """Whether a file begins with a batch: an object of JSON that says so, or whose values are all lists.
+
+    Args:
+        head: the beginning of the file, which may end within the first object.
+    """
+    start = without_mark(head)
+    if b"\0" in head or re.match(_BATCH, start):
+        return b"\0" not in head
+    try:
+        first = json.loads(start.split(b"\n")[0])
+    except (ValueError, RecursionError):  # the object is longer, so its first value tells
+        return re.match(rb'\{\s*"[^"]*"\s*:\s*\[', start) is not None
+    return isinstance(first, dict) and bool(first) and all(isinstance(value, list) for value in first.values())
 
 
 def _batch(line: str, number: int) -> dict[str, Any]:

@@ -31,7 +31,7 @@ def read_tabular(
     horizon: int | None = None,
     **mapping: Any,
 ) -> Dataset:
-    """Reads a file of a table: CSV in any dialect, Parquet, a spreadsheet, SQLite or DuckDB.
+    """Reads a file of a table: CSV in any dialect, JSON, Parquet, a spreadsheet, SQLite or DuckDB.
 
     Parquet that `write_parquet` wrote gives the log back exactly, unless a mapping is given.
 
