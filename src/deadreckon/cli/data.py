@@ -117,7 +117,7 @@ class Describe:
     """Draft a schema for a table: role, kind, levels and range of each column, with reasons and doubts."""
 
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TABLE")]
-    """table to describe: a CSV or Parquet file, a spreadsheet or a database"""
+    """table to describe: a CSV, JSON or Parquet file, a spreadsheet or a database"""
     map: Annotated[Mapping, tyro.conf.arg(name="")]  # columns whose roles are known already, and how the file is read
     save: Annotated[str | None, tyro.conf.arg(metavar="FILE")] = None
     """file to write the schema to (.toml); None: print it"""

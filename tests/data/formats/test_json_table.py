@@ -95,6 +95,8 @@ def test_numbers_that_json_or_64_bits_do_not_have(tmp_path):
         ('{"x": 1, "x": 2}\n', "line 1 is no JSON .two values of an object are called 'x'"),
         ('{"x": {"y": 1}, "x.y": 2}\n', "line 1 has two values called 'x.y'; rename one"),
         ('{"x": 1, " ": 2}\n', "line 1 has a value without a name"),
+        ('{"data": [{"x": 1}, {"x": 2}]}\n', "its object holds a list of objects, 'data'; write a file with that list alone"),
+        ('{"data": [{"x": "' + "a" * 5000 + '"}]}\n', "its object holds a list of objects, 'data'"),
         ('{"x": [1], "x[0]": 2}\n', r"two columns are called 'x\[0\]'; rename one"),
         ('{"x[0]": 2, "x": [1]}\n', r"two columns are called 'x\[0\]'; rename one"),
         ('{"x": "\\ud800"}\n', "cannot be read as JSON"),

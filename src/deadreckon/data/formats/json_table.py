@@ -63,6 +63,8 @@ def read_json_table(path: Path | str) -> tuple[pa.Table, list[str]]:
                 values.extend([None] * (len(places) - len(values)))
             if (taken := len(columns) * len(places) * _CELL) > most:
                 raise beyond(path, taken, most, UNPACKED, "unpacks to")
+        if len(places) == 1 and (inner := next((name for name, (value,) in columns.items() if _is_rows(value)), None)):
+            raise UserError(f"{path}: its object holds a list of objects, {inner!r}; write a file with that list alone")
         if not columns:
             raise UserError(f"{path}: its objects have no keys, which name the columns")
         arrays, told = {}, []
@@ -112,6 +114,11 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def _constant(name: str) -> float | None:
     """What Python's and other writers make of numbers that JSON does not have; one that is none is missing."""
     return None if name == "NaN" else float(name)
+
+
+def _is_rows(value: Any) -> bool:
+    """Whether a value is itself a table: a list of objects."""
+    return isinstance(value, list) and bool(value) and all(isinstance(one, dict) for one in value)
 
 
 def _spread(row: Any, prefix: str, cells: dict[str, Any], what: str) -> None:

@@ -27,7 +27,10 @@ READING = {
     "table": ("sqlite", "duckdb"),
 }  # fmt: skip
 DIALECT = ("separator", "decimal", "thousands", "encoding", "dates")  # those on how values are written
-_WORDS = {"csv": "CSV", "json": "JSON", "parquet": "Parquet", "excel": "a spreadsheet", "sqlite": "SQLite", "duckdb": "DuckDB"}
+_WORDS = {
+    "csv": "CSV", "json": "JSON", "rllib": "RLlib's JSON", "parquet": "Parquet", "excel": "a spreadsheet", "sqlite": "SQLite",
+    "duckdb": "DuckDB",
+}  # fmt: skip
 _MAGIC = ((b"\x89HDF\r\n\x1a\n", "hdf5"), (b"PAR1", "parquet"), (b"PK\x03\x04", "npz"), (b"SQLite format 3\0", "sqlite"),
           (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "excel"))  # fmt: skip
 _CONTENTS = "[Content_Types].xml"
@@ -103,7 +106,7 @@ def no_options(path: Path | str, kind: str, given: dict[str, Any]) -> None:
             formats = " or ".join(_WORDS[each] for each in READING[key])
             raise UserError(f"{path}: --{key} is for {formats}, but this is {_WORDS.get(kind, kind)}")
         if kind not in TABLES:
-            raise UserError(f"{path}: {key} names a column of a table, but this is {kind}, which has its own")
+            raise UserError(f"{path}: {key} names a column of a table, but this is {_WORDS.get(kind, kind)}, which has its own")
 
 
 def _is_spreadsheet(path: Path, head: bytes) -> bool:

@@ -60,7 +60,7 @@ def files_of(path: Path | str) -> list[Path]:
 
 
 def is_rllib(head: bytes) -> bool:
-    """Whether a file begins with a batch: an object of JSON that says so, or whose values are all lists.
+    """Whether a file begins with a batch: an object of JSON that says so, or whose values are all lists, not of objects.
 
     Args:
         head: the beginning of the file, which may end within the first object.
@@ -71,8 +71,10 @@ def is_rllib(head: bytes) -> bool:
     try:
         first = json.loads(start.split(b"\n")[0])
     except (ValueError, RecursionError):  # the object is longer, so its first value tells
-        return re.match(rb'\{\s*"[^"]*"\s*:\s*\[', start) is not None
-    return isinstance(first, dict) and bool(first) and all(isinstance(value, list) for value in first.values())
+        return re.match(rb'\{\s*"[^"]*"\s*:\s*\[(?!\s*\{)', start) is not None
+    return isinstance(first, dict) and bool(first) and all(isinstance(value, list) for value in first.values()) and (
+        not any(isinstance(one, dict) for value in first.values() for one in value[:1])
+    )  # fmt: skip
 
 
 def _batch(line: str, number: int) -> dict[str, Any]:
