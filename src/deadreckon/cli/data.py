@@ -68,7 +68,7 @@ class Reading:
 
 @dataclass
 class Mapping(Reading):
-    """Which columns of a table (CSV, Parquet, a spreadsheet, a database) are what, and how its file is read.
+    """Which columns of a table (CSV, JSON, Parquet, a spreadsheet, a database) are what, and how its file is read.
 
     Columns that are not given get a role by name.
     """

@@ -31,7 +31,7 @@ class Design:
     The table may stand first, without --data. See also `deadreckon design describe|problems|get|methods|bench`.
     """
 
-    data: str | None = None  # table of scored designs (CSV, Parquet, spreadsheet, database), one row per design
+    data: str | None = None  # table of scored designs (CSV, JSON, Parquet, spreadsheet, database), a row per design
     target: str | None = None  # column of the scores, to be maximised
     schema: str | None = None  # schema of the table, a TOML file with roles, kinds and constraints (see `design describe`)
     kinds: dict[str, str] = dataclasses.field(default_factory=dict)

@@ -22,7 +22,7 @@ class Predict:
 
     policy: RUN
     table: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TABLE")]
-    """table with the columns of the log's observations: CSV, Parquet, a spreadsheet or a database"""
+    """table with the columns of the log's observations: CSV, JSON, Parquet, a spreadsheet or a database"""
     out: Annotated[str, tyro.conf.arg(metavar="FILE")]  # file to write, .csv or .parquet; an old one is replaced
     probabilities: bool = False  # whether to write the probability of every discrete action as well
     sampled: bool | None = None
