@@ -221,7 +221,18 @@ def test_a_drafted_schema_pins_the_dialect(tmp_path):
         assert read_rows(other, schema, **ways)[0]["x"].to_pylist() == pytest.approx([1.234, 2.345])
     other.write_text("day;x;action;reward\n2024-02-01;1.234;0;2\n2024-02-02;2.345;1;3\n")
     assert read_rows(other, schema, decimal=".")[0]["x"].to_pylist() == pytest.approx([1.234, 2.345])
-    # The same table in a format that has no dialect.
+    # Under the marks of the log 20.125 would be 20125 beside an 0.5 that is no number.
+    fractions = "day;x;action;reward;y\n2024-02-01;20.125;0;2;0.5\n"
+    other.write_text(fractions)
+    both = Schema((*schema.columns, Column("y", "observation")), schema.table)
+    rows, told = read_rows(other, both)
+    assert (rows["x"].to_pylist(), rows["y"].to_pylist()) == ([20.125], [0.5])
+    assert "numbers in column y are not written as in the log" in told[0]
+    other.write_text(fractions.replace("0.5\n", "half\n"))  # one that is no number whatever the marks are
+    assert read_rows(other, both)[0]["x"].to_pylist() == [20125]
+    # The same table in formats that have no dialect.
+    (tmp_path / "march.json").write_text('[{"x": 1.5, "action": 0}, {"x": 2.5, "action": 1}]')
+    assert read_rows(tmp_path / "march.json", schema)[0]["x"].to_pylist() == [1.5, 2.5]
     columns = {"day": ["2024-02-01"] * 2, "x": [1.5, 2.5], "action": [0, 1], "reward": [1.0, 2.0]}
     parquet.write_table(pa.table(columns), tmp_path / "march.parquet")
     assert read(tmp_path / "march.parquet", schema=tmp_path / "s.toml").observations[:, 0].tolist() == [1.5, 2.5]

@@ -18,7 +18,7 @@ from deadreckon.data.spec import Box, Discrete, Spec
 from deadreckon.errors import UserError
 from deadreckon.nets.mlp import MLP, Init
 from deadreckon.nets.vae import VAE
-from deadreckon.policies import BlackBoxPolicy, EnvPolicy, Policy, Step, portable, store
+from deadreckon.policies import BlackBoxPolicy, EnvPolicy, Policy, Step, candidates, portable, store
 from deadreckon.policies.candidates import GreedyQ, OneStep, PerturbedPolicy, ThresholdedPolicy, VAEDecoder
 from deadreckon.policies.deployed import Mixture
 from deadreckon.policies.kinds import Categorical, ClippedGaussian, Deterministic, Gaussian, TanhGaussian, TanhMeanGaussian
@@ -66,6 +66,48 @@ def test_file_round_trip_and_numpy_player(kind, tmp_path):
     play = portable.load(tmp_path / "p.npz")
     np.testing.assert_allclose(play(x), policy(x), atol=1e-5)
     assert ((play(x) >= VIEW.low) & (play(x) <= VIEW.high)).all()
+
+
+@pytest.mark.parametrize("kind", ["deterministic", *DRAWING])
+@pytest.mark.parametrize("standardised", [False, True])
+def test_observations_of_another_size_and_without_a_value_are_refused(kind, standardised, tmp_path):
+    """One number would be broadcast against the means of all three."""
+    policy = make(kind)
+    policy = policy if standardised else dataclasses.replace(policy, mean=None, std=None)
+    store.save(tmp_path / "p.npz", policy)
+    play = portable.load(tmp_path / "p.npz")
+    for wrong in (np.zeros(1), np.zeros((2, 4))):
+        with pytest.raises(UserError, match=rf"an observation has {wrong.shape[-1]} numbers, 3 are needed$"):
+            policy(wrong)
+        with pytest.raises(UserError, match="numbers, 3 are needed$"):
+            Mixture.of([policy, policy])(wrong)
+        with pytest.raises(ValueError, match="numbers, 3 are needed$" if standardised else "numbers"):
+            play(wrong)
+    for gives in (policy, play):
+        with pytest.raises(ValueError, match="an observation is not finite in row 1$"):
+            gives(np.array([[0, 0, 0], [0, np.nan, 0]]))
+
+
+@pytest.mark.parametrize("kind", GREEDY)
+@pytest.mark.parametrize("greedy", [True, False])
+def test_many_rows_are_compared_in_blocks(kind, greedy, tmp_path, monkeypatch):
+    policy = make(kind)
+    store.save(tmp_path / "p.npz", policy)
+    play, x = portable.load(tmp_path / "p.npz"), np.random.default_rng(0).normal(size=(13, 3)).astype("f4")
+
+    def actions():
+        ours = policy.inner.actions(policy.view.observe(x), KEY, greedy=greedy, count=(2,) if not greedy else ())
+        return np.asarray(ours), play(x, np.random.default_rng(0), greedy)
+
+    whole = actions()
+    for module in (candidates, portable):
+        monkeypatch.setattr(module, "CANDIDATES", 24)  # of 5 a row
+    sizes = []
+    monkeypatch.setattr(portable.NumpyPolicy, "_best", lambda *given, best=portable.NumpyPolicy._best: (
+        sizes.append(len(given[2])), best(*given))[1])  # fmt: skip
+    for part, again in zip(whole, actions(), strict=True):
+        np.testing.assert_allclose(again, part, atol=1e-6)
+    assert sizes == [4, 4, 4, 1]
 
 
 @pytest.mark.slow

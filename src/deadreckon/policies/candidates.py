@@ -1,5 +1,6 @@
 """Generative models of the log's actions as policies, and policies that choose among candidates by a critic."""
 
+import math
 from typing import Any, Self
 
 import jax
@@ -12,6 +13,7 @@ from deadreckon.nets.mlp import MLP, q_values
 from deadreckon.nets.vae import VAE
 from deadreckon.policies.kinds import Categorical, Sampler
 from deadreckon.policies.policy import NormalizedPolicy
+from deadreckon.policies.portable import CANDIDATES
 
 
 def fixed_noise(count: int, size: int) -> Float[Array, "c z"]:
@@ -150,13 +152,22 @@ class GreedyQ(NormalizedPolicy):
 
     def pre_actions(self, observation, key, *, greedy, count=()):
         """See `NormalizedPolicy`."""
-        samples, size = self.noise.shape
+        rows, (samples, size) = observation.shape[0], self.noise.shape
+        shape = (samples, *count, rows, size)
         if greedy:
-            noise = self.noise.reshape(samples, *[1] * (len(count) + 1), size)
-            pre = self.actor.from_noise(observation, jnp.broadcast_to(noise, (samples, *count, observation.shape[0], size)))
+            noise = jnp.broadcast_to(self.noise.reshape(samples, *[1] * (len(count) + 1), size), shape)
         else:
-            pre = self.actor.drawn(observation, key, (samples, *count))
+            noise = jax.random.normal(key, shape)
+        each = samples * math.prod(count)
+        if not isinstance(rows, int) or rows * each <= CANDIDATES:  # the number of rows of an exported policy has no value
+            return self._best(observation, noise)
+        one = lambda row: self._best(row[0][None], row[1][..., None, :])[..., 0, :]  # noqa: E731
+        found = jax.lax.map(one, (observation, jnp.moveaxis(noise, -2, 0)), batch_size=max(CANDIDATES // each, 1))
+        return jnp.moveaxis(found, 0, -2)
+
+    def _best(self, observation: Float[Array, "n o"], noise: Float[Array, "c *k n z"]) -> Float[Array, "*k n a"]:
+        """The best candidates from noise, before the tanh."""
+        pre = self.actor.from_noise(observation, noise)
         critics = jax.tree.map(lambda w: w[None], self.critic)
-        q = q_values(critics, observation, jnp.tanh(pre))[0]
-        best = jnp.argmax(q, 0)
+        best = jnp.argmax(q_values(critics, observation, jnp.tanh(pre))[0], 0)
         return jnp.take_along_axis(pre, best[None, ..., None], 0)[0]

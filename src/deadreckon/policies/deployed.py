@@ -15,11 +15,12 @@ from deadreckon.data.spec import Spec
 from deadreckon.data.step import Step
 from deadreckon.errors import UserError
 from deadreckon.nets.encoder import Encoder
+from deadreckon.nets.layer_norm_mlp import LayerNormMLP
 from deadreckon.nets.mlp import MLP
-from deadreckon.policies.candidates import GreedyActions
+from deadreckon.policies.candidates import GreedyActions, GreedyQ, OneStep, PerturbedPolicy, VAEDecoder
 from deadreckon.policies.kinds import Categorical, ClippedGaussian, Gaussian, TanhGaussian
 from deadreckon.policies.policy import NormalizedPolicy
-from deadreckon.policies.portable import check_size
+from deadreckon.policies.portable import check_finite, check_size
 from deadreckon.randomness import keys
 from deadreckon.training.pictures import Seen
 
@@ -111,7 +112,7 @@ class EnvPolicy(eqx.Module):
 
         Raises:
             UserError: the policy acts on the last steps of an episode, of which one observation does not tell; observations of
-                another size, such as without the legal actions; or no action is legal.
+                another size, such as without the legal actions, or that are not finite; or no action is legal.
         """
         if (steps := history_of(self)) > 1:
             raise UserError(
@@ -128,11 +129,14 @@ class EnvPolicy(eqx.Module):
         single = x.ndim == 1
         x = x[None] if single else x
         net = getattr(self.inner, "net", getattr(self.inner, "critic", None))
-        if isinstance(self.inner, Categorical | GreedyActions) and isinstance(net, MLP):
-            try:
-                check_size(x, net.weights[0].shape[-2], net.mask)
-            except ValueError as error:
-                raise UserError(str(error)) from error
+        mask = net.mask if isinstance(self.inner, Categorical | GreedyActions) and isinstance(net, MLP) else 0
+        size = observed_size(self)
+        try:
+            if size is not None:
+                check_size(x, size, mask)
+            check_finite(x)
+        except ValueError as error:
+            raise UserError(str(error)) from error
         actions = first_actions(self, jnp.asarray(x), jax.random.key(0), True)
         return np.asarray(actions[0] if single else actions)
 
@@ -259,6 +263,22 @@ def picture_shape(policy: Any) -> tuple[int, int, int] | None:
     if isinstance(inner, Mixture):
         return picture_shape(inner.members[0])
     return inner.encoder.shape if isinstance(inner, Seeing) else None
+
+
+def observed_size(policy: EnvPolicy) -> int | None:
+    """Numbers of an observation that a policy takes; None if its networks do not tell."""
+    if policy.mean is not None:
+        return policy.mean.shape[-1]
+    inner: Any = policy.inner
+    if isinstance(inner, Mixture):
+        return observed_size(inner.members[0])
+    inner = inner.actor if isinstance(inner, GreedyQ) else inner
+    if isinstance(inner, PerturbedPolicy | VAEDecoder):
+        return inner.vae.encoder.weights[0].shape[-2] - inner.vae.decoder.biases[-1].shape[-1]
+    net = getattr(inner, "net", getattr(inner, "critic", None))
+    if not isinstance(net, MLP | LayerNormMLP):
+        return None
+    return net.weights[0].shape[-2] - (net.biases[-1].shape[-1] if isinstance(inner, OneStep) else 0)
 
 
 def checked_pictures(given: Any, shape: tuple[int, ...]) -> np.ndarray:

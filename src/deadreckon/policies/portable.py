@@ -40,6 +40,7 @@ RENAMED = {
 }
 _EDGE = 1.0 - 1e-6
 MOST_SAMPLES = 100_000
+CANDIDATES = 2**14  # that are compared at once, by networks that may be hundreds of units wide
 _CHOOSING = ("Categorical", "GreedyActions", "ThresholdedPolicy")  # among discrete actions
 _SAMPLERS = ("TanhGaussian", "VAEDecoder", "PerturbedPolicy", "OneStep")
 _UNBOUNDED = ("Gaussian", "UnboundedDeterministic")
@@ -246,8 +247,15 @@ class NumpyPolicy:
 
     def _observed(self, x):
         """A batch of observations in the coordinates of the networks."""
-        mean, std = self.tree["mean"], self.tree["std"]
-        return x if mean is None else (x - self._array(mean)) / self._array(std)
+        inner, mean, std = self.tree["inner"], self.tree["mean"], self.tree["std"]
+        if mean is None:
+            check_finite(x)
+            return x
+        net = inner.get("net") or inner.get("critic") or {}
+        # Before the means, against which one number alone would be broadcast.
+        check_size(x, self._array(mean).shape[-1], net.get("mask", 0) if inner["kind"] in _CHOOSING else 0)
+        check_finite(x)
+        return (x - self._array(mean)) / self._array(std)
 
     def _array(self, reference):
         return self.arrays[reference[1:]]
@@ -291,12 +299,12 @@ class NumpyPolicy:
         if kind in ("Deterministic", "UnboundedDeterministic"):
             return self._net(node["net"], x)
         if kind == "GreedyQ":
-            actor, noise = node["actor"], self._array(node["noise"])
+            noise = self._array(node["noise"])
             drawn = (len(noise), len(x), noise.shape[-1])
             noise = noise[:, None] if greedy else rng.standard_normal(drawn, np.float32)
-            pre = self._from_noise(actor, x, noise)
-            q = self._net(node["critic"], _beside(x, np.tanh(pre)))[..., 0]
-            return np.take_along_axis(pre, np.argmax(q, 0)[None, ..., None], 0)[0]
+            noise, rows = np.broadcast_to(noise, drawn), max(CANDIDATES // len(noise), 1)
+            starts = range(0, max(len(x), 1), rows)
+            return np.concatenate([self._best(node, x[i : i + rows], noise[:, i : i + rows]) for i in starts])
         if kind in ("Gaussian", "ClippedGaussian", "TanhMeanGaussian"):
             if kind == "TanhMeanGaussian":
                 mean, log_std = np.tanh(self._net(node["net"], x)), np.clip(self._array(node["log_std"]), *_LOG_STD)
@@ -307,6 +315,12 @@ class NumpyPolicy:
             raise ValueError(f"unknown kind of policy {kind!r}")
         shape = len(x), _noise_size(node, self.arrays)
         return self._from_noise(node, x, np.zeros(shape, np.float32) if greedy else rng.standard_normal(shape, np.float32))
+
+    def _best(self, node, x, noise):
+        """The best candidates by the critic, before the tanh, from standard normal noise (count, n, z)."""
+        pre = self._from_noise(node["actor"], x, noise)
+        q = self._net(node["critic"], _beside(x, np.tanh(pre)))[..., 0]
+        return np.take_along_axis(pre, np.argmax(q, 0)[None, ..., None], 0)[0]
 
     def _from_noise(self, node, x, noise):
         """Actions before the tanh from standard normal noise, (*count, n or 1, z)."""
@@ -328,6 +342,12 @@ class NumpyPolicy:
 def _beside_this(name):
     """A module that lies beside this one, in the package or elsewhere."""
     return importlib.import_module(f"{__package__}.{name}" if __package__ else name)
+
+
+def check_finite(x):
+    """ValueError where rows are not finite."""
+    if not np.isfinite(x).all():
+        raise ValueError(f"an observation is not finite in row {int(np.argmin(np.isfinite(x).all(-1)))}")
 
 
 def check_size(x, size, mask):

@@ -5,7 +5,7 @@ With the other modules called `table_` it needs numpy alone, so that they can be
 """
 
 import hashlib
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from datetime import datetime
 from typing import Any, NamedTuple, Protocol
 
@@ -20,6 +20,7 @@ else:  # copied beside `portable.py`
     from table_rows import RowsError, first, flags_of, is_missing, shown, text_of  # pyrefly: ignore[missing-import]
     from table_times import times_of  # pyrefly: ignore[missing-import]
 
+_ROWS, _NUMBERS = 2**15, 2**22  # largest sizes of a block of observations
 OUTSIDE = "outside_the_log"  # the column of a table of predictions
 
 
@@ -361,13 +362,20 @@ def acted(
     if player.steps > 1:
         assert episodes is not None
         return _on_histories(player, found, episodes, rng, greedy, tell)
-    probs = None if greedy and not tell else player.probs(found)
+    probs = None if greedy and not tell else _in_blocks(player.probs, found)
     if greedy or probs is None:
-        return player.act(found, rng, greedy), probs
+        return _in_blocks(lambda some: player.act(some, rng, greedy), found), probs
     # Drawn here, so that all players draw the same.
     below = np.cumsum(probs.astype(np.float64), 1)
     drawn = (below > rng.random(len(found))[:, None] * below[:, -1:]).argmax(1)
     return drawn.astype(np.int32), probs
+
+
+def _in_blocks(function: Callable[[np.ndarray], Any], found: np.ndarray) -> Any:
+    """What a function gives for each of many rows, in blocks of rows that need little memory in networks; or None."""
+    size = min(max(_NUMBERS // max(found[:1].size, 1), 64), _ROWS)
+    parts = [function(found[start : start + size]) for start in range(0, max(len(found), 1), size)]
+    return None if parts[0] is None else np.concatenate(parts)
 
 
 def _on_histories(

@@ -2,16 +2,17 @@
 
 import contextlib
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
+from deadreckon.data.arrow import is_string
 from deadreckon.data.formats.cells import NOTHING, PLAIN, Known, converted
 from deadreckon.data.formats.dialect import SEPARATORS, Dialect
-from deadreckon.data.formats.kind import DIALECT, READING, no_options, sniff
+from deadreckon.data.formats.kind import DIALECT, READING, TABLES, no_options, sniff
 from deadreckon.data.formats.words import is_word
 from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
@@ -108,7 +109,7 @@ def read_rows(
     flags = frozenset(each.name for each in used if each.kind == "flag")
     known = Known(frozenset(texts), flags, plain=plain)
     given = {key: value for key, value in ways.items() if value is not None}
-    kind = sniff(path, given.get("separator", schema.options().get("separator")))
+    kind = _kind(path, given.get("separator"), schema.options().get("separator"))
     own = {key: value for key, value in schema.options().items() if key in DIALECT and kind in READING[key]}
     alone = {key: value for key, value in own.items() if key not in _OF_SEPARATOR}
     asked = Dialect.asked(separator=given.get("separator")).separator
@@ -116,6 +117,7 @@ def read_rows(
         own = alone
     if given.keys() & {"decimal", "thousands"}:  # each says something of the other
         own = {key: value for key, value in own.items() if key not in ("decimal", "thousands")}
+    numbers = {each.name for each in used if each.kind in ("number", "integer")}
     fits = lambda found: any(each.name in found[0].column_names for each in used)  # noqa: E731
     reading = functools.partial(table_of_kind, path, kind, known=known)
     failure, found = None, None
@@ -133,4 +135,24 @@ def read_rows(
     if found is None:
         assert failure is not None
         raise failure
+    # Columns are converted one by one: under wrong marks 20.125 may be 20125 while 0.5 beside it stays a text.
+    if own.keys() & {"decimal", "thousands"} and (odd := _texts_among(found[0], numbers)):
+        with contextlib.suppress(UserError):
+            if fits(other := reading({**alone, **given})) and not _texts_among(other[0], numbers):
+                line = f"numbers in column {odd} are not written as in the log, so marks of numbers are detected anew"
+                return other[0], [line, *other[2]]
     return found[0], found[2]
+
+
+def _kind(path: Path | str, asked: str | None, own: str | None) -> str:
+    """The format of a file: `own`, the separator of the log, only helps where the file is no table without it."""
+    if asked is None:
+        with contextlib.suppress(UserError):
+            if (kind := sniff(path)) in TABLES:
+                return kind
+    return sniff(path, own if asked is None else asked)
+
+
+def _texts_among(table: pa.Table, numbers: Set[str]) -> str | None:
+    """The first column of `numbers` that is one of texts."""
+    return next((name for name in table.column_names if name in numbers and is_string(table[name].type)), None)
