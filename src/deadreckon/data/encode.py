@@ -298,6 +298,18 @@ class Encoder:
             self.extra.setdefault("kept_levels", {})[column] = levels
         return codes
 
+    def exact(self, column: str, what: str) -> Any:
+        """A column that identifies something as one pyarrow array, refused if a value is missing or numbers are so large that
+        they were rounded."""
+        values = decoded(self.complete(column))
+        exact = 2 ** {16: 11, 32: 24, 64: 53}.get(values.type.bit_width, 53) if pa.types.is_floating(values.type) else np.inf
+        if exact < np.inf and (large := float(np.abs(values.to_numpy()).max())) >= exact:
+            raise UserError(
+                f"{self.name}: column {column} identifies {what}, and it was read as numbers up to {large:g}, which are "
+                f"rounded from {exact:g} on: put a letter before its codes, so that they are texts"
+            )
+        return values
+
     def episodes(self, column: str, ordered: bool) -> np.ndarray:
         """(rows,) int64 index of each row's episode: of its value among those of the column, in the order in which they first
         appear or, if `ordered`, ascending, texts by the numbers in them.
@@ -305,14 +317,7 @@ class Encoder:
         Raises:
             UserError: a cell is empty; or numbers are so large that they were rounded.
         """
-        values = decoded(self.complete(column))
-        exact = 2 ** {16: 11, 32: 24, 64: 53}.get(values.type.bit_width, 53) if pa.types.is_floating(values.type) else np.inf
-        if exact < np.inf and (large := float(np.abs(values.to_numpy()).max())) >= exact:
-            raise UserError(
-                f"{self.name}: column {column} identifies episodes, and it was read as numbers up to {large:g}, which are "
-                f"rounded from {exact:g} on: put a letter before its codes, so that they are texts"
-            )
-        encoded = values.dictionary_encode()
+        encoded = self.exact(column, "episodes").dictionary_encode()
         codes = encoded.indices.to_numpy(zero_copy_only=False).astype(np.int64)
         if not ordered:
             return codes

@@ -178,6 +178,8 @@ def _log_columns(table: pa.Table, schema: Schema, warnings: list[str], name: str
         if column.name in RESERVED | columns.keys():
             text = f"a column that is kept cannot be called {column.name}, which means something else"
             raise UserError(f"{name}: {text}; rename it")
+        if column.role == "group":
+            encoder.exact(column.name, "groups")
         plain = column.role in ("cost", "weight")
         columns[column.name] = scratch.keep(numbers(name, table, column.name) if plain else encoder.kept(column.name))
     moments = None if time is None else scratch.keep(encoder.moments(time.name))

@@ -113,7 +113,8 @@ def by_scored(
             values, lines = _converted(column, left, dialect, known)
             if lost.any() and not is_string(values.type):
                 row = int(lost.argmax())
-                mistaken = f"column {column}: ", f"column {column} is read as texts"
+                words = ": ", " is read as texts", " has cells of several types"
+                mistaken = tuple(f"column {column}{text}" for text in words)
                 told = [*(line for line in told if not line.startswith(mistaken)), *lines]
                 text = f"{cells[row]!r} in row {row}, which has none, counts as missing"
                 told.append(f"column {column} is read by the rows with a score; {text}")

@@ -103,8 +103,8 @@ def test_kinds_that_are_mixed(tmp_path):
     found, _, told = read_table(write_xlsx(tmp_path / "log.xlsx", {"Log": rows}))
     assert found.column("x").to_pylist() == ["1", "a", "2.5"]
     assert told[:2] == [
-        "column x is read as texts: cell A3 holds 'a', and most cells hold numbers",
-        "column y is read as texts: cell B3 holds 'soon', and most cells hold dates",
+        "column x has cells of several types: cell A3 holds 'a', and most cells hold numbers",
+        "column y has cells of several types: cell B3 holds 'soon', and most cells hold dates",
     ]
     rows = [["x", "y"], *([True, 1] for _ in range(20)), [3, 2]]
     with pytest.raises(UserError, match="cell A22 holds '3.0', and most cells hold true or false"):

@@ -9,7 +9,10 @@ import pytest
 from any_file import read_table
 
 from deadreckon.cli.main import main
+from deadreckon.data.describe import describe_table
+from deadreckon.data.formats.any_table import read_rows
 from deadreckon.data.formats.io import convert, read, sniff
+from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
 
 ROWS = [
@@ -69,7 +72,61 @@ def test_objects_and_lists_within_objects_become_columns(tmp_path):
         "a.b.c": [1, 2, None], "a.d[0]": [1, None, None], "a.d[1]": [2.5, None, None], "tags": ['["x"]', "[]", None],
         "late": [None, None, "z"],
     }  # fmt: skip
-    assert told == ["column tags holds lists, not all of the same length and flat, and is read as texts"]
+    assert told == ["column tags holds lists, not all of numbers and of one length, and is read as texts"]
+
+
+def logged(**columns):
+    return [{"x": i / 7, "action": "ab"[i * i % 3 % 2], "reward": float(i % 5), **{k: f(i) for k, f in columns.items()}}
+            for i in range(60)]  # fmt: skip
+
+
+def test_texts_of_many_digits_stay_apart(tmp_path):
+    """64-bit codes are texts in JSON, since some readers make floats of numbers; as floats these would all be one."""
+    log = read(written(tmp_path, logged(user=lambda i: str(1234567890123456780 + i % 20))), group="user")
+    assert len(np.unique(log.extras["user"])) == 20
+    log = read(written(tmp_path, logged(action=lambda i: str(7000000000000000000 + i * i % 3))))
+    assert log.spec.discrete
+    with pytest.raises(UserError, match="column user identifies groups, and it was read as numbers up to 1.23457e.19, which"):
+        read(written(tmp_path, logged(user=lambda i: str(12345678901234567800 + i % 20))), group="user")
+
+
+def test_lists_of_legal_actions_stay_lists(tmp_path):
+    """Whatever their lengths, so that a file of one row has the columns of the log."""
+    names = ["x", "legal=a", "legal=b"]
+    log = read(written(tmp_path, logged(legal=lambda i: ["a", "b"])))
+    assert log.provenance.extra["observation_names"] == names
+    log = read(written(tmp_path, logged(ok=lambda i: ["b", "a"] if i else ["a"])), legal="ok")
+    assert log.provenance.extra["observation_names"] == names
+    path, schema = written(tmp_path, logged(ok=lambda i: ["a"])[:1]), Schema.from_json(log.provenance.extra["schema"])
+    assert read_rows(path, schema)[0]["ok"].to_pylist() == [["a"]]
+    numbers = logged(action=lambda i: i % 2, ok=lambda i: [0, 1])
+    assert read(written(tmp_path, numbers), legal="ok").provenance.extra["observation_names"] == ["x", "legal=0", "legal=1"]
+    assert "ok[1]" in read(written(tmp_path, numbers)).provenance.extra["observation_names"]
+    with pytest.raises(UserError, match="column action_mask holds list.*, numbers are needed"):  # and no observations
+        read(written(tmp_path, logged(action_mask=lambda i: [1, 0])))
+
+
+def test_a_schema_of_a_text_file_reads_json(tmp_path):
+    (tmp_path / "log.csv").write_text("x;action;reward\n" + "\n".join(f"{i / 7};{'ab'[i * i % 3 % 2]};{i % 5}" for i in range(60)))
+    schema, _ = describe_table(tmp_path / "log.csv")
+    assert schema.table["separator"] == ";"
+    schema.save(tmp_path / "s.toml")
+    log = read(written(tmp_path, logged()), schema=tmp_path / "s.toml")
+    assert log.fingerprint == read(tmp_path / "s.toml").fingerprint
+
+
+def test_json_in_utf_16(tmp_path):
+    path = tmp_path / "log.jsonl"
+    for encoding in ("utf-16", "utf-16-le", "utf-16-be"):
+        path.write_text(("" if encoding == "utf-16" else "\ufeff") + FORMS["lines"](ROWS), encoding=encoding)
+        assert read_table(path)[0]["site"].to_pylist() == ["a", "b"]
+
+
+def test_missing_objects_have_missing_parts(tmp_path):
+    assert read_table(written(tmp_path, [{"user": {"age": 3}}, {"user": None}]))[0].to_pydict() == {"user.age": [3, None]}
+    found, _, told = read_table(written(tmp_path, [{"user": {"age": 3}}, {"user": 7}]))
+    assert found.to_pydict() == {"user.age": [3, None], "user": [None, 7]}
+    assert told == ["column user holds objects too, whose values are in user.age and the like"]
 
 
 def test_numbers_that_json_or_64_bits_do_not_have(tmp_path):
@@ -80,6 +137,15 @@ def test_numbers_that_json_or_64_bits_do_not_have(tmp_path):
     assert found["id"].to_pylist() == [2**63 - 1, -1]
     assert found["key"].to_pylist() == [2.0**64, 1.0]
     assert found["x"].to_pylist() == [None, np.inf]
+    path.write_text('{"x": %s, "k": 18446744073709551615, "l": [18446744073709551615]}\n{"x": -1.5, "k": "NA"}' % ("9" * 400))
+    found, _, told = read_table(path)
+    assert found.to_pydict() == {"x": [np.inf, -1.5], "k": [2.0**64, None], "l[0]": [2.0**64, None]}
+    assert told == [f"column {name}: '18446744073709551615' is rounded, as no integer is so large; put a letter before codes"
+                    for name in ("k", "l[0]")]  # fmt: skip
+    path.write_text('{"a": 1}\n{"a": "2"}\n{"a": 3.5}')
+    found, _, told = read_table(path)
+    assert found["a"].to_pylist() == [1.0, 2.0, 3.5]
+    assert told == ["column a has cells of several types: line 2 holds '2', and most cells hold numbers"]
     with pytest.raises(UserError, match="column key identifies episodes, .* rounded"):
         read(written(tmp_path, [{"key": 2**64 + i, "x": i / 3, "a": i % 2, "r": i / 2} for i in range(20)]), episode="key",
              action="a", reward="r")  # fmt: skip
@@ -97,6 +163,9 @@ def test_numbers_that_json_or_64_bits_do_not_have(tmp_path):
         ('{"x": 1, " ": 2}\n', "line 1 has a value without a name"),
         ('{"data": [{"x": 1}, {"x": 2}]}\n', "its object holds a list of objects, 'data'; write a file with that list alone"),
         ('{"data": [{"x": "' + "a" * 5000 + '"}]}\n', "its object holds a list of objects, 'data'"),
+        ('{"x": {"0": 1, "1": 2}, "y": {"0": 1, "1": 3}}', "its object is a whole data frame as pandas writes it; .*records"),
+        ('{"columns": ["x"], "index": [0], "data": [[1]]}', "its object is a whole data frame as pandas writes it"),
+        ("[]", "it has no rows"), ("{}", "its objects have no keys"), ("[{}, {}]", "its objects have no keys"),
         ('{"x": [1], "x[0]": 2}\n', r"two columns are called 'x\[0\]'; rename one"),
         ('{"x[0]": 2, "x": [1]}\n', r"two columns are called 'x\[0\]'; rename one"),
         ('{"x": "\\ud800"}\n', "cannot be read as JSON"),
@@ -126,9 +195,12 @@ def test_batches_of_rllib_are_no_rows(tmp_path):
     for text, kind in (
         ('{"type": "SampleBatch", "count": 3', "rllib"), ('{"obs": [[1.0]], "actions": [0]}', "rllib"),
         ('{"obs": [[' + "1.0, " * 2000, "rllib"), ('{"obs": [1.0, 2.0], "action": 0}', "json"),
+        ('{"count": 1, "obs": [[1.0]], "actions": [0]}', "rllib"), ('{"obs": [[1.0]], "type": "SampleBatch"}', "rllib"),
+        ('{"obs": [[1.0]], "infos": [{}]}', "rllib"), ('\ufeff{"obs": {"a": [[1.0]], "b": [[2.0]]}}', "rllib"),
+        ('{"obs": [%s 1.0], "action": 0}' % ("1.0, " * 2000), "json"), ('{"tags": [], "x": "%s"}' % ("x" * 5000), "json"),
         ('{"x": 1.0, "obs": [' + "1.0, " * 2000, "json"), ('{"type": "visit", "x": 1}', "json"), ("[\n {\n", "json"),
     ):  # fmt: skip
-        path.write_text(text + ('"x": 1}]' if text.startswith("[") else "\n"))
+        path.write_text(text + ('"x": 1}]' if text.startswith("[") else "\n"), encoding="utf-8")
         assert sniff(path) == kind
 
 

@@ -12,7 +12,7 @@ import pyarrow as pa
 from deadreckon.data.arrow import is_string
 from deadreckon.data.formats.cells import NOTHING, PLAIN, Known, converted
 from deadreckon.data.formats.dialect import SEPARATORS, Dialect
-from deadreckon.data.formats.kind import DIALECT, READING, TABLES, no_options, sniff
+from deadreckon.data.formats.kind import DIALECT, READING, no_options, sniff
 from deadreckon.data.formats.words import is_word
 from deadreckon.data.schema import Schema
 from deadreckon.errors import UserError
@@ -69,7 +69,7 @@ def table_of_kind(
     if kind == "json":
         from deadreckon.data.formats.json_table import read_json_table
 
-        found, told = read_json_table(path)
+        found, told = read_json_table(path, known)
     elif kind == "excel":
         from deadreckon.data.formats.excel import read_excel
 
@@ -107,9 +107,10 @@ def read_rows(
     used = schema.having("observation", "action", "legal")
     texts = {each.name for each in used if each.kind == "category" and (each.levels is None or any(map(is_word, each.levels)))}
     flags = frozenset(each.name for each in used if each.kind == "flag")
-    known = Known(frozenset(texts), flags, plain=plain)
+    lists = frozenset(each.name for each in schema.having("legal"))
+    known = Known(frozenset(texts), flags, lists, plain=plain)
     given = {key: value for key, value in ways.items() if value is not None}
-    kind = _kind(path, given.get("separator"), schema.options().get("separator"))
+    kind = sniff(path, given.get("separator", schema.options().get("separator")))
     own = {key: value for key, value in schema.options().items() if key in DIALECT and kind in READING[key]}
     alone = {key: value for key, value in own.items() if key not in _OF_SEPARATOR}
     asked = Dialect.asked(separator=given.get("separator")).separator
@@ -142,15 +143,6 @@ def read_rows(
                 line = f"numbers in column {odd} are not written as in the log, so marks of numbers are detected anew"
                 return other[0], [line, *other[2]]
     return found[0], found[2]
-
-
-def _kind(path: Path | str, asked: str | None, own: str | None) -> str:
-    """The format of a file: `own`, the separator of the log, only helps where the file is no table without it."""
-    if asked is None:
-        with contextlib.suppress(UserError):
-            if (kind := sniff(path)) in TABLES:
-                return kind
-    return sniff(path, own if asked is None else asked)
 
 
 def _texts_among(table: pa.Table, numbers: Set[str]) -> str | None:

@@ -11,6 +11,7 @@ from deadreckon.data.arrow import SAMPLE, all_match, is_string
 from deadreckon.data.arrow import compute as _compute
 from deadreckon.data.formats.dates import dates_of
 from deadreckon.data.formats.dialect import Dialect
+from deadreckon.data.formats.marks import LARGEST, of_large
 from deadreckon.data.formats.spool import Spool
 from deadreckon.data.likeness import likeness
 
@@ -33,6 +34,7 @@ class Known(NamedTuple):
     Attributes:
         texts: names of columns that stay texts.
         flags: names of columns of truth values.
+        lists: names of columns that list actions; None: those named like one.
         words: names of categorical columns, whose levels may all be words of `MISSING`; None: those named like an action.
         plain: a dict with columns as keys, whose values reading sets to these columns before conversion; None: none.
         pairs: whether the words of a pair, such as yes and no, become truth values in columns that are not among `flags`.
@@ -40,6 +42,7 @@ class Known(NamedTuple):
 
     texts: frozenset[str] = frozenset()
     flags: frozenset[str] = frozenset()
+    lists: frozenset[str] | None = None
     words: frozenset[str] | None = None
     plain: dict[str, Any] | None = None
     pairs: bool = True
@@ -174,11 +177,17 @@ def _parsed(texts: Any, dialect: Dialect) -> tuple[Any, list[str]]:
     plain = _compute.replace_substring(plain, dialect.decimal or ".", ".")
     plain = _compute.utf8_ltrim(plain, "+")
     plain = _compute.if_else(behind, _compute.binary_join_element_wise("-", _compute.utf8_rtrim(plain, "-"), ""), plain)
-    kind = pa.float64() if _any(plain, r"[.eE]|\d{18}") else pa.int64()
+    told = []
     if _compute.any(behind).as_py():
         example = texts.filter(_compute.fill_null(behind, False))[0].as_py()
-        return _compute.cast(plain, kind), [f"a minus sign behind a number is one before it ({example!r})"]
-    return _compute.cast(plain, kind), []
+        told.append(f"a minus sign behind a number is one before it ({example!r})")
+    if _any(plain, "[.eE]"):
+        return _compute.cast(plain, pa.float64()), told
+    try:
+        return _compute.cast(plain, pa.int64()), told
+    except pa.ArrowInvalid:  # beyond 64 bits
+        large = next(cell for cell in plain.to_pylist() if cell is not None and not -LARGEST <= int(cell) < LARGEST)
+        return _compute.cast(plain, pa.float64()), [*told, of_large(large)]
 
 
 def _any(texts: Any, pattern: str) -> bool:

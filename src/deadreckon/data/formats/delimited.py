@@ -139,7 +139,7 @@ def _of_large(source: BinaryIO, table: pa.Table, dialect: Dialect) -> list[str]:
             cells = cells.filter(_compute.match_substring_regex(cells, r"^\d{19,}$")).to_pylist()
             odd = next((cell for cell in cells if int(cell) >= LARGEST), None)
             found |= {name: odd} if odd is not None and name not in found else {}
-    return [of_large(_clean(name), cell) for name, cell in found.items()]
+    return [f"column {_clean(name)}: {of_large(cell)}" for name, cell in found.items()]
 
 
 def _diagnose(path: Path | str, dialect: Dialect) -> None:

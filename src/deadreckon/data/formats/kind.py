@@ -9,7 +9,7 @@ from typing import Any
 from deadreckon.data.formats import folder as folders
 from deadreckon.data.formats import minari_ids as minaris
 from deadreckon.data.formats.dialect import is_table, text_of
-from deadreckon.data.formats.json_table import is_json_table
+from deadreckon.data.formats.json_table import begins_object, is_json_table, without_mark
 from deadreckon.data.formats.rllib import files_of, is_rllib
 from deadreckon.data.formats.vw import is_vw
 from deadreckon.errors import UserError, reading
@@ -33,6 +33,7 @@ _WORDS = {
 }  # fmt: skip
 _MAGIC = ((b"\x89HDF\r\n\x1a\n", "hdf5"), (b"PAR1", "parquet"), (b"PK\x03\x04", "npz"), (b"SQLite format 3\0", "sqlite"),
           (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "excel"))  # fmt: skip
+_HEAD, _ROW = 4096, 2**24  # bytes of a file, and further ones of a long object of JSON, by which its format is detected
 _CONTENTS = "[Content_Types].xml"
 
 
@@ -65,7 +66,10 @@ def sniff(path: Path | str, separator: str | None = None) -> str:
         raise UserError(minaris.missing(str(path)))
     with opened(path) as file, reading(path, "gzip"):
         packed = file.read(2) == b"\x1f\x8b"
-        head = unpacked(path, file).read(4096)
+        content = unpacked(path, file)
+        head = content.read(_HEAD)
+        if begins_object(head) and b"\n" not in without_mark(head):  # a batch or a row, which is seen as a whole
+            head += content.read(_ROW)
     if not head:
         raise UserError(f"{path}: the file is empty")
     kind = next((kind for magic, kind in _MAGIC if head.startswith(magic)), "duckdb" if head[8:12] == b"DUCK" else "")
@@ -79,9 +83,12 @@ def sniff(path: Path | str, separator: str | None = None) -> str:
         return kind
     if _is_pickle(head):
         return "pickle"
-    for kind, test in (("vw", is_vw), ("rllib", is_rllib), ("json", is_json_table)) if separator is None else ():
-        if test(head):
-            return kind
+    if separator is None and is_vw(head):  # whose bars may separate columns, too
+        return "vw"
+    if is_rllib(head):
+        return "rllib"
+    if is_json_table(head):
+        return "json"
     if re.match(rb"\s*\[\s*\[", head):
         raise UserError(f"{path}: a list of lists in JSON has no names of columns; write a list of objects, or CSV")
     if is_table(head, separator):

@@ -145,13 +145,13 @@ def of_digits(names: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
         if not all(cell.isdecimal() for cell in found):
             continue
         if large := [cell for cell in found if int(cell) >= LARGEST]:
-            told.append(of_large(name, large[0]))
+            told.append(f"column {name}: {of_large(large[0])}")
     return told
 
 
-def of_large(name: str, cell: str) -> str:
+def of_large(cell: str) -> str:
     """The message on a column with a cell of digits that exceeds 64-bit integers, because of which all its cells are floats."""
-    return f"column {name}: {cell!r} is rounded, as no integer is so large; put a letter before codes"
+    return f"{cell[:40]!r} is rounded, as no integer is so large; put a letter before codes"
 
 
 def _any(cells: dict[int, str]) -> str:

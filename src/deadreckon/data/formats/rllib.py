@@ -11,12 +11,13 @@ import numpy as np
 from deadreckon.data.dataset import Dataset
 from deadreckon.data.formats.arrange import arranged
 from deadreckon.data.formats.build import build, stem
-from deadreckon.data.formats.json_table import without_mark
+from deadreckon.data.formats.json_table import begins_object, without_mark
 from deadreckon.data.formats.layouts import flat
 from deadreckon.errors import UserError, naming, reading
 from deadreckon.foreign.door import opened
 
-_BATCH = rb'\{\s*"type"\s*:\s*"(Sample|MultiAgent)Batch"'
+_TYPES = ("SampleBatch", "MultiAgentBatch")
+_BATCH = rb'"type"\s*:\s*"(Sample|MultiAgent)Batch"'
 _BATCHES = "output-*.json"  # the files in a folder that RLlib has written
 _NO_ARRAYS = ("type", "infos", "count")
 _EPISODE = "eps_id"  # texts, or integers that may exceed 64 bits
@@ -38,7 +39,7 @@ def read_rllib(path: Path | str, *, strict: bool = False, name: str | None = Non
     columns: dict[str, list[np.ndarray]] = {}
     for file in files:
         with reading(file, "RLlib's JSON lines"), naming(file, ""), opened(file) as source:
-            for number, line in enumerate(io.TextIOWrapper(source, encoding="utf-8"), 1):
+            for number, line in enumerate(io.TextIOWrapper(source, encoding="utf-8-sig"), 1):
                 if line.strip():
                     _add(columns, _batch(line, number), number)
     whole: dict[str, Any] = {key: np.concatenate(values) for key, values in columns.items()}
@@ -60,21 +61,22 @@ def files_of(path: Path | str) -> list[Path]:
 
 
 def is_rllib(head: bytes) -> bool:
-    """Whether a file begins with a batch: an object of JSON that says so, or whose values are all lists, not of objects.
+    """Whether a file begins with a batch: an object of JSON that says so, or whose arrays are all lists, not of objects.
 
     Args:
         head: the beginning of the file, which may end within the first object.
     """
+    if not begins_object(head):
+        return False
     start = without_mark(head)
-    if b"\0" in head or re.match(_BATCH, start):
-        return b"\0" not in head
     try:
         first = json.loads(start.split(b"\n")[0])
-    except (ValueError, RecursionError):  # the object is longer, so its first value tells
-        return re.match(rb'\{\s*"[^"]*"\s*:\s*\[(?!\s*\{)', start) is not None
-    return isinstance(first, dict) and bool(first) and all(isinstance(value, list) for value in first.values()) and (
-        not any(isinstance(one, dict) for value in first.values() for one in value[:1])
-    )  # fmt: skip
+    except (ValueError, RecursionError):  # the object is longer
+        return re.search(_BATCH, start) is not None or re.match(rb'\{\s*"[^"]*"\s*:\s*\[(?!\s*\{)', start) is not None
+    if (said := first.get("type")) is not None or first.keys() >= {"columns", "data"}:  # the latter as pandas splits a frame
+        return said in _TYPES
+    arrays = [value for key, value in flat(first).items() if key.partition("/")[0] not in _NO_ARRAYS]
+    return bool(arrays) and all(isinstance(value, list) and not isinstance((*value, 0)[0], dict) for value in arrays)
 
 
 def _batch(line: str, number: int) -> dict[str, Any]:

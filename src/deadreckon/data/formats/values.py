@@ -53,7 +53,7 @@ def column_of(
     if count >= MOSTLY * (len(values) - missing) and usual != "text":
         raise UserError(f"{path}: {called}: {odd}; correct that cell (an empty one is missing), or make all of them texts")
     return _array([None if _kind(value) == "" else as_text(value) for value in values], "text"), [
-        f"{called} is read as texts: {odd}"
+        f"{called} has cells of several types: {odd}"
     ]
 
 

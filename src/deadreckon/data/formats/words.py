@@ -27,9 +27,15 @@ def levels_in(mapping: Mapping[str, Any]) -> Known:
         categories = [column for column in schema.columns if column.kind == "category"]
         words = frozenset(each.name for each in categories if each.levels is None or {*each.levels} & {*MISSING})
         listed = frozenset(each.name for each in categories if each.levels is not None and any(map(is_word, each.levels)))
-        return Known(listed, frozenset(each.name for each in schema.columns if each.kind == "flag"), words)
-    action = mapping.get("action")
-    return Known(words=None if action is None else frozenset([action] if isinstance(action, str) else action))
+        lists = frozenset(each.name for each in schema.having("legal", "next_legal"))
+        return Known(listed, frozenset(each.name for each in schema.columns if each.kind == "flag"), lists, words)
+    action, *lists = (mapping.get(role) for role in ("action", "legal", "next_legal"))
+    return Known(lists=frozenset().union(*map(_names, lists)) or None, words=None if action is None else _names(action))
+
+
+def _names(asked: Any) -> frozenset[str]:
+    """The columns that an option names; none if it is a function."""
+    return frozenset() if callable(asked) else frozenset([asked] if isinstance(asked, str) else asked or ())
 
 
 def is_word(level: Any) -> bool:
