@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -49,6 +50,17 @@ def test_runs_side_by_side_are_locked_with_their_folders(tmp_path, name):
     with Folder(tmp_path / name).alone(), pytest.raises(BusyError, match=f"at work on .*{name} already"):
         train_together({"a": BC(), "b": BC()}, small_csv(tmp_path / "log.csv"), out=tmp_path / "both", steps=1)
     assert sorted(path.name for path in tmp_path.iterdir() if path.name != "home") == ["log.csv"]
+
+
+def test_a_folder_is_one_by_whatever_path(tmp_path, monkeypatch):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "link").symlink_to("run")
+    monkeypatch.chdir(tmp_path / "run")
+    for path in (tmp_path / "link", Path("."), Path("../link"), Path("../run")):
+        with Folder(tmp_path / "run").alone(), pytest.raises(BusyError, match="at work on .* already"), Folder(path).alone():
+            pass
+    with pytest.raises(UserError, match="/ is the root of all folders; choose another --out"), Folder(Path("/")).alone():
+        pass
 
 
 def test_estimates_are_written_by_one_process_at_a_time(tmp_path):

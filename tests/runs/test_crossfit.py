@@ -122,6 +122,29 @@ def test_the_policy_to_deploy_may_have_learned_from_everything(log, tmp_path):
     assert isinstance(other.policy.inner, Mixture)
 
 
+def test_parts_of_unequal_lengths_are_not_finished(log, tmp_path):
+    """As a cross-fit is whose training for longer was interrupted before its last run."""
+    options = OPTIONS | {"folds": 2, "deliver": "refit"}
+    dr.cross_fit(BC, log, out=tmp_path / "c", **options)
+    assert len(dr.load_cross_fit(tmp_path / "c").runs) == 2
+
+    class Killed(Exception):
+        pass
+
+    for part in ("fold1", "refit"):
+
+        def watch(progress, steps, part=part):
+            if (tmp_path / "c" / part / "run.json").read_text().count(f'"steps": {2 * OPTIONS["steps"]}'):
+                raise Killed
+
+        with pytest.raises(Killed):
+            dr.cross_fit(BC, log, out=tmp_path / "c", resume=True, watch=watch, **options | {"steps": 2 * OPTIONS["steps"]})
+        with pytest.raises(UserError, match=r"c is not finished; .*--cross-fit 2 --out .*c --resume"):
+            dr.load_cross_fit(tmp_path / "c")
+    dr.cross_fit(BC, log, out=tmp_path / "c", resume=True, **options | {"steps": 2 * OPTIONS["steps"]})
+    assert len(dr.load_cross_fit(tmp_path / "c").runs) == 2
+
+
 @pytest.mark.slow
 def test_a_failed_seed_is_left_out_and_a_failed_fold_is_told(log, tmp_path):
     bad = dr.agents.BC(hidden=(8,), batch_size=8, lr=1e38)

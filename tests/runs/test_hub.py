@@ -84,6 +84,21 @@ def test_a_log_comes_back_as_it_was(server, log, home):
     assert card["kind"] == "log"
 
 
+def test_a_commit_that_two_processes_fetch_is_there_once(server, log, home, monkeypatch):
+    place = dr.push_to_hub(log, "me/mine")
+    commit = hub._Hub("me/mine", True)("repo_info", revision=None, files_metadata=True).sha
+    there = home / "hub" / "datasets--me--mine" / commit
+
+    def faster(path, *given, rmtree=shutil.rmtree, **options):  # called when all files of a download are there
+        if path.name == ".cache":
+            shutil.copytree(path.parent, there)
+        return rmtree(path, *given, **options)
+
+    monkeypatch.setattr(hub.shutil, "rmtree", faster)
+    assert dr.from_hub(place).fingerprint == log.fingerprint
+    assert list(there.parent.iterdir()) == [there]
+
+
 @pytest.mark.slow
 def test_a_run_comes_back_with_policies_and_metrics_and_nothing_else(server, run):
     again = dr.from_hub(dr.push_to_hub(run, "me/bc", private=False))

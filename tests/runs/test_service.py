@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import threading
 
 import numpy as np
 import pandas as pd
@@ -152,6 +153,46 @@ def test_slow_bodies_are_given_up(service, monkeypatch):
     asyncio.run(service(scope, receive, send))
     assert said[0]["status"] == 408
     assert json.loads(said[1]["body"]) == {"error": "the body has not arrived within 0.05 seconds"}
+
+
+def test_other_pages_are_answered_while_actions_are_computed(run):
+    """One request after the other: each may need much memory."""
+    begun, let, at_work, most = threading.Event(), threading.Event(), [], []
+
+    class Slow(Service):
+        def predict(self, body, query):
+            at_work.append(1)
+            most.append(len(at_work))
+            begun.set()
+            assert let.wait(20)
+            at_work.pop()
+            return {}
+
+    found = app(Slow(predictor(chosen(run.path).file), "a policy"))
+
+    async def ask_all():
+        async def one(method, path):
+            said = []
+            sent = iter([{"type": "http.request", "body": b"{}"}])
+
+            async def receive():
+                return next(sent)
+
+            async def send(message):
+                said.append(message)
+
+            await found({"type": "http", "method": method, "path": path, "query_string": b"", "headers": [],
+                         "http_version": "1.1"}, receive, send)  # fmt: skip
+            return said[0]["status"]
+
+        first, second = (asyncio.ensure_future(one("POST", "/predict")) for _ in range(2))
+        await asyncio.get_running_loop().run_in_executor(None, begun.wait, 20)
+        health = await asyncio.wait_for(one("GET", "/health"), 20)
+        let.set()
+        return health, await first, await second
+
+    assert asyncio.run(ask_all()) == (200, 200, 200)
+    assert most == [1, 1]
 
 
 def test_pages(service, run):

@@ -200,12 +200,14 @@ def load_cross_fit(path: Path | str) -> CrossFit:
     if not (path / CROSS_FIT).exists():
         raise UserError(f"{path} holds no cross-fit (no {CROSS_FIT})")
     config = read_cross_fit(path / CROSS_FIT)
-    missing = [each for each in range(config["folds"]) if not Folder(path / f"fold{each}").config.exists()]
-    found = CrossFit(path, config, [] if missing else [load(path / f"fold{each}") for each in range(config["folds"])])
-    if missing or not found.policy_path.exists():
+    folds = [path / f"fold{each}" for each in range(config["folds"])]
+    parts = [Folder(each) for each in (folds if config["deliver"] == "mixture" else [*folds, path / REFIT])]
+    steps = [each.read_config()["steps"] if each.has_policies() else None for each in parts]
+    # Of runs that are being trained for longer some have more updates than others, and are not the folds of one policy.
+    if None in steps or len({*steps}) > 1 or not CrossFit(path, config, []).policy_path.exists():
         again = f"deadreckon train ... --cross-fit {config['folds']} --out {path} --resume"
         raise UserError(f"{path} is not finished; `{again}` resumes it")
-    return found
+    return CrossFit(path, config, [load(each) for each in folds])
 
 
 def _begin(path: Path, config: dict[str, Any], resume: bool) -> None:

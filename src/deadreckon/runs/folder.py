@@ -16,6 +16,7 @@ folder of checkpoints beside them.
 """
 
 import contextlib
+import os
 import re
 import sys
 from collections.abc import Iterator, Sequence
@@ -52,7 +53,10 @@ class Folder:
     @contextlib.contextmanager
     def alone(self) -> Iterator[None]:
         """Lets one process at a time write here; another is refused with a `BusyError`. An interrupted run can be resumed."""
-        with alone(self.path.with_name(f"{self.path.name}.run"), what=str(self.path)), resumable(self.config):
+        place = Path(os.path.realpath(self.path))  # the same by whatever links and spellings it is reached
+        if not place.name:
+            raise UserError(f"{self.path} is the root of all folders; choose another --out")
+        with alone(place.with_name(f"{place.name}.run"), what=str(self.path)), resumable(self.config):
             refuse_links(self.path, _WHAT, TRACKED)  # by links, files outside of the folder could be written or removed
             yield
 
@@ -79,6 +83,10 @@ class Folder:
         """Updates after which policies were stored, ascending."""
         names = (re.match(r"(\d+)-seed", p.name) for p in (self.path / "policies").glob("*-seed*.npz"))
         return sorted({int(m[1]) for m in names if m})
+
+    def has_policies(self) -> bool:
+        """Whether there is a run all of whose seeds have a last policy, also of fewer updates than it is resumed for."""
+        return self.config.exists() and all(self.policy(seed).exists() for seed in self.read_config()["seeds"])
 
     @property
     def log(self) -> Path:

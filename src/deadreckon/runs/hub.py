@@ -126,7 +126,11 @@ def _download(call: "_Hub", sizes: Mapping[str, int | None], commit: str, root: 
             if (found := sha256_of(aside / name)) != about["sha256"]:
                 raise UserError(f"{repo}: {name} is damaged or was exchanged: its sha256 is {found}, not {about['sha256']}")
         shutil.rmtree(aside / ".cache", ignore_errors=True)  # files of the client
-        aside.replace(root / commit)
+        try:
+            aside.replace(root / commit)
+        except OSError:
+            if not (root / commit).is_dir():  # else another process was faster
+                raise
 
 
 def _checked(manifest: Any, repo: str) -> dict[str, dict[str, Any]]:

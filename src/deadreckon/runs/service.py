@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
@@ -175,10 +176,14 @@ def app(service: Service) -> Starlette:
              "/openapi.json": _json(document)}  # fmt: skip
     html = page(service.policy, service.words, document)
 
+    turn = asyncio.Lock()  # one request at a time has memory for its rows, and other pages are answered meanwhile
+
     async def predict(request: Request) -> Response:
         try:
             body = await _body(request, service.limits.body)
-            return _answer(200, service.predict(body, request.query_params))
+            async with turn:
+                found = await run_in_threadpool(service.predict, body, request.query_params)
+            return _answer(200, found)
         except Refused as error:
             return _answer(error.status, {"error": error.text})
 

@@ -107,7 +107,8 @@ def test_lists_of_legal_actions_stay_lists(tmp_path):
 
 
 def test_a_schema_of_a_text_file_reads_json(tmp_path):
-    (tmp_path / "log.csv").write_text("x;action;reward\n" + "\n".join(f"{i / 7};{'ab'[i * i % 3 % 2]};{i % 5}" for i in range(60)))
+    lines = [f"{i / 7};{'ab'[i * i % 3 % 2]};{i % 5}" for i in range(60)]
+    (tmp_path / "log.csv").write_text("x;action;reward\n" + "\n".join(lines))
     schema, _ = describe_table(tmp_path / "log.csv")
     assert schema.table["separator"] == ";"
     schema.save(tmp_path / "s.toml")
