@@ -310,7 +310,7 @@ def test_the_same_methods_are_compared_on_the_tasks_of_another_suite(folder, les
     logs = "ant-medium-v2", "halfcheetah-medium-v2", "ant-expert-v2"
     listed = f"logs = [{', '.join(repr(log) for log in logs)}]"
     own = 'logs = ["hopper-medium-v2", "walker2d-medium-v2"]'
-    (folder / "other.toml").write_text(SUITE.partition("[full]")[0].replace(own, listed))
+    (folder / "other.toml").write_text(SUITE.replace(own, listed))
     (folder / "claims.toml").write_text(BESIDE.replace(" }]", ", less = true }]") if less else BESIDE)
     [claim] = claims("claims.toml")
     assert claim.tests[0].method == ("BC", "TD3")
@@ -338,10 +338,13 @@ def test_the_same_methods_are_compared_on_the_tasks_of_another_suite(folder, les
 @pytest.mark.parametrize(("changed", "words"), [
     (('BC = { agent = "bc" }', 'BC = { agent = "awr" }'), "BC is not the same in suite.toml as in other.toml"),
     (("evaluations = 1", "evaluations = 2"), "evaluations is not the same in suite.toml as in other.toml"),
+    (("steps = 100", "steps = 200"), "steps is not the same in suite.toml as in other.toml"),
+    (("[full]\n", "[full]\nsteps = 300\n"), "steps is not the same in suite.toml as in other.toml"),
+    (("[full]\nseeds = 6\n", ""), "the section .full. is not the same in suite.toml as in other.toml"),
 ])  # fmt: skip
 def test_what_is_compared_across_suites_is_the_same_method_by_the_same_protocol(folder, changed, words):
     own = 'logs = ["hopper-medium-v2", "walker2d-medium-v2"]'
-    other = SUITE.partition("[full]")[0].replace(own, 'logs = ["ant-medium-v2"]')
+    other = SUITE.replace(own, 'logs = ["ant-medium-v2"]')
     assert changed[0] in other
     (folder / "other.toml").write_text(other.replace(*changed))
     (folder / "claims.toml").write_text(BESIDE)

@@ -186,6 +186,7 @@ def test_a_table_shows_scores_what_is_missing_and_what_failed(suite, tmp_path):
 
     store.keep(jobs[1], made(jobs[1], (50.0, 50.1), "critic_loss was not finite at update 7"))
     [shown] = tables(suite, jobs, store)
+    assert "* best of the methods without missing or failed runs, or not significantly" in rendered([shown])
     # What went bad is not best, whatever it scored.
     assert [shown.cells[m]["maze2d-umaze-v1"].bold for m in ("BC", "TD3")] == [True, False]
     assert "50.0 [49.4, 50.7] (2 failed)" in rendered([shown])
@@ -198,6 +199,7 @@ def test_a_table_shows_scores_what_is_missing_and_what_failed(suite, tmp_path):
     [shown] = tables(suite, jobs, store)
     assert "made with deadreckon 7, jax 1 and 1.5, mujoco 2\n" in rendered([shown]) + "\n"
     assert [shown.cells[m]["maze2d-umaze-v1"].bold for m in ("BC", "TD3")] == [False, True]
+    assert "* best, or not significantly" in rendered([shown])
     assert "**50.0 [49.4, 50.7]**" in rendered([shown], "markdown")
     assert r"\textbf{50.0 [49.4, 50.7]}" in rendered([shown], "latex")
     head, bc, td3 = rendered([shown], "csv").split("\n")

@@ -60,6 +60,28 @@ def test_designers_and_estimators_have_variants_too(printed):
     assert printed(OPE, *weighted) == {}  # the thesis has errors in returns
 
 
+def test_latex_has_names_and_notes_from_outside_as_text(tmp_path):
+    (path := tmp_path / "suite.toml").write_text(LEARN + "'a {x} \\y_$&%#^~' = { agent = 'bc' }\n")
+    [found] = tables(read(path), plan(read(path)), Store(tmp_path / "out"))
+    told = rendered([found], "latex").splitlines()
+    assert r" & a \{x\} \textbackslash{}y\_\$\&\%\#\^{}\~{} \\" in told
+    assert all(line.startswith("% ") for line in told[told.index(r"\end{tabular}") + 2 :])
+    job = plan(read(path))[0]
+    store = Store(tmp_path / "out")
+    store.fail(job, "first\n\\end{tabular}", "")
+    [found] = tables(read(path), plan(read(path)), store)
+    assert all("\n" not in note for note in found.notes)
+
+
+def test_designs_of_members_with_the_same_resamples_say_so(tmp_path):
+    (path := tmp_path / "suite.toml").write_text(
+        DESIGN + 'a = { agent = "ensemble" }\nb = { agent = "forward" }\nc = { agent = "cbas" }\n'
+    )
+    [found, *_] = tables(read(path), plan(read(path)), Store(tmp_path / "out"))
+    told = "members have the same bootstrap samples with all seeds, so intervals do not include how these vary"
+    assert f"a, c: {told}" in found.notes
+
+
 def test_a_table_has_a_row_for_each_source_and_the_best_of_each_log(tmp_path):
     (path := tmp_path / "suite.toml").write_text(LEARN + 'BC = { agent = "bc" }\nIQL = { agent = "iql" }\n')
     found = tables(read(path), plan(read(path)), Store(tmp_path / "out"))

@@ -349,6 +349,7 @@ def test_several_targets_are_one_weighted_score():
         ({"fixed": ["a = 7"]}, "a is fixed at 7, outside its bounds"),
         ({"fixed": ["solvent = gin"]}, "unknown level of solvent 'gin'"),
         ({"fixed": ["a = 0.5", "a = 0.6"]}, "a is fixed twice"),
+        ({"mixtures": [["a", "b", "a"]]}, "a is in a mixture twice; name each of its variables once"),
         ({"forbidden": ["solvent > water"]}, "solvent has levels, which are compared by = and != alone"),
         ({"forbidden": ["a = 0.5"]}, "a is a number; compare it with <"),
         ({"steps": {"a": 5}}, "a has no multiple of 5 in"),

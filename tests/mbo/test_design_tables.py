@@ -10,6 +10,7 @@ import pytest
 from pyarrow import parquet
 
 from deadreckon.cli.main import main
+from deadreckon.data.formats.csv_out import cell as as_cell
 from deadreckon.errors import UserError
 from deadreckon.mbo import designer
 from deadreckon.mbo.batch import batch, check_batch
@@ -255,7 +256,8 @@ def test_runs_without_a_score_are_not_proposed_again():
     cells = [*cells[:11], (None, "w"), (2, None), (9, "w"), (3, "new"), cells[10]]  # incomplete, beyond the bounds, no level
     frame = {"a": [a for a, _ in cells], "b": [b for _, b in cells], "y": [*map(float, range(10)), *[None] * 6]}
     data, lines = told(Designs.from_frame, frame, "y", bounds={"a": (1, 3)}, kinds={"a": "integer"})
-    assert len(lines) == 1
+    assert len(lines) == 2
+    assert "column b has 'new' in row 14, which no row with a score has, so this run may be proposed again" in lines[1]
     assert (len(data), data.variables[0].high, data.variables[1].levels) == (10, 3, ("w", "x", "y", "z"))
     assert data.unscored.tolist() == [[3, 2], [9, 0], [3, 2]]
     for method in ("random", "gp"):
@@ -267,6 +269,23 @@ def test_runs_without_a_score_are_not_proposed_again():
         check_batch(data, data.unscored[:1], repeat=False)
     np.testing.assert_array_equal(batch(data, data.unscored[:1], 1, repeat=True), [[3, 2]])
     assert data.part(np.arange(10)).unscored is data.unscored
+
+
+def test_proposals_can_be_appended_whatever_their_levels_begin_with(tmp_path):
+    """A level such as +EDTA is written with an apostrophe, for spreadsheets, and read without it."""
+    rng, path = np.random.default_rng(0), tmp_path / "log.csv"
+    levels = ["-EDTA", "+EDTA", "=x", "'q"]
+    path.write_text("add,temp,y\n" + "\n".join(f"{levels[i % 4]},{rng.normal():.3f},{rng.normal():.3f}" for i in range(40)))
+    data = told(Designs.from_csv, path, "y")[0]
+    assert data.variables[0].levels == ("'q", "+EDTA", "-EDTA", "=x")
+    added = ("+EDTA", 1, 2), ("-EDTA", 2, ""), ("=x", 0, 1)
+    rows = "\n".join(f"{as_cell(level)},{value},{score}" for level, value, score in added)
+    assert rows.startswith("'+EDTA")
+    path.write_text(f"{path.read_text()}\n{rows}\n")
+    more = told(Designs.from_csv, path, "y")[0]
+    assert more.variables[0].levels == data.variables[0].levels
+    assert more.x[-2:].tolist() == [[1, 1], [3, 0]]
+    assert more.unscored.tolist() == [[2, 2]]
 
 
 def test_rows_after_planned_runs_keep_their_numbers():

@@ -172,6 +172,10 @@ def test_designs_show_the_best_first_in_their_own_names():
     shown = re.findall(r'<th scope="row">(\d)</th>', data._repr_html_())
     assert [int(row) for row in shown] == np.argsort(cost).tolist()
     assert EVIL in words(data)
+    table = {"heat": np.arange(12.0), "metal": ["iron", EVIL] * 6, "cost": [None, None, *cost]}
+    planned = dr.Designs.from_frame(table, target="cost")
+    shown = re.findall(r'<th scope="row">(\d+)</th>', planned._repr_html_())
+    assert [int(row) - 2 for row in shown] == np.argsort(cost)[::-1].tolist()  # rows of the table, also without a score
     assert repr(data) == f"Designs({data.name}: 10 designs, 2 variables, least cost sought)"
 
 

@@ -152,7 +152,12 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
         if "beside" in test:
             beside = suites[names[1]]
             other = [method for method in own if ways[0][method] != ways[1][method]]
-            other += [key for key in _PROTOCOL if getattr(suite, key) != getattr(beside, key)]
+            pairs = [(suite, beside)]
+            if suite.full and beside.full:
+                pairs.append((read(places[names[0]], True), read(places[names[1]], True)))
+            other += [key for pair in pairs for key in _PROTOCOL if len({getattr(one, key) for one in pair}) > 1]
+            other += ["steps" for pair in pairs if len({frozenset(one.steps.values()) for one in pair}) > 1]
+            other += ["the section [full]"] if suite.full != beside.full else []
             if other:
                 raise UserError(f"{where}: {other[0]} is not the same in {names[0]} as in {names[1]}, which are compared")
         for on in test.get("on", ()):

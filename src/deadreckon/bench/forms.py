@@ -1,6 +1,7 @@
 """Tables of suites as text, Markdown, CSV or LaTeX."""
 
 import io
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -14,6 +15,8 @@ from deadreckon.errors import unknown
 from deadreckon.stats.interval import ALPHA
 
 FEWEST = 4  # scores of which an interquartile mean leaves some out; of fewer it is their mean
+_BOLD = re.compile("\0(.*?)\0")
+_LATEX = {sign: f"\\{sign}" for sign in "&%_#${}"} | {"\\": r"\textbackslash{}", "^": r"\^{}", "~": r"\~{}"}
 FORMATS = ("text", "markdown", "csv", "latex")
 
 
@@ -64,7 +67,8 @@ def _text(table: Table) -> str:
     starred = any("*" in cell for row in rows for cell in row)
     told = f", or not significantly different from it by Welch's t-test (p > {ALPHA:g})" if table.suite.seeds > 1 else ""
     text = text_table.table(rows, right=range(1, len(rows[0])))
-    return f"{text}\n\n* best{told}" if starred else text
+    complete = all(cell.sound for row in table.cells.values() for cell in row.values())
+    return f"{text}\n\n* best{'' if complete else ' of the methods without missing or failed runs'}{told}" if starred else text
 
 
 def _markdown(table: Table) -> str:
@@ -76,11 +80,9 @@ def _markdown(table: Table) -> str:
 
 def _latex(table: Table) -> str:
     def safe(text: str) -> str:
-        for sign in "&%_#$":
-            text = text.replace(sign, f"\\{sign}")
-        return text.replace("^", r"\^{}").replace("~", r"\~{}")
+        return re.sub(r"[\\&%_#${}^~]", lambda found: _LATEX[found[0]], text)
 
-    head, *rows = ([safe(cell.strip()) for cell in row] for row in _grid(table, r"\textbf{{{}}}"))
+    head, *rows = ([_BOLD.sub(r"\\textbf{\1}", safe(cell.strip())) for cell in row] for row in _grid(table, "\0{}\0"))
     lines = [r"\begin{tabular}{l" + "r" * (len(head) - 1) + "}", r"\toprule", " & ".join(head) + r" \\", r"\midrule"]
     lines += [" & ".join(row) + r" \\" for row in rows]
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"])

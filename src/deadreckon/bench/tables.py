@@ -185,7 +185,11 @@ def _table(suite: Suite, metric: Metric, jobs: Sequence[Job], store: Store, any_
     notes += [f"{source}: {told}" for source, told in SOURCES.get(suite.kind, {}).items() if source in beside]
     if suite.kind == "learn":
         notes += _best(suite)
-    return Table(suite, metric, cells, printed, means, (*notes, *_notes(jobs, missing, store, shown)))
+    if suite.kind == "design" and (alike := _same_resamples(suite)):
+        told = "members have the same bootstrap samples with all seeds, so intervals do not include how these vary"
+        notes.append(f"{', '.join(alike)}: {told}")
+    notes += _notes(jobs, missing, store, shown)
+    return Table(suite, metric, cells, printed, means, tuple(" ".join(line.split()) for line in notes))
 
 
 def _printed(suite: Suite, on: str, metric: Metric) -> dict[str, dict[str, float]]:
@@ -237,6 +241,14 @@ def _best(suite: Suite) -> list[str]:
     known = {on: found for on in suite.on if (found := published.best(on))}
     told = [f"{on} {found.score:.1f} ({found.algorithm}, {found.source})" for on, found in known.items()]
     return [f"best published in Table 7.1 (its online SAC aside) and in CORL: {'; '.join(told)}"] if told else []
+
+
+def _same_resamples(suite: Suite) -> list[str]:
+    """The methods of designs whose members have the same bootstrap samples for all seeds, which share their rows."""
+    from deadreckon.mbo.registry import designer  # which loads JAX
+
+    made = {method.name: designer(method.agent, **method.fields) for method in suite.methods}
+    return [name for name, one in made.items() if getattr(one, "members", 1) > 1]
 
 
 def _notes(jobs: Sequence[Job], missing: Sequence[tuple[Job, int]], store: Store, found: list[dict[str, Any]]) -> list[str]:

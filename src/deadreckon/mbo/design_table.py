@@ -12,6 +12,7 @@ import pyarrow as pa
 from deadreckon.data.arrow import compute, decoded, flat, is_missing, is_number, is_string, is_text, some_numbers
 from deadreckon.data.formats.any_table import table_of_kind
 from deadreckon.data.formats.cells import PLAIN, Known, converted
+from deadreckon.data.formats.csv_out import plain
 from deadreckon.data.formats.dialect import Dialect
 from deadreckon.data.formats.kind import sniff
 from deadreckon.errors import UserError
@@ -48,10 +49,23 @@ def read_designs(
     known = _KNOWN._replace(texts=frozenset(ignored), flags=frozenset(numbers))
     kind = sniff(path, ways.get("separator"))
     table, dialect, told = table_of_kind(path, kind, ways, known)
+    table = _plain(table) if kind == "csv" else table
     known = known._replace(texts=known.texts | {*texts})
     if converts := kind != "parquet":
         table, told = by_scored(table, dialect, told, targets, known)
     return table, dialect, told, converts
+
+
+def _plain(table: pa.Table) -> pa.Table:
+    """The table whose appended proposals have levels as other rows do: see `csv_out.plain`."""
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        if not is_string(column.type):
+            continue
+        found = {text: as_written for text in column.unique().to_pylist() if text and (as_written := plain(text)) != text}
+        if found:
+            cells = pa.array([found.get(text, text) for text in column.to_pylist()], column.type)
+            table = table.set_column(table.column_names.index(name), name, cells)
+    return table
 
 
 def read_for(

@@ -260,7 +260,7 @@ class Designs(Shown):
         for v, values in zip(variables, columns):
             if v.name not in said and (why := name_of_rows(v, values, designs)):
                 raise UserError(f"{name}: {why}")
-        others, kept = complete_designs(name, table, variables, rows) if planned else (None, None)
+        others, kept, strange = complete_designs(name, table, variables, rows) if planned else (None, None, [])
         made = cls(
             x, scores, tuple(variables), name, score_name(target, weights), minimise,
             Rules.of(variables, name=name, **rules), std_error=error, table_rows=rows if planned else None,
@@ -269,7 +269,7 @@ class Designs(Shown):
         )  # fmt: skip
         made.repair.check_possible()
         read = [*restored, *texts_told(table, [v for v in variables if v.name in unsaid])]
-        slips = [*read, *unknown, *doubts.of_inputs(variables, x, rows, bounds, made.rules), *slips]
+        slips = [*read, *unknown, *strange, *doubts.of_inputs(variables, x, rows, bounds, made.rules), *slips]
         warn(name, slips := [*slips, *doubts.of_outcomes(variables, x, target, raw)])
         left = [each for each in ignore if each not in targets]
         changed = [*about_order(made), *about_driven_inputs(made), *([] if groups else doubts.of_ignored(table, left))]

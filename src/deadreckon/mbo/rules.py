@@ -14,6 +14,7 @@ import numpy as np
 from deadreckon.errors import UserError
 from deadreckon.mbo.constraints import Forbidden, Linear, conditions, places, read_clause, read_fixed, read_linear
 from deadreckon.mbo.variables import Variable
+from deadreckon.names import repeated
 
 ROUNDING = 1e-6  # relative tolerance of a fixed value, for the rounding of 32-bit numbers
 _CONDITIONS = 50  # largest number of conditions of a forbidden combination
@@ -100,6 +101,9 @@ class Rules:
         Raises:
             UserError: one line: a text cannot be parsed, a variable is fixed twice, or a distance is not valid.
         """
+        for group in mixtures:
+            if twice := repeated(group):
+                raise UserError(f"{name}: {twice[0]} is in a mixture twice; name each of its variables once")
         parts = [f"{' + '.join(f'`{each}`' for each in group)} = 1" for group in mixtures]
         linear = tuple(read_linear(text, variables, name) for text in [*constraints, *parts])
         for text in forbidden:

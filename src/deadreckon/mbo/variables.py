@@ -350,18 +350,23 @@ def codes(name: str, column: str, values: Sequence[Any], levels: Sequence[Any], 
 
 def complete_designs(
     name: str, table: pa.Table, variables: Sequence[Variable], scored: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(k, variables) float32 designs of the rows without a score that have a value, or a known level, of every variable, and
-    (k,) these rows.
+) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """(k, variables) float32 designs of the rows without a score that have a value, or a known level, of every variable, (k,)
+    these rows, and messages on unknown levels.
 
     They may be outside of the bounds.
     """
     columns: list[Any] = []
+    told: list[str] = []
     rows = np.setdiff1d(np.arange(table.num_rows), scored)
     for v in variables:
         if v.leveled:
             index, values = {level: float(i) for i, level in enumerate(v.levels)}, table.column(v.name).to_pylist()
             columns.append([index.get(values[row], math.nan) for row in rows])
+            odd = [row for row in rows if values[row] is not None and values[row] not in index]
+            if odd:
+                what = f"column {v.name} has {values[odd[0]]!r} in row {odd[0]}, which no row with a score has"
+                told.append(f"{what}, so this run may be proposed again{f' ({len(odd)} such rows)' if len(odd) > 1 else ''}")
             continue
         cells = flat(table, v.name).take(pa.array(rows))
         if is_text(cells.type):  # others may be no numbers
@@ -371,4 +376,4 @@ def complete_designs(
     with np.errstate(over="ignore"):  # a larger number than 32 bits hold is infinite
         x = np.stack(columns, 1).astype(np.float32)
     complete = np.isfinite(x).all(1)
-    return x[complete], rows[complete]
+    return x[complete], rows[complete], told

@@ -168,7 +168,8 @@ def _designs(data: Designs) -> Markup:
     body = []
     for k, i in enumerate(order.tolist()):
         cells = [tag("td", number(v) if isinstance(v, float) else str(v)) for v in (table[name][k] for name in names)]
-        body.append(tag("tr", tag("th", str(i), scope="row"), tag("td", tag("b", number(float(scores[i])))), cells))
+        row = tag("th", str(data.numbered(i)), scope="row")
+        body.append(tag("tr", row, tag("td", tag("b", number(float(scores[i])))), cells))
     sought = f"{'least' if data.minimise else 'greatest'} {data.target}"
     facts = _facts(("designs", f"{len(data):,}"), ("variables", f"{len(data.variables):,}"), ("sought", sought))
     drawn = figure(bars.histogram(scores, f"values of {data.target}", "designs"), data.target)

@@ -26,6 +26,11 @@ def cell(value: Any) -> Any:
     return value
 
 
+def plain(text: str) -> str:
+    """The text that `cell` has written: without the apostrophe in front of what a spreadsheet would evaluate."""
+    return text[1:] if text.startswith("'") and cell(text[1:]) == text else text
+
+
 def write_rows(file: TextIO, rows: Iterable[Iterable[Any]], end: str = "\r\n") -> None:
     """Writes rows of cells to a file that is open for text."""
     csv.writer(file, lineterminator=end).writerows([cell(value) for value in row] for row in rows)
