@@ -3755,6 +3755,13 @@ MUTANTS = (
         ("bench/test_claims.py",),
     ),
     Mutant(
+        "beyond-untold", "cli/predict.py",
+        "        if beyond.any():\n            count",
+        "        if False:\n            count",
+        "rows beyond the log's ranges are not told by predict",
+        ("cli/test_predict.py",),
+    ),
+    Mutant(
         "groups-kept", "ope/evaluated.py",
         "return Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)",
         "found = Episodes(self.data.select(np.flatnonzero(part)), self.discount, self.seed, units)\n"

@@ -59,6 +59,16 @@ def test_actions_of_a_file(run, tmp_path, capsys):
     assert capsys.readouterr().out == f"seed 0 of {run.path}, one of 2 (--policy-seed): actions in 40 rows, in {out}\n"
 
 
+def test_rows_beyond_the_log_are_told(run, tmp_path, capsys):
+    """Also where nothing refuses them, such as 20.125 that is read as 20125."""
+    run, new = run[0], table()
+    new.loc[[5, 7], "age"] = new["age"].max() + 1
+    assert predicted(run, new, tmp_path)[0] == 0
+    assert "! 2 of 40 rows, from row 5 on, hold values beyond those of the log; --outside flag marks" in capsys.readouterr().err
+    assert predicted(run, table(), tmp_path)[0] == 0
+    assert "beyond" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("rows", [[0], [3, 5], list(range(10))])
 def test_a_file_of_a_few_rows_is_read_as_the_log_was(run, tmp_path, rows):
     """Texts such as 0120, yes or on, which alone look like numbers and truth values; another dialect and order of columns."""

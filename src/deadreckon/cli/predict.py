@@ -79,6 +79,11 @@ def predict(args: Sequence[str]) -> None:
     done = policy.predict(
         table, probabilities=options.probabilities, greedy=not sampled, seed=seed, outside=options.outside
     )
+    if options.outside == "raise" and policy.encoder.held:
+        beyond = policy.encoder.encode(table, outside="flag").outside
+        if beyond.any():
+            count = f"{int(beyond.sum()):,} of {table.num_rows:,} rows, from row {int(beyond.argmax())} on,"
+            print(f"! {count} hold values beyond those of the log; --outside flag marks them", file=sys.stderr)
     columns = policy.columns(done)
     if twice := [column for column in options.keep if column in columns]:
         raise UserError(f"--keep {twice[0]}: the actions are written under this name; leave it out")

@@ -234,7 +234,8 @@ class NumpyPolicy:
         return self._predictor.predict(rows, **options)
 
     def probs(self, observations):
-        """(n, actions) probabilities of discrete actions at a batch of observations; None of continuous ones."""
+        """(n, actions) probabilities of discrete actions at a batch of observations; None of continuous ones, and of a mixture
+        or a policy on histories, whose actions depend on the episode."""
         if self.behind is not None:
             return self.behind.probs(self._features(np.asarray(observations)))
         if (node := self.tree["inner"])["kind"] not in _CHOOSING:
