@@ -24,6 +24,7 @@ from deadreckon.policies.table_predict import Prediction, Predictor
 from deadreckon.randomness import check_seed
 from deadreckon.runs.service_page import described, openapi, page
 
+SHORT = 10_000  # bytes of a body up to which a thread of its own would take longer than the actions
 SLOWEST = 10.0  # seconds in which the whole of a request's body must have arrived
 _WORDS = {"true": True, "1": True, "false": False, "0": False}
 _OPTIONS = ("probabilities", "greedy", "outside", "seed")
@@ -176,14 +177,15 @@ def app(service: Service) -> Starlette:
              "/openapi.json": _json(document)}  # fmt: skip
     html = page(service.policy, service.words, document)
 
-    turn = asyncio.Lock()  # one request at a time has memory for its rows, and other pages are answered meanwhile
+    turn = asyncio.Lock()  # one long request at a time has memory for its rows, and others are answered meanwhile
 
     async def predict(request: Request) -> Response:
         try:
             body = await _body(request, service.limits.body)
+            if len(body) <= SHORT:
+                return _answer(200, service.predict(body, request.query_params))
             async with turn:
-                found = await run_in_threadpool(service.predict, body, request.query_params)
-            return _answer(200, found)
+                return _answer(200, await run_in_threadpool(service.predict, body, request.query_params))
         except Refused as error:
             return _answer(error.status, {"error": error.text})
 
