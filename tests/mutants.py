@@ -3574,7 +3574,7 @@ MUTANTS = (
     ),
     Mutant(
         "one-number-numpy", "policies/portable.py",
-        "        check_size(x, self._array(mean).shape[-1], net.get(\"mask\", 0) if inner[\"kind\"] in _CHOOSING else 0)\n",
+        "            check_size(x, self._array(mean).shape[-1], net.get(\"mask\", 0) if inner[\"kind\"] in _CHOOSING else 0)\n",
         "",
         "one number is taken for all numbers of an observation, by numpy",
         ("policies/test_policies.py",),
@@ -3713,9 +3713,9 @@ MUTANTS = (
         ("report/test_notebook.py",),
     ),
     Mutant(
-        "best-of-complete", "bench/forms.py",
-        "complete = all(cell.sound",
-        "complete = True or all(cell.sound",
+        "best-of-complete", "bench/tables.py",
+        "complete = all(cell.sound for row in self.cells",
+        "complete = True or all(cell.sound for row in self.cells",
         "the best of the complete methods is called the best of all",
         ("bench/test_runner.py",),
     ),
@@ -3742,7 +3742,7 @@ MUTANTS = (
     ),
     Mutant(
         "beside-steps", "bench/claims_file.py",
-        "if len({frozenset(one.steps.values()) for one in pair}) > 1",
+        "if {*one.steps.values()} != {*two.steps.values()}",
         "if False",
         "suites of other numbers of updates are compared",
         ("bench/test_claims.py",),

@@ -155,8 +155,8 @@ def _claim(path: Path, said: dict[str, Any], tuned: Mapping[str, Sequence[str]],
             pairs = [(suite, beside)]
             if suite.full and beside.full:
                 pairs.append((read(places[names[0]], True), read(places[names[1]], True)))
-            other += [key for pair in pairs for key in _PROTOCOL if len({getattr(one, key) for one in pair}) > 1]
-            other += ["steps" for pair in pairs if len({frozenset(one.steps.values()) for one in pair}) > 1]
+            other += [key for one, two in pairs for key in _PROTOCOL if getattr(one, key) != getattr(two, key)]
+            other += ["steps" for one, two in pairs if {*one.steps.values()} != {*two.steps.values()}]
             other += ["the section [full]"] if suite.full != beside.full else []
             if other:
                 raise UserError(f"{where}: {other[0]} is not the same in {names[0]} as in {names[1]}, which are compared")

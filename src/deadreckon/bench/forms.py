@@ -67,8 +67,7 @@ def _text(table: Table) -> str:
     starred = any("*" in cell for row in rows for cell in row)
     told = f", or not significantly different from it by Welch's t-test (p > {ALPHA:g})" if table.suite.seeds > 1 else ""
     text = text_table.table(rows, right=range(1, len(rows[0])))
-    complete = all(cell.sound for row in table.cells.values() for cell in row.values())
-    return f"{text}\n\n* best{'' if complete else ' of the methods without missing or failed runs'}{told}" if starred else text
+    return f"{text}\n\n* best{table.best_of}{told}" if starred else text
 
 
 def _markdown(table: Table) -> str:

@@ -116,6 +116,12 @@ class Table:
     whole: dict[str, Interval]
     notes: tuple[str, ...]
 
+    @property
+    def best_of(self) -> str:
+        """Which methods the best is chosen from, in words: empty where these are all."""
+        complete = all(cell.sound for row in self.cells.values() for cell in row.values())
+        return "" if complete else " of the methods without missing or failed runs"
+
 
 def tables(suite: Suite, jobs: Sequence[Job], store: Store, any_revision: bool = False) -> list[Table]:
     """What is known of a suite: a table a metric of its kind.
@@ -244,7 +250,7 @@ def _best(suite: Suite) -> list[str]:
 
 
 def _same_resamples(suite: Suite) -> list[str]:
-    """The methods of designs whose members have the same bootstrap samples for all seeds, which share their rows."""
+    """The methods of designs whose members are fitted on the same bootstrap samples with every seed."""
     from deadreckon.mbo.registry import designer  # which loads JAX
 
     made = {method.name: designer(method.agent, **method.fields) for method in suite.methods}

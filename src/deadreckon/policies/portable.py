@@ -249,14 +249,11 @@ class NumpyPolicy:
     def _observed(self, x):
         """A batch of observations in the coordinates of the networks."""
         inner, mean, std = self.tree["inner"], self.tree["mean"], self.tree["std"]
-        if mean is None:
-            check_finite(x)
-            return x
-        net = inner.get("net") or inner.get("critic") or {}
-        # Before the means, against which one number alone would be broadcast.
-        check_size(x, self._array(mean).shape[-1], net.get("mask", 0) if inner["kind"] in _CHOOSING else 0)
+        if mean is not None:  # against which one number alone would be broadcast
+            net = inner.get("net") or inner.get("critic") or {}
+            check_size(x, self._array(mean).shape[-1], net.get("mask", 0) if inner["kind"] in _CHOOSING else 0)
         check_finite(x)
-        return (x - self._array(mean)) / self._array(std)
+        return x if mean is None else (x - self._array(mean)) / self._array(std)
 
     def _array(self, reference):
         return self.arrays[reference[1:]]

@@ -52,14 +52,13 @@ def _lead(table: Table) -> str:
     found = {method: row for method, row in table.cells.items() if all(cell.sound for cell in row.values())}
     if not found:
         return "Not all runs are done yet."
-    left = "" if len(found) == len(table.cells) else " of the methods without missing or failed runs"
     best = [method for method, row in found.items() if all(cell.bold for cell in row.values())]
     if len(table.suite.on) == 1:
-        return f"Best{left}, or not significantly different from the best: {words(best)}."
+        return f"Best{table.best_of}, or not significantly different from the best: {words(best)}."
     counts = {method: sum(cell.bold for cell in row.values()) for method, row in found.items()}
     most = max(counts.values())
     names = words([method for method, count in counts.items() if count == most])
-    return f"Best{left}, or not significantly different from the best, on {most} of {len(table.suite.on)}: {names}."
+    return f"Best{table.best_of}, or not significantly different from the best, on {most} of {len(table.suite.on)}: {names}."
 
 
 def groups(table: Table) -> dict[str, list[str]]:

@@ -203,7 +203,7 @@ def load_cross_fit(path: Path | str) -> CrossFit:
     folds = [path / f"fold{each}" for each in range(config["folds"])]
     parts = [Folder(each) for each in (folds if config["deliver"] == "mixture" else [*folds, path / REFIT])]
     steps = [each.read_config()["steps"] if each.has_policies() else None for each in parts]
-    # Of runs that are being trained for longer some have more updates than others, and are not the folds of one policy.
+    # While a cross-fit is trained for longer, some of its runs have more updates than others.
     if None in steps or len({*steps}) > 1 or not CrossFit(path, config, []).policy_path.exists():
         again = f"deadreckon train ... --cross-fit {config['folds']} --out {path} --resume"
         raise UserError(f"{path} is not finished; `{again}` resumes it")

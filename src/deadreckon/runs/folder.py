@@ -85,7 +85,7 @@ class Folder:
         return sorted({int(m[1]) for m in names if m})
 
     def has_policies(self) -> bool:
-        """Whether there is a run all of whose seeds have a last policy, also of fewer updates than it is resumed for."""
+        """Whether the folder holds a run that has the last policy of every seed."""
         return self.config.exists() and all(self.policy(seed).exists() for seed in self.read_config()["seeds"])
 
     @property

@@ -117,8 +117,7 @@ def load(path: Path | str) -> Run:
     if not folder.config.exists():
         raise UserError(f"{path} holds no run (no run.json)")
     config = folder.read_config()
-    missing = [seed for seed in config["seeds"] if not folder.policy(seed).exists()]
-    if missing:
+    if not folder.has_policies():
         again = "train_together" if "together" in config else f"deadreckon train ... --out {path} --resume"
         raise UserError(f"{path} is not finished; `{again}` resumes it")
     status = read_status(folder.status, len(config["seeds"]))

@@ -24,7 +24,7 @@ from deadreckon.policies.table_predict import Prediction, Predictor
 from deadreckon.randomness import check_seed
 from deadreckon.runs.service_page import described, openapi, page
 
-SHORT = 10_000  # bytes of a body up to which a thread of its own would take longer than the actions
+SHORT = 1_000  # bytes of a body, of a few rows, whose actions are computed at once and not in a thread
 SLOWEST = 10.0  # seconds in which the whole of a request's body must have arrived
 _WORDS = {"true": True, "1": True, "false": False, "0": False}
 _OPTIONS = ("probabilities", "greedy", "outside", "seed")

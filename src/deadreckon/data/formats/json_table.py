@@ -84,8 +84,9 @@ def read_json_table(path: Path | str, known: Known = NOTHING) -> tuple[pa.Table,
         if len(places) == 1 and (why := _no_row(first)):
             raise UserError(f"{path}: its object {why}")
         arrays, told = {}, []
+        within = {name[:i]: name for name in reversed(columns) for i, sign in enumerate(name) if sign == "."}
         for column, values in columns.items():
-            inside = next((name for name in columns if name.startswith(f"{column}.")), None)
+            inside = within.get(column)  # the first column of an object's parts
             if inside is not None and all(value is None for value in values):
                 continue  # it is missing, and so are its parts
             if inside is not None:
@@ -197,4 +198,3 @@ def _in_64_bits(values: list[Any]) -> list[Any]:
     infinite = lambda value: math.inf if value > 0 else -math.inf  # noqa: E731
     as_float = lambda value: float(value) if abs(value) <= most else infinite(value)  # noqa: E731
     return [as_float(value) if isinstance(value, int) else value for value in values]
-

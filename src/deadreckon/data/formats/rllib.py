@@ -73,7 +73,7 @@ def is_rllib(head: bytes) -> bool:
         first = json.loads(start.split(b"\n")[0])
     except (ValueError, RecursionError):  # the object is longer
         return re.search(_BATCH, start) is not None or re.match(rb'\{\s*"[^"]*"\s*:\s*\[(?!\s*\{)', start) is not None
-    if (said := first.get("type")) is not None or first.keys() >= {"columns", "data"}:  # the latter as pandas splits a frame
+    if (said := first.get("type")) is not None or first.keys() >= {"columns", "data"}:  # the latter are those of a data frame
         return said in _TYPES
     arrays = [value for key, value in flat(first).items() if key.partition("/")[0] not in _NO_ARRAYS]
     return bool(arrays) and all(isinstance(value, list) and not isinstance((*value, 0)[0], dict) for value in arrays)
